@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from rig.array_and_json_types import Floats, Json
-from rig.checks.mistake import Mistake, sort_mistakes
+from rig.checks.mistake_and_clock_mistakes import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import CommandOutputs, write_bytes
@@ -18,7 +18,7 @@ from rig.model.design import Design
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_elements import result_html
 
 if TYPE_CHECKING:
     from rig.effects.framework.effect import Effect
@@ -60,7 +60,8 @@ def save(recording: Recording, folder: Path | str, overwrite: bool = False) -> N
     overwrite : whether to write over what this function did not make
     Raises RigError for several recordings joined to one, and where the folder holds something else
     """
-    from rig.recording.recording_tables import copy_frames_commands_and_sensors, write_corners, write_poses, write_table
+    from rig.recording.recording_folder import copy_frames_commands_and_sensors
+    from rig.recording.recording_tables import write_corners, write_poses, write_table
 
     if recording.parts:
         raise RigError(f"{recording.name}: several recordings as one have no folder; save each separately")
@@ -218,7 +219,7 @@ def effect_catalogue(
     folder : where the document finds the sketches, NAME.svg; draw : raises RigError for an effect without a sketch
     """
     from rig.effects.catalogue.effect_list import catalogue_markdown
-    from rig.report.pages.page_templates_and_page_index import standalone_svg
+    from rig.report.pages.page_templates_and_elements import standalone_svg
 
     drawn: dict[str, str] = {}
     shown: dict[str, str] = {}

@@ -19,7 +19,7 @@ from rig.formats.rig_toml import design_file
 from rig.model.design import Design, Sensor
 from rig.planning.plan import build_plan
 from rig.recording.recording_folder import load_sensors
-from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_elements import result_html
 from synthetic import recording_simulation, secret_machine
 from synthetic.image_simulation import simulate_diagnosed_recording
 from synthetic.recording_simulation import Simulation

@@ -17,7 +17,7 @@ from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Design, Instrument
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_arm
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.model.pose import exp
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import build_plan, plan_of_configurations

@@ -16,7 +16,7 @@ from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_axes
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.model.places_and_tolerances import Place
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan

@@ -10,7 +10,7 @@ from rig.effects.framework.marker_table import Markers, replace_marker_columns
 from rig.model.design import Design, Sensor
 from rig.model.pose import exp
 from synthetic.image_simulation import Images, is_renderable
-from vision.targets import marker_map
+from vision.predict import marker_map
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from rig.driving.emulators.controller_emulator_opening_and_ports import home_len
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
 from rig.model.pose import transform_points
 from rig.planning.plan_construction_and_table import Plan
 from rig.recording.recording_folder import Commands, Sensors

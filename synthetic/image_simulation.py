@@ -29,8 +29,7 @@ from synthetic import rig_meshes, secret_machine
 from synthetic.ideal_image_renderer import SAMPLES, Renderer, import_pyrender
 from synthetic.image_sensor_and_occlusion import expose_image
 from synthetic.recording_simulation import Simulation, carried_camera_poses, stage_poses_of_run
-from vision.predict import State, markers_facing_cameras, predict_sightings
-from vision.targets import marker_map
+from vision.predict import State, marker_map, markers_facing_cameras, predict_sightings
 
 BLEND = (
     0.25  # px; pictures of a rolling shutter lie no farther apart than this, and rows are blended between two of them

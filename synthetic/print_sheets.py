@@ -27,7 +27,7 @@ from synthetic.sheet_rulers_and_assembly_page import (
     fold_line_style,
     usable_area,
 )
-from vision.targets import marker_cells
+from vision.predict import marker_cells
 
 PAPER = {
     "A4": (210.0, 297.0),

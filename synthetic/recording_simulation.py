@@ -13,9 +13,9 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Booleans, Floats
 from rig.formats.output_files import write_text
 from rig.model import motion_simulation
-from rig.model.design import Camera, Design, Instrument, MeasuringLimbs
-from rig.model.design_comparison_and_cube_remounting import quarter_turns_of_cubes, rig_toml_with_turns
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_axes
+from rig.model.design import Camera, Design, Instrument, MeasuringLimbs, quarter_turns_of_cubes
+from rig.model.design_comparison_and_cube_remounting import rig_toml_with_turns
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
 from rig.planning.plan import sensors_with_payload
 from rig.planning.plan_construction_and_table import Plan
@@ -24,8 +24,15 @@ from rig.recording.recording_tables import DISTANCE, POSE_COLUMNS, Corners, writ
 from synthetic import secret_machine as worlds
 from synthetic.image_sensor_and_occlusion import is_occluded
 from synthetic.secret_machine import remount_cubes
-from vision.predict import Sightings, State, is_inside_image, markers_facing_cameras, predict_sightings
-from vision.targets import MarkerMap, marker_map
+from vision.predict import (
+    MarkerMap,
+    Sightings,
+    State,
+    is_inside_image,
+    marker_map,
+    markers_facing_cameras,
+    predict_sightings,
+)
 
 EXACT = Instrument("rig", "rig", 0.0, 0.0)  # where nobody says what measured the poses
 STEEPEST = np.cos(np.radians(70))  # corners are written of markers seen no more obliquely

@@ -14,9 +14,9 @@ import trimesh
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
-from rig.model.design import FACES, Design, Target
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Mechanism, Struts, has_struts
-from vision.targets import MarkerMap, face_pose, marker_cells, marker_map
+from rig.model.design import FACES, Design, Target, face_pose
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, Struts, has_struts
+from vision.predict import MarkerMap, marker_cells, marker_map
 
 WHITE, BLACK, METAL, DARK = 0.85, 0.06, 0.35, 0.12  # albedo
 STRUT_RADIUS, ROD_RADIUS = 0.055, 0.03  # of the base's radius

@@ -12,16 +12,12 @@ from vision.checks.recording_refusal_and_uneven_cube_layouts import (
     make_spoilt_corner_refusal,
     refuse_spoilt_files,
 )
-from vision.hand_cameras_stages_and_remounted_cubes import (
-    has_hand_cameras,
-    invert_measured_poses,
-    recording_seen_from_hand,
-)
 from vision.measurement_result import MeasurementResult
+from vision.predict import marker_map
 from vision.reading.marker_identity_mistakes import find_suspicious_markers
 from vision.reading.recording_corners import image_reader
+from vision.recording_adjustment import has_hand_cameras, invert_measured_poses, recording_seen_from_hand
 from vision.recording_measurement import PLACES, measure_recording
-from vision.targets import marker_map
 
 Progress = Callable[[str, int, int], None]
 HELD = ("lenses", "poses")

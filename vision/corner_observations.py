@@ -17,8 +17,7 @@ import numpy as np
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Design
 from rig.recording.recording_tables import Corners
-from vision.predict import State
-from vision.targets import MarkerMap
+from vision.predict import MarkerMap, State
 
 _COLUMNS = ("frame", "camera", "marker", "corner", "uv", "covariance", "points", "on_platform")
 UNSTATED_SIGMA = 0.1  # px; a corner's standard deviation until the residuals tell it

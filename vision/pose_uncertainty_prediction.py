@@ -10,13 +10,11 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model.design import Design
 from rig.model.pose import adjoint
-from vision.bundle.normal_equations import linearise, normal_equations, schur_complement
-from vision.bundle.unknowns_and_estimate import POSE_SCALE, Estimate, Unknowns
+from vision.bundle.normal_equations_and_corner_jacobians import linearise, normal_equations, schur_complement
+from vision.bundle.unknowns_estimate_and_printing_errors import POSE_SCALE, Estimate, Unknowns
 from vision.corner_observations import Observations, whitener_of_observations
-from vision.hand_cameras_stages_and_remounted_cubes import has_hand_cameras
-from vision.predict import Sightings, State, is_inside_image, markers_facing_cameras, predict_sightings
-from vision.recording_adjustment import Measurement
-from vision.targets import SQUARE
+from vision.predict import SQUARE, Sightings, State, is_inside_image, markers_facing_cameras, predict_sightings
+from vision.recording_adjustment import Measurement, has_hand_cameras
 
 LEAST = 2  # sightings of markers; one alone leaves two poses alike
 

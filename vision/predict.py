@@ -1,23 +1,100 @@
-"""Predicted corners of poses and a design: the one forward model of the cameras."""
+"""Predicted corners of poses and a design: the one forward model of the cameras; and the map of all markers of a
+rig on their bodies.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cache
 from typing import Protocol, cast
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
-from rig.model.design import Camera
+from rig.model.design import Camera, Design, markers_of_target
 from rig.model.motion_simulation import MachineRun
 from rig.model.pose import exp, transform_points
 from rig.recording.recording_folder import Sensors
 from vision import lens
-from vision.targets import MarkerMap
+
+SQUARE = np.array(
+    [[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]]
+)  # corners 0..3, clockwise from the top left
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MarkerMap:
+    """All markers of a rig, one row each.
+
+    id : (m,), as printed; on_platform : (m,) bool, on what moves: the platform, or a stage of a chain below it;
+        stage : (m,) number (from 1) of
+    that stage, 0 for the base's and the platform's own; T_body_marker : RigidTransform (m,); side, margin : (m,) m;
+    dictionary, target : m names
+    shift : (m,) added to an identity where the same print is another row, as that of a cube that was put back turned; 0
+        for all by default
+    corners : (m, 4, 3) m, body frame, corner 0 the marker's own top left, then clockwise; they follow from pose and
+        side
+    """
+
+    id: Integers
+    on_platform: Booleans
+    T_body_marker: RigidTransform
+    side: Floats
+    margin: Floats
+    dictionary: list[str]
+    target: list[str]
+    stage: Floats
+    shift: Floats = field(default_factory=lambda: np.zeros(1, int))
+    corners: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "corners", transform_points(self.T_body_marker, self.side[:, None, None] * SQUARE))
+
+    @property
+    def key(self) -> Floats:
+        """(m,) of each row, no two equal: its identity, shifted."""
+        return self.id + self.shift
+
+    def rows(self, keys: Integers) -> Integers:
+        """Row of each key (n,) -> (n,); -1 for one that no target has."""
+        own = self.key
+        order = np.argsort(own)
+        at = np.minimum(np.searchsorted(own[order], keys), len(order) - 1)
+        return np.where(own[order][at] == keys, order[at], -1)
+
+
+def marker_map(design: Design) -> MarkerMap:
+    """MarkerMap of all markers of a Design.
+    Raises ValueError for a design without targets.
+    """
+    rows = [(marker, target) for target in design.targets for marker in markers_of_target(target)]
+    if not rows:
+        raise ValueError(f"design {design.name!r} has no targets")
+    return MarkerMap(
+        id=np.array([marker.id for marker, _ in rows]),
+        on_platform=np.array([target.body != "base" for _, target in rows]),
+        T_body_marker=RigidTransform.concatenate([marker.pose for marker, _ in rows]),
+        side=np.array([marker.side for marker, _ in rows]),
+        margin=np.array([marker.margin for marker, _ in rows]),
+        dictionary=[target.dictionary for _, target in rows],
+        target=[target.name for _, target in rows],
+        stage=np.array([target.stage for _, target in rows]),
+        shift=np.array([target.shift for _, target in rows]),
+    )
+
+
+@cache
+def marker_cells(dictionary_name: str, number: int) -> Floats:
+    """(n + 4, n + 4) cells of a marker of a dictionary, 1 white, with black border and white ring."""
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary_name))
+    bits = cv2.aruco.generateImageMarker(dictionary, number, dictionary.markerSize + 2) > 127
+    return np.pad(bits, 1, constant_values=True).astype(np.float64)
+
 
 STEEPEST = np.cos(np.radians(78))  # markers seen more obliquely than this are not expected
 INSIDE = 2.0  # px; an expected marker's corners lie this far inside the image

@@ -11,10 +11,9 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.errors import FileError, RigError
 from rig.model.design import Camera, Design
-from rig.recording.exposures_and_images import read_image
-from rig.recording.image_file_check import MOST_OF_A_PHOTOGRAPH
+from rig.recording.image_file_check_and_reading import MOST_OF_A_PHOTOGRAPH, read_image
 from vision.corners.marker_detection import detect_markers
-from vision.targets import MarkerMap, marker_map
+from vision.predict import MarkerMap, marker_map
 
 CORNERS = np.array(
     [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]]

@@ -9,23 +9,24 @@ from rig.errors import NotEnoughData
 from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
-from vision import hand_cameras_stages_and_remounted_cubes
+from vision import recording_adjustment
 from vision.bundle.bundle_adjustment import NoOptimum
 from vision.bundle.marker_displacements import HALVED, are_stated_places_doubtful, marker_displacements
 from vision.corner_observations import Observations, observations_from_corners, observations_of_frames
-from vision.hand_cameras_stages_and_remounted_cubes import (
-    has_hand_cameras,
-    invert_measured_poses,
-    is_on_remounted_cube,
-    measure_without_remounted_cubes,
-    recording_seen_from_hand,
-)
 from vision.lenses.lens_calibration import alternative_initial_lenses, are_lenses_plausible
+from vision.predict import MarkerMap, marker_map
 from vision.reading.corner_refit import ROUNDS, SETTLED, largest_lens_difference, refit_corners
 from vision.reading.marker_identity_mistakes import LOOKED_AT, no_marker_reason
 from vision.reading.recording_corners import Collected, collect_corners, image_reader, search_missed_markers
-from vision.recording_adjustment import Measurement, measure_observations
-from vision.targets import MarkerMap, marker_map
+from vision.recording_adjustment import (
+    Measurement,
+    has_hand_cameras,
+    invert_measured_poses,
+    is_on_remounted_cube,
+    measure_observations,
+    measure_without_remounted_cubes,
+    recording_seen_from_hand,
+)
 
 REFUSED = 0.05  # of the frames; where more show enough and are refused, the stated places are doubted
 ASIDE = 0.2  # of the corners of solved frames; where more are set aside, the stated lenses are doubted
@@ -137,15 +138,15 @@ def measure_with_stated_or_free_places(
     t : (F,) s
     """
     if markers.stage.any():
-        hand_cameras_stages_and_remounted_cubes.require_stated_marker_places(places)
-        return hand_cameras_stages_and_remounted_cubes.separate_stage_measurements(
+        recording_adjustment.require_stated_marker_places(places)
+        return recording_adjustment.separate_stage_measurements(
             measure_observations(
-                hand_cameras_stages_and_remounted_cubes.separate_stage_frames(observed, markers),
+                recording_adjustment.separate_stage_frames(observed, markers),
                 design,
                 markers,
                 free,
                 progress,
-                hand_cameras_stages_and_remounted_cubes.stage_frame_times(t, markers),
+                recording_adjustment.stage_frame_times(t, markers),
             ),
             markers,
         )

@@ -12,11 +12,11 @@ from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics, closed_form_and_numerical_arm_inverse
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import KinematicsStep
 from rig.model.mechanisms.closed_form_and_numerical_arm_inverse import SixJointArm
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.model.pose import pose_to_vector
 from rig.planning.layout import shipped_arm_layout
 

@@ -38,14 +38,13 @@ from calib.models.chain import certification_and_page as chain_page
 from calib.models.machine_models import Certified
 from calib.online.platform_poses_from_measuring_limbs import LimbSource, sample_by_limbs
 from calib.report import platform_and_lens_calibration_pages as platform_page
-from calib.samples.pose_samples import Samples
-from calib.samples.recording_samples import Sampled, sample_recording
+from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from rig.array_and_json_types import Floats, Json
 from rig.effects.texts.effect_text_and_dict import Kinds
 from rig.effects.texts.user_effect_file_loading import Plugin, catalogue_with_files
 from rig.errors import RigError
 from rig.model.design import Design
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import (
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_arm,
     require_chain,
     require_hexapod,
@@ -53,8 +52,7 @@ from rig.model.mechanism_kinds_singularity_and_cardan_twist import (
 )
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import write_table
-from rig.report.pages.html_and_svg_elements import result_html
-from rig.report.pages.page_templates_and_page_index import Link
+from rig.report.pages.page_templates_and_elements import Link, result_html
 from rig.report.verdict_and_refutations_of_results import Verdict
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
 

@@ -22,7 +22,7 @@ from calib.certification.platform_certification import Progress
 from calib.files import calibration_provenance_and_used_frames
 from calib.files.calibration_provenance_and_used_frames import SEED
 from calib.samples.confounded_conditions import confounds_of_recordings
-from calib.samples.recording_samples import Sampled, sample_recording
+from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.output_files import write_text
@@ -32,7 +32,7 @@ from rig.recording.frame_selection_and_content_hashes import (
     hashes_of_frames,
 )
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_page_index import Link
+from rig.report.pages.page_templates_and_elements import Link
 from rig.report.verdict_and_refutations_of_results import Evidence, Refutation, Verdict
 
 UNSTATED, STANDARD = Issuer(), CertifyOptions()  # nobody is named; 95 % of poses with 95 %

@@ -19,7 +19,7 @@ from rig.model import mechanisms
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Sensors, WantedPoses
 from rig.recording.recording_tables import Poses, write_table
-from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_elements import result_html
 
 APPROACHES = ("auto", "always", "never")
 

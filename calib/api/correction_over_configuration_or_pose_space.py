@@ -52,14 +52,13 @@ from calib.models.arm import certification as arm_certification
 from calib.models.arm import joint_space_correction_certification as arm_extension
 from calib.models.arm.certification import CertifiedArm as ArmCertified
 from calib.models.platform.identification import inverse_strut_length_jacobian
-from calib.samples.pose_samples import Samples
-from calib.samples.recording_samples import Sampled
+from calib.samples.pose_samples import Sampled, Samples
 from rig.array_and_json_types import Booleans, Json
 from rig.errors import NotEnoughData, RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts, has_links, require_arm, require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, has_links, require_arm, require_struts
 from rig.model.pose import pose_difference
 
 CONFIGURATION, POSE, BOTH = "configuration", "pose", "both"

@@ -1,10 +1,10 @@
-"""Diagnosis of a rig's recordings: physics that the model leaves out, and questions for an experiment."""
+"""Diagnosis of a rig's recordings: physics that the model leaves out, and the experiment that settles questions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calib.api.next_experiment import ExperimentOptions, NextExperiment, next_experiment
+from calib.api.next_experiment import NextExperiment, available_plans, choose_experiment
 from calib.api.recording_check_and_preparation import prepare_recordings
 from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence import OfCalibrations
@@ -19,21 +19,82 @@ from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import 
 from calib.diagnosis.recording_diagnosis import Diagnosis, DiagnosisOptions
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from calib.diagnosis.report.diagnosis_page import arm_or_platform_page_view, diagnosis_page
-from calib.diagnosis.report.report_data_and_verdict import Report, diagnosis_verdict
-from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report, write_diagnosis_folder
-from calib.experiment.experiment_questions_and_information import Question
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
+    Report,
+    diagnosis_report,
+    diagnosis_verdict,
+    write_diagnosis_folder,
+)
+from calib.experiment.experiment_questions_and_information import Question, camera_information_shares
 from calib.files import calibration_provenance_and_used_frames
-from calib.samples.recording_samples import Sampled, sample_recording
+from calib.samples.pose_samples import Sampled, sample_recording
 from rig.effects.texts.effect_text_and_dict import Kinds, parse_effect_and_place, require_known_effect
 from rig.effects.texts.user_effect_file_loading import Plugin, catalogue_with_files
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
+from rig.model.design import PERMITTED, TURN, Design, quarter_turns_of_cubes
+from rig.model.design_comparison_and_cube_remounting import parse_cube_turn_permission
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import result_html
-from rig.report.pages.page_templates_and_page_index import Link
+from rig.report.pages.page_templates_and_elements import Link, result_html
 from rig.report.verdict_and_refutations_of_results import State, Verdict
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice, recorded_or_sampled_corners
+
+TELLING = 0.01  # bits; a plan that tells less tells nothing
+
+
+LONGEST = 6000.0  # min
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentOptions:
+    """minutes : that the experiment may take; may : what may be asked of an operator ("payload", "wait", "turn cube
+    NAME"), None for what rig.toml says; standing : whether the struts must stand to be exposed; seed : of the plan
+    """
+
+    minutes: float = 60.0
+    may: tuple[str, ...] | None = None
+    standing: bool = False
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if not 0 < self.minutes <= LONGEST:
+            raise RigError(f"--minutes takes a time above 0 and up to {LONGEST:g} min, not {self.minutes:g}")
+        for word in self.may or ():
+            if word not in PERMITTED and not word.startswith(TURN):
+                raise RigError(f"--may takes {', '.join(PERMITTED)} or '{TURN}NAME', not {word!r}")
+
+    def interventions(self, design: Design) -> tuple[str, ...]:
+        """What an experiment may ask of an operator, cubes by their names. Raises RigError for a cube that the design
+        does not have
+        """
+        out = []
+        for word in self.may or design.experiment.may:
+            may, problem = parse_cube_turn_permission(word, design.targets)
+            if problem:
+                raise RigError(f"--may {word!r}: {problem}")
+            out.append(may)
+        return tuple(out)
+
+
+def next_experiment(
+    questions: Sequence[Question[object]], design: Design, options: ExperimentOptions, progress: Progress
+) -> NextExperiment:
+    """NextExperiment that best resolves what a diagnosis leaves ambiguous; progress : called with (label, done, of)."""
+    if not questions:
+        return NextExperiment((), (), {}, {}, design.mechanism.axes)
+    texts = available_plans(options.interventions(design), options.standing, tuple(quarter_turns_of_cubes(design)))
+    experiments, refused = choose_experiment(
+        questions,
+        design,
+        texts,
+        options.seed,
+        options.minutes,
+        lambda done, of: progress("predicting experiments", done, of),
+    )
+    experiments = [e for e in experiments if e.bits >= TELLING]
+    seen = camera_information_shares(questions, experiments[0].plan) if experiments else {}
+    return NextExperiment(questions, experiments, dict(refused), seen, design.mechanism.axes)
 
 
 def diagnosis_questions(d: Diagnosis) -> Sequence[Question[object]]:

@@ -14,7 +14,7 @@ from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Mechanism, require_arm, require_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_arm, require_hexapod
 from rig.recording.recording_folder import load_recording
 
 TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry

@@ -30,12 +30,12 @@ from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_arm
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan
 from rig.planning.plan_construction_and_table import write_plan_table
 from rig.recording.recording_tables import Poses, write_poses
-from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_elements import result_html
 from rig.report.verdict_and_refutations_of_results import Verdict
 
 REACH = 0.7  # of the strokes, over which new poses lie: what is corrected has to be reached as well

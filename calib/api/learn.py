@@ -15,15 +15,14 @@ from calib.online.platform_poses_from_measuring_limbs import LimbSource, sample_
 from calib.online.recording_learning import FILTER, Learning, learn_by_filter, learn_by_simple_learner, simple_learner
 from calib.report.online_and_limb_pages import OnlineResult, online_verdict, write_online_page
 from calib.samples.confounded_conditions import confounds_of_recordings
-from calib.samples.recording_samples import Sampled, sample_recording
+from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.local_and_remote_input_files import json_files_in_same_folders
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import result_html
-from rig.report.pages.page_templates_and_page_index import Link
+from rig.report.pages.page_templates_and_elements import Link, result_html
 from rig.report.verdict_and_refutations_of_results import Refutation, Verdict
 from vision.api import Progress
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice

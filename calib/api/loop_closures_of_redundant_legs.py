@@ -11,7 +11,7 @@ from calib.certification.calibration_data_type_and_claim_sentences import Calibr
 from calib.online.measuring_limbs_file import Accepted
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.mechanisms.redundant_leg_closures import (
     LegClosures,
     RedundantLegs,
@@ -22,7 +22,7 @@ from rig.model.mechanisms.redundant_leg_closures import (
 )
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import write_table
-from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_elements import result_html
 
 EXACT = 1e-7  # m, of a commanded length: controllers resolve steps, and a calibration's scatter may be none
 STRANGE = 5.0  # standard deviations, RMS over the poses, beyond which a closure is not what is expected

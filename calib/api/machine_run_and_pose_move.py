@@ -37,9 +37,9 @@ from rig.errors import PositionLost, RigError
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes
 from rig.model import mechanisms
-from rig.model.design import Design
-from rig.model.design_comparison_and_cube_remounting import quarter_turns_of_cubes, turning_instructions
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod, require_struts
+from rig.model.design import Design, quarter_turns_of_cubes
+from rig.model.design_comparison_and_cube_remounting import turning_instructions
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod, require_struts
 from rig.model.pose import pose_to_vector
 from rig.planning.plan import build_plan
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice

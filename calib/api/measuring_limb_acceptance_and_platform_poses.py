@@ -17,19 +17,18 @@ from calib.online import measuring_limbs_file, platform_poses_from_measuring_lim
 from calib.online.measuring_limbs_file import Accepted
 from calib.online.platform_poses_from_measuring_limbs import LimbPoses, LimbSource, checked_limb_poses
 from calib.report.online_and_limb_pages import measuring_limbs_verdict, write_measuring_limbs_page
-from calib.samples.recording_samples import Sampled, sample_recording
+from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
-from rig.formats.csv_and_parquet_tables import Table
+from rig.formats.csv_and_parquet_tables_and_time_origin import Table
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes
 from rig.model import mechanisms
 from rig.model.pose import rms_uncertainty
 from rig.recording import recording_tables
-from rig.recording.recording_folder import Recording
+from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
 from rig.recording.recording_tables import Poses, write_poses
-from rig.report.pages.html_and_svg_elements import result_html
-from rig.report.pages.page_templates_and_page_index import Link
+from rig.report.pages.page_templates_and_elements import Link, result_html
 from rig.report.verdict_and_refutations_of_results import Verdict
 from vision.api import Progress
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
@@ -210,9 +209,7 @@ class MeasuredLimbPoses:
         poses = Poses(found.frames, found.T_base_platform, found.covariance)
         recording_tables.write_poses(folder / "poses.csv", poses)
         recording_tables.write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
-        recording_tables.copy_frames_commands_and_sensors(
-            recording.folder, folder, recording.exposures, recording.origin
-        )
+        copy_frames_commands_and_sensors(recording.folder, folder, recording.exposures, recording.origin)
 
 
 def measure_poses_by_limbs(

@@ -1,4 +1,4 @@
-"""Next experiment of a diagnosis: its options, and the choice of the plan that answers open questions best."""
+"""Next experiment of a diagnosis: the choice of the plan that answers open questions best."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -7,62 +7,22 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.platform_certification import Progress
 from calib.experiment.experiment_questions_and_information import (
     NAME,
     Information,
     Question,
-    camera_information_shares,
     discriminating_configurations,
     experiment_information,
 )
 from calib.experiment.investigation_folder_and_report import SETTING_UP
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
-from rig.model.design import PERMITTED, TURN, Design, Permission
-from rig.model.design_comparison_and_cube_remounting import (
-    parse_cube_turn_permission,
-    quarter_turns_of_cubes,
-    turning_instructions,
-)
+from rig.model.design import Design, Permission, quarter_turns_of_cubes
+from rig.model.design_comparison_and_cube_remounting import turning_instructions
 from rig.planning import plan_construction_and_table
 from rig.planning.plan import build_plan
 from rig.planning.plan_construction_and_table import Plan
-from rig.report.pages.html_and_svg_elements import result_html
-
-LONGEST = 6000.0  # min
-
-
-@dataclass(frozen=True, slots=True)
-class ExperimentOptions:
-    """minutes : that the experiment may take; may : what may be asked of an operator ("payload", "wait", "turn cube
-    NAME"), None for what rig.toml says; standing : whether the struts must stand to be exposed; seed : of the plan
-    """
-
-    minutes: float = 60.0
-    may: tuple[str, ...] | None = None
-    standing: bool = False
-    seed: int = 1
-
-    def __post_init__(self) -> None:
-        if not 0 < self.minutes <= LONGEST:
-            raise RigError(f"--minutes takes a time above 0 and up to {LONGEST:g} min, not {self.minutes:g}")
-        for word in self.may or ():
-            if word not in PERMITTED and not word.startswith(TURN):
-                raise RigError(f"--may takes {', '.join(PERMITTED)} or '{TURN}NAME', not {word!r}")
-
-    def interventions(self, design: Design) -> tuple[str, ...]:
-        """What an experiment may ask of an operator, cubes by their names. Raises RigError for a cube that the design
-        does not have
-        """
-        out = []
-        for word in self.may or design.experiment.may:
-            may, problem = parse_cube_turn_permission(word, design.targets)
-            if problem:
-                raise RigError(f"--may {word!r}: {problem}")
-            out.append(may)
-        return tuple(out)
-
+from rig.report.pages.page_templates_and_elements import result_html
 
 PARTS = ("sobol:12", "ladder:1", "axes:3", "repeat:12", "sobol:30", "sobol:90")  # at whose exposures the struts rest
 CHOSEN = (8, 16, 32, 64)  # configurations where the likeliest names come apart, see `discriminating_configurations`
@@ -225,7 +185,6 @@ def _worth(question: Question[object], plan: Plan) -> Information:
 
 
 SHOWN = 4  # plans that are compared in words
-TELLING = 0.01  # bits; a plan that tells less tells nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -294,26 +253,6 @@ class NextExperiment:
             ],
             "cameras": self.cameras,
         }
-
-
-def next_experiment(
-    questions: Sequence[Question[object]], design: Design, options: ExperimentOptions, progress: Progress
-) -> NextExperiment:
-    """NextExperiment that best resolves what a diagnosis leaves ambiguous; progress : called with (label, done, of)."""
-    if not questions:
-        return NextExperiment((), (), {}, {}, design.mechanism.axes)
-    texts = available_plans(options.interventions(design), options.standing, tuple(quarter_turns_of_cubes(design)))
-    experiments, refused = choose_experiment(
-        questions,
-        design,
-        texts,
-        options.seed,
-        options.minutes,
-        lambda done, of: progress("predicting experiments", done, of),
-    )
-    experiments = [e for e in experiments if e.bits >= TELLING]
-    seen = camera_information_shares(questions, experiments[0].plan) if experiments else {}
-    return NextExperiment(questions, experiments, dict(refused), seen, design.mechanism.axes)
 
 
 def _odds_lines(questions: Sequence[Question[object]]) -> list[str]:

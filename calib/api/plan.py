@@ -39,14 +39,13 @@ from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm, Chain, Planar2
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_axes, has_plates
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_axes, has_plates
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan, sensors_with_payload
 from rig.planning.plan_construction_and_table import Plan
 from rig.planning.visiting_order_and_approach_balance import time_balanced_order
 from rig.recording.recording_folder import Sensors
-from vision.predict import visible_marker_counts_of_poses
-from vision.targets import marker_map
+from vision.predict import marker_map, visible_marker_counts_of_poses
 
 CANDIDATES = 1500
 FILL = 0.95  # of the travels

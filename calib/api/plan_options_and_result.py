@@ -6,20 +6,18 @@ from functools import partial
 from pathlib import Path
 
 from calib.certification.calibration_data_type_and_claim_sentences import Calibration
-from calib.certification.calibration_evidence import confound_sentences
 from calib.models.platform.optimal_configurations import ConfigurationExclusion
 from calib.report.recording_and_plan_pages import write_plan_page
-from calib.samples.confounded_conditions import Confounds
+from calib.samples.confounded_conditions import Confounds, confound_sentences
 from calib.workspace.workspace_map_and_lost_poses import is_pose_lost
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_plates
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_tables import write_configurations, write_table
-from rig.report.pages.html_and_svg_elements import result_html
-from rig.report.pages.page_templates_and_page_index import Link
+from rig.report.pages.page_templates_and_elements import Link, result_html
 from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
 
 SEED = 0

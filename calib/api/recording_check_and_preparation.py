@@ -15,21 +15,21 @@ import scipy
 from scipy.spatial.transform import RigidTransform
 
 from calib.drift.visit_equations_and_reference import base_motion_columns
-from calib.models.platform.identification import (
-    PRIOR,
-    geometric_parameters,
-    loop_closure_jacobian,
-    mechanism_with_parameters,
-    strut_length_jacobian,
-)
-from calib.samples.pose_samples import Samples
-from calib.samples.recording_samples import sample_recording
+from calib.models.platform.identification import PRIOR
+from calib.samples.pose_samples import Samples, sample_recording
 from rig.api import CheckResult, check_files
 from rig.array_and_json_types import Floats, Integers
 from rig.checks import command_and_pose_disagreements
-from rig.checks.mistake import Mistake, sort_mistakes
+from rig.checks.mistake_and_clock_mistakes import Mistake, sort_mistakes
 from rig.model import mechanisms
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts, require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Struts,
+    geometric_parameters,
+    loop_closure_jacobian,
+    mechanism_with_parameters,
+    require_struts,
+    strut_length_jacobian,
+)
 from rig.model.pose import exp
 from rig.recording.combined_recordings import is_measured_by_instrument
 from rig.recording.recording_folder import Recording

@@ -36,15 +36,13 @@ from calib.report.verification_and_visit_pages import (
     write_visits_page,
 )
 from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
-from calib.samples.pose_samples import Samples
-from calib.samples.recording_samples import Sampled, sample_recording
+from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model.pose import rms_uncertainty
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Poses
-from rig.report.pages.html_and_svg_elements import result_html
-from rig.report.pages.page_templates_and_page_index import Link
+from rig.report.pages.page_templates_and_elements import Link, result_html
 from rig.report.verdict_and_refutations_of_results import Refutation, State, Verdict
 
 

@@ -26,8 +26,7 @@ from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.recording.recording_tables import write_table
-from rig.report.pages.html_and_svg_elements import result_html
-from rig.report.pages.page_templates_and_page_index import Link
+from rig.report.pages.page_templates_and_elements import Link, result_html
 from rig.report.verdict_and_refutations_of_results import Verdict
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
 

@@ -13,7 +13,6 @@ from calib.certificate import certificate_sentences
 from calib.certificate.certificate_contents import CertifyOptions, Contents, measured_volume, measuring_conditions
 from calib.certification import noise_free_errors_and_tolerance_limits, pose_error_promise_and_conformity
 from calib.certification.calibration_data_type_and_claim_sentences import Calibration
-from calib.certification.calibration_evidence import confound_sentences
 from calib.certification.held_out_errors import error_statistics, errors_before_and_after_correction
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     HeldPoses,
@@ -39,13 +38,13 @@ from calib.certification.pose_error_promise_and_conformity import (
 from calib.certification.uncertainty_budget import rms_length_uncertainty, thermometer_covariance, uncertainty_budget
 from calib.files import calibration_provenance_and_used_frames
 from calib.models.machine_models import corrected_pose_covariance
-from calib.samples.confounded_conditions import confounds_of_recordings
-from calib.samples.recording_samples import Sampled
+from calib.samples.confounded_conditions import confound_sentences, confounds_of_recordings
+from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, hashes_of_frames
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_elements import result_html
 from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
 
 

@@ -11,7 +11,9 @@ from calib.certificate.certificate_sentences import micrometre_text
 from calib.certification.iso230_and_iso9283_tests import FEWEST
 from calib.report.platform_and_lens_calibration_pages import flattened_rows
 from rig.array_and_json_types import Floats
-from rig.report.pages.html_and_svg_elements import (
+from rig.report.pages.page_templates_and_elements import (
+    Link,
+    Page,
     folding_section_html,
     heading_html,
     note_html,
@@ -22,8 +24,8 @@ from rig.report.pages.html_and_svg_elements import (
     svg_text_within_box,
     svg_tooltip,
     table_html,
+    write_page,
 )
-from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
 
 
 def _error_distribution_figure(certificate: Certificate) -> str:

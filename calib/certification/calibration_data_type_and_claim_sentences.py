@@ -15,7 +15,7 @@ from calib.workspace.workspace_map_and_lost_poses import Workspace
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_elements import result_html
 
 WHERE = {"base": "base, or the instrument,", "platform": "target on the platform"}
 

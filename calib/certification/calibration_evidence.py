@@ -17,7 +17,7 @@ from calib.certification.claim_verification import Part, Verification, verify_cl
 from calib.certification.held_out_errors import HeldOut, pose_errors
 from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_ranges, configuration_numbers
 from calib.certification.workspace_claim import Claim
-from calib.samples.confounded_conditions import Confounds
+from calib.samples.confounded_conditions import Confounds, confound_sentences
 from calib.samples.pose_samples import Samples
 from rig.report.verdict_and_refutations_of_results import (
     LOOK,
@@ -167,11 +167,6 @@ def _error_to_claim_ratio(held: HeldOut | None, claim: Claim | None) -> float | 
         if math.isfinite(size) and math.isfinite(allowed) and three[2] > 0:
             found.append(size / allowed)
     return max(found, default=None)
-
-
-def confound_sentences(confounds: Confounds | None) -> tuple[str, ...]:
-    """Sentence on the confounds of a recording's design, as a list; empty where there are none."""
-    return (confounds.line().split("; record the same")[0],) if confounds is not None and confounds.serious else ()
 
 
 def _missing(calibration: Calibration) -> list[MissingEvidence]:

@@ -11,12 +11,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correction.correction import AnyCorrection
-from calib.samples.pose_samples import Samples, inverse_covariance, time_block_folds
+from calib.identify.least_squares_and_robust_fit import time_block_folds
+from calib.samples.pose_samples import Samples, inverse_covariance
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
 from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands
 

@@ -18,15 +18,16 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification import redundant_measuring_limb_checks
 from calib.certification.redundant_measuring_limb_checks import Limbs
+from calib.identify.least_squares_and_robust_fit import time_block_folds
 from calib.models.platform.identification import PRIOR, Identified, identify_platform
-from calib.samples.pose_samples import Samples, time_block_folds
+from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Design, MeasuringLimbs
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod
 from rig.model.mechanisms import hexapod as mechanism
 from rig.model.mechanisms import redundant_leg_closures
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Recording
 

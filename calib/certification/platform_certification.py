@@ -33,17 +33,15 @@ from calib.correction.correction import AnyCorrection, Correction, calibrate_cor
 from calib.correction.interpolation.gaussian_process import Radial
 from calib.models.platform.identification import (
     Identified,
-    geometric_parameters,
     identify_platform,
     inverse_strut_length_jacobian,
-    loop_closure_jacobian,
     pose_parameter_jacobian,
 )
 from calib.models.platform.parameter_accuracy import estimate_tolerance_of_stated_geometry
 from calib.samples.pose_samples import Samples, inverse_covariance
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, geometric_parameters, loop_closure_jacobian
 
 Progress = Callable[[str, int, int], None]  # called with (label, done, of) as work goes on
 

@@ -23,17 +23,17 @@ from calib.certification.strut_deviation_sizes_and_possible_machines import (
     Machines,
     draw_strut_deviation_component_sizes,
 )
-from calib.models.platform.identification import (
-    Identified,
-    geometric_parameters,
-    loop_closure_jacobian,
-    strut_length_jacobian,
-)
+from calib.models.platform.identification import Identified
 from calib.models.platform.parameter_accuracy import Tolerance, expand_parameter_widths
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model import mechanisms
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Struts,
+    geometric_parameters,
+    loop_closure_jacobian,
+    strut_length_jacobian,
+)
 
 ALIKE = 0.12  # by which share what a law leaves in use is more or less than these functions of it have it
 # share of poses that may be left out as wild; where more agree with no geometry, the machine is counted as doing so

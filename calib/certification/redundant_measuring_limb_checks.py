@@ -12,8 +12,8 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
+from calib.identify.least_squares_and_robust_fit import time_block_folds
 from calib.models.platform.identification import PRIOR, pose_parameter_jacobian
-from calib.samples.pose_samples import time_block_folds
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, RigError
 from rig.model.design import Design, MeasuringLimbs

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model import mechanisms
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
 from rig.planning.configuration_sets import FILL, sobol_configurations
 from rig.recording.recording_folder import PAYLOAD
 

@@ -24,7 +24,6 @@ from calib.models.platform.identification import (
     identify_platform,
     inverse_strut_length_jacobian,
     pose_parameter_jacobian,
-    strut_length_jacobian,
 )
 from calib.models.platform.parameter_accuracy import estimate_tolerance_of_stated_geometry
 from calib.samples.pose_samples import Samples
@@ -34,7 +33,7 @@ from rig.effects.framework.effect_parameters_and_covariates import PLOT_UNITS
 from rig.errors import NotConverged, RigError, Unreachable
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts, require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, require_struts, strut_length_jacobian
 
 ITERATIONS = 100
 TOLERANCE = 1e-12  # m

@@ -12,13 +12,12 @@ from calib.correction import interpolation_methods_and_correction_summand_fields
 from calib.correction.command_route_and_pose_space_map import NAMES, PoseMap
 from calib.correction.correction import AnyCorrection
 from calib.correction.interpolation_methods_and_correction_summand_fields import pose_coordinate_indices
-from calib.models.platform.identification import strut_length_jacobian
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Json
 from rig.errors import NotConverged, RigError
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, strut_length_jacobian
 from rig.model.pose import pose_to_entry
 from rig.planning.configuration_sets import FILL, sobol_configurations
 

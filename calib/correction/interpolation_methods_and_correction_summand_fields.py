@@ -25,13 +25,7 @@ from calib.correction.interpolation.field_interface_and_combinations import (
 from calib.correction.interpolation.gaussian_process import Radial, RadialMap
 from calib.correction.interpolation.grid import Linear, Simplex
 from calib.correction.interpolation.polynomial_and_axis_sum_fields import AxisFunctions, Polynomial
-from calib.models.platform.identification import (
-    PRIOR,
-    Identified,
-    geometric_parameters,
-    identify_platform,
-    strut_length_jacobian,
-)
+from calib.models.platform.identification import PRIOR, Identified, identify_platform
 from calib.models.platform.parameter_accuracy import estimate_tolerance_of_stated_geometry
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Json
@@ -39,7 +33,7 @@ from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.model import mechanisms
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, geometric_parameters, strut_length_jacobian
 from rig.planning.configuration_sets import FILL, sobol_configurations
 
 SHAPES = {  # of the arrays: a axes, m outputs, the other letters any number, the same wherever they stand

@@ -11,22 +11,20 @@ import numpy as np
 
 from calib.correction.correction import Correction
 from calib.correction.interpolation.gaussian_process import Radial
-from calib.identify.least_squares import Linear, fit_least_squares
-from calib.models.platform.identification import (
-    PRIOR,
-    Identified,
-    geometric_parameters,
-    mechanism_with_parameters,
-    pose_parameter_jacobian,
-)
-from calib.samples.pose_samples import Samples
-from calib.samples.recording_samples import Sampled
+from calib.identify.least_squares_and_robust_fit import Linear, fit_least_squares
+from calib.models.platform.identification import PRIOR, Identified, pose_parameter_jacobian
+from calib.samples.pose_samples import Sampled, Samples
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.design import Camera, Design
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts, require_hexapod
 from rig.model.mechanisms import hexapod as mechanism
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Struts,
+    geometric_parameters,
+    mechanism_with_parameters,
+    require_hexapod,
+)
 from rig.model.pose import exp, skew
 from vision import lens
 from vision.bundle.unknown_priors import stated_lens_prior_sigmas

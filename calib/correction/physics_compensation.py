@@ -22,7 +22,7 @@ from rig.model import mechanisms, motion_simulation
 from rig.model import motion_simulation as machine
 from rig.model.design import Actuator, Design, Platform
 from rig.model.mechanism_geometry_classes import Arm, Chain
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts, has_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, has_struts
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Sensors
 

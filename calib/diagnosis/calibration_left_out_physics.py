@@ -24,12 +24,15 @@ from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.diagnosis.report import report_sentences
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
-from calib.diagnosis.report.report_data_and_verdict import Report, doubts_of_report, unexplained_sentences
-from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
+    Report,
+    diagnosis_report,
+    doubts_of_report,
+    unexplained_sentences,
+)
 from calib.files import calibration_file
 from calib.files.calibration_provenance_and_used_frames import SEED
-from calib.samples.pose_samples import Samples
-from calib.samples.recording_samples import Sampled
+from calib.samples.pose_samples import Sampled, Samples
 from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
 from rig.recording.frame_selection_and_content_hashes import Marks, frames_with_known_hashes

@@ -10,19 +10,19 @@ from calib.diagnosis.problems.platform.linearised_residuals import linearise
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
 from calib.models.machine_models import independent_geometric_parameters
-from calib.models.platform.identification import PRIOR, loop_closure_jacobian
+from calib.models.platform.identification import PRIOR
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_plates
 from rig.model.mechanisms import hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates, loop_closure_jacobian
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.corner_observations import observations_from_corners
-from vision.targets import marker_map
+from vision.predict import marker_map
 
 
 @dataclass(frozen=True, slots=True)

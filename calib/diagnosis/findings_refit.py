@@ -17,17 +17,16 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import (
     operating_point_of_recording,
     without_distant_corners,
 )
-from calib.diagnosis.problems.platform.misplaced_markers_and_frames import correct_marker_swaps
+from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import correct_marker_swaps
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement, refine_operating_point
-from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
+from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import smooth_temperatures
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
 from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm
 from calib.models.arm.error_model_and_observations import parameter_names, sample_observations
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, JointFit, Prior, fit_geometry_and_effects
-from calib.models.platform.identification import Loops, geometric_parameters
-from calib.samples.pose_samples import Samples
-from calib.samples.recording_samples import Sampled, samples_within_freedoms
+from calib.models.platform.identification import Loops
+from calib.samples.pose_samples import Sampled, Samples, samples_within_freedoms
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import MOTION_STAGES, Effect
@@ -38,7 +37,7 @@ from rig.formats import json_toml_and_yaml_loading, machine_json
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files.atomic_file_and_manifest import load_manifest as manifest
 from rig.model import mechanisms
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_arm, require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, require_arm, require_struts
 from rig.model.places_and_tolerances import Place
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, frames_with_known_hashes
 from rig.recording.recording_folder import Recording

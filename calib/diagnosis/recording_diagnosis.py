@@ -23,7 +23,7 @@ from calib.diagnosis.engine.term_selection import (
     remove_findings_insignificant_with_smooth_functions,
     select_terms,
 )
-from calib.diagnosis.problems.evidence_interface import (
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     Evidence,
     HeldOutPoses,
     IntervalWidening,
@@ -34,21 +34,20 @@ from calib.diagnosis.problems.evidence_interface import (
     Noise,
     RegionValidation,
     RepeatedCommands,
-    Repeats,
+    RequestedEffects,
     TemperatureAlternatives,
     Tolerable,
     ToleratedFindings,
 )
-from calib.diagnosis.problems.remainder_covariates_and_formulas import Suggestion
-from calib.diagnosis.problems.requested_effects import RequestedEffects
+from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import Repeats, Suggestion
 from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
-from calib.samples.recording_samples import Sampled
+from calib.samples.pose_samples import Sampled
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.user_effect_file_loading import Plugin
+from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model.design import Design
 from rig.recording.recording_folder import Recording, RecordingPart
-from rig.recording.time_origin import TimeOrigin
 
 ROUNDS = 3  # of explaining anew without what turned out to be wild
 

@@ -14,25 +14,24 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.models.platform.identification import inverse_strut_length_jacobian, pose_parameter_jacobian
-from calib.samples.pose_samples import Samples
-from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import Samples, sample_recording
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Camera, Design, Platform
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.places_and_tolerances import Place
 from rig.model.pose import log, skew
 from rig.recording.recording_folder import Commands, Recording, Sensors
-from vision.bundle.normal_equations import linearise, normal_equations
+from vision.bundle.normal_equations_and_corner_jacobians import linearise, normal_equations
 from vision.bundle.unknown_priors import adjustment_unknowns
-from vision.bundle.unknowns_and_estimate import POSE_SCALE
+from vision.bundle.unknowns_estimate_and_printing_errors import POSE_SCALE
 from vision.corner_observations import whitener_of_observations
 from vision.lens import lens_parameter_names
+from vision.predict import marker_map
 from vision.recording_adjustment import Measurement
-from vision.targets import marker_map
 
 
 @dataclass(frozen=True, slots=True, eq=False)

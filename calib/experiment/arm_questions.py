@@ -14,12 +14,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
+from calib.diagnosis.problems.arm.finding_and_nonlinear_parameters import (
+    has_continuous_parameters,
+    optimise_nonlinear_parameters,
+)
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidate
-from calib.diagnosis.problems.arm.linearised_poses import Arms, Geometry, linearise_planned_poses
-from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters, optimise_nonlinear_parameters
+from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import (
+    Arms,
+    Columns,
+    Geometry,
+    Part,
+    linearise_planned_poses,
+)
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
-from calib.diagnosis.problems.arm.whitened_columns import Columns, Part
-from calib.diagnosis.problems.platform.temperature_alternatives_of_findings import WARM
+from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import WARM
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_questions_and_information import (
     PerFrame,

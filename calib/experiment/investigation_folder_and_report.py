@@ -12,10 +12,17 @@ from pathlib import Path
 import numpy as np
 
 from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
-from rig.formats import csv_and_parquet_tables, json_toml_and_yaml_loading
+from rig.formats import csv_and_parquet_tables_and_time_origin, json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
-from rig.report.pages.html_and_svg_elements import heading_html, list_html, note_html, paragraph_html, table_html
-from rig.report.pages.page_templates_and_page_index import Page, write_page
+from rig.report.pages.page_templates_and_elements import (
+    Page,
+    heading_html,
+    list_html,
+    note_html,
+    paragraph_html,
+    table_html,
+    write_page,
+)
 from rig.report.pages.plots import COLOURS, Series, plot_panel_svg
 from rig.report.verdict_and_refutations_of_results import (
     LOOK,
@@ -99,7 +106,7 @@ def diagnosis_path(folder: Path, number: int) -> Path:
 
 def plan_minutes(plan: Path) -> float:
     """Minutes that a plan takes. Raises FileError for what is no table in time."""
-    t = csv_and_parquet_tables.read_csv_table(plan, ("frame", "t")).numbers("t")
+    t = csv_and_parquet_tables_and_time_origin.read_csv_table(plan, ("frame", "t")).numbers("t")
     return float(t.max() - t.min()) / 60 + SETTING_UP
 
 

@@ -16,13 +16,13 @@ import numpy as np
 
 from calib.diagnosis.engine.linear_model import Column, join_columns
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
-from calib.diagnosis.problems.platform.held_out_validation import residual_change_column
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, remounted_cube_seats
 from calib.diagnosis.problems.platform.linearised_corners import cube_seat_freedoms
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
+from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import residual_change_column
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
-from calib.diagnosis.problems.platform.temperature_alternatives_of_findings import WARM
+from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import WARM
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_questions_and_information import (
     Hypothesis,

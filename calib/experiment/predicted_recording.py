@@ -20,8 +20,7 @@ from rig.planning.plan_construction_and_table import Plan
 from rig.recording.recording_folder import PAYLOAD, Sensors
 from rig.recording.recording_tables import Corners
 from vision.corner_observations import observations_from_corners
-from vision.predict import State, is_inside_image, markers_facing_cameras, predict_sightings
-from vision.targets import marker_map
+from vision.predict import State, is_inside_image, marker_map, markers_facing_cameras, predict_sightings
 
 SEED = 0  # of the noise by which a recording that is not there yet is weighed
 TEMPERATURE = "_temperature_C"  # how channels of temperatures end

@@ -17,16 +17,16 @@ from calib.models.arm.certification import CertifiedArm as ArmCertified
 from calib.models.chain.certification_and_page import CertifiedChain as ChainCertified
 from calib.models.machine_models import calibration_with_workspace
 from calib.samples.confounded_conditions import confounds_of_samples
-from calib.samples.recording_samples import Sampled
+from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats, Json
 from rig.formats import local_and_remote_input_files
 from rig.formats.local_and_remote_input_files import read_bytes
-from rig.recording.exposures_and_images import LARGEST_IMAGE_FILE
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,
     frames_with_known_hashes,
     hashes_of_frames,
 )
+from rig.recording.image_file_check_and_reading import LARGEST_IMAGE_FILE
 from rig.recording.recording_folder import Recording
 
 PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "rig")

@@ -17,7 +17,7 @@ from rig.formats.machine_json import effects_from_entries
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts, has_links, has_stages, has_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, has_links, has_stages, has_struts
 from rig.model.places_and_tolerances import Place
 
 

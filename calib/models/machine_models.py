@@ -25,16 +25,18 @@ from calib.models.arm.identification_and_joint_profiles import Profile
 from calib.models.chain import certification_and_page as chain_certification
 from calib.models.chain import error_model as chain_errors
 from calib.models.chain import error_model as chains
-from calib.models.platform.identification import NAMES, PRIOR, geometric_parameters, pose_parameter_jacobian
-from calib.samples.recording_samples import Sampled
+from calib.models.platform.identification import PRIOR, pose_parameter_jacobian
+from calib.samples.pose_samples import Sampled
 from calib.workspace.workspace_map_and_lost_poses import map_workspace
 from rig.array_and_json_types import Booleans, Floats
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import (
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    NAMES,
     Commanded,
     Mechanism,
+    geometric_parameters,
     require_arm,
     require_axes,
     require_chain,

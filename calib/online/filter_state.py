@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
 from calib.models.platform.parameter_accuracy import frame_motion_columns
 from calib.online.filter_kernels_and_change_detection import (
     ALARM,
@@ -35,6 +34,7 @@ from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.output_files import write_text
 from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, mechanism_with_parameters
 from rig.model.pose import pose as pose_of
 from rig.model.pose import pose_to_vector
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.platform.identification import PRIOR, mechanism_with_parameters
+from calib.models.platform.identification import PRIOR
 from calib.online import filter_state
 from calib.online.filter_kernels_and_change_detection import SUSPECT, WINDOW, Change, Machine, Pose, detect_changes
 from calib.online.filter_state import (
@@ -32,6 +32,7 @@ from calib.online.filter_state import (
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import mechanism_with_parameters
 
 LARGEST = 6  # changes at one pose
 EARLY = 2  # times that the first poses are linearised again before what they seem to show is believed

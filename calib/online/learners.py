@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.files.mechanism_and_physics_entries_of_calibration_json import mechanism_dict, mechanism_from_entries
 from calib.models.platform import closed_loop_equations
-from calib.models.platform.identification import PRIOR, geometric_parameters, mechanism_with_parameters
+from calib.models.platform.identification import PRIOR
 from calib.models.platform.parameter_accuracy import PLAUSIBLE
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
@@ -21,7 +21,11 @@ from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.output_files import write_text
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_plates
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    geometric_parameters,
+    has_plates,
+    mechanism_with_parameters,
+)
 
 NO_SCATTER = np.zeros(6)
 

@@ -8,15 +8,15 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.online.observer_of_run_frames import MeasuredFrame, RunObserver, View
-from calib.report.pose_figures_and_effect_displacements import closed_outline, fixed_rig_lines
+from calib.report.pose_and_effect_figures import closed_outline, fixed_rig_lines
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.model.design import Camera, Design
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_plates
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates
 from rig.model.pose import pose_to_vector, transform_points
 from rig.report.pages.run_page_server import PageServer
 from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
-from vision.frame_and_effect_pictures import encode_jpeg
-from vision.targets import MarkerMap, marker_map
+from vision.frame_pictures import encode_jpeg
+from vision.predict import MarkerMap, marker_map
 
 OFF = 3.0  # standard uncertainties, RMS over the axes that were measured: beyond it one pose is off by more than chance
 CALIBRATE = (

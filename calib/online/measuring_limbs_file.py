@@ -18,7 +18,7 @@ from rig.formats.checked_entries import Entries
 from rig.formats.output_files import write_text
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_plates
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates
 
 SCHEMA = "limbs/1"
 UNITS = (

@@ -23,7 +23,7 @@ from rig.driving.run_steps_and_progress import Step, step_distances
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
 from vision.reading.camera_and_marker_alarms import Alarm, Watch
 from vision.reading.live_measurement import Live, Sight, sight_from_measuring_limbs
 

@@ -21,12 +21,11 @@ from calib.online import measuring_limbs_file
 from calib.online.filter_kernels_and_change_detection import Change
 from calib.online.information_filter import Online
 from calib.online.measuring_limbs_file import Accepted
-from calib.samples.pose_samples import Samples, pair_samples
-from calib.samples.recording_samples import Sampled
+from calib.samples.pose_samples import Sampled, Samples, pair_samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.frame_selection_and_content_hashes import select_frames
 from rig.recording.recording_folder import Recording
 from vision.api import Progress

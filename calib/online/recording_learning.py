@@ -7,16 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_data_type_and_claim_sentences import Calibration
-from calib.models.platform.identification import geometric_parameters
 from calib.online.filter_kernels_and_change_detection import Change, change_sentence
 from calib.online.information_filter import Online, Update
 from calib.online.learners import LEARNERS, Learner, load_learner
 from calib.report.online_and_limb_pages import MANY, OnlineResult
-from calib.samples.recording_samples import Sampled
+from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, require_hexapod
 from rig.recording.frame_selection_and_content_hashes import (
     Marks,
     content_hashes_of_frames,

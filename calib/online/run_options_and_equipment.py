@@ -26,12 +26,12 @@ from rig.driving.strut_driver import Driver
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_plates
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates
 from vision.corners.marker_detection import detect_markers
-from vision.hand_cameras_stages_and_remounted_cubes import has_hand_cameras
+from vision.predict import marker_map
 from vision.reading.live_measurement import Live
 from vision.reading.parallel_image_map_and_marker_rendering import marker_white_level, render_marker_images, save_image
-from vision.targets import marker_map
+from vision.recording_adjustment import has_hand_cameras
 
 ALARMS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
 FIRST_EXPOSURE = 0.01  # s that the first exposure takes where it is searched for

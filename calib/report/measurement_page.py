@@ -7,26 +7,28 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.report.pose_figures_and_effect_displacements import pose_coverage_figures
+from calib.report.pose_and_effect_figures import pose_coverage_figures
 from rig.array_and_json_types import Floats
 from rig.model.places_and_tolerances import Place
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import (
+from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, patch_means
+from rig.report.pages.page_templates_and_elements import (
+    Link,
+    Page,
     folding_section_html,
     heading_html,
     list_html,
     note_html,
     paragraph_html,
     table_html,
+    write_page,
 )
-from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, patch_means
-from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
-from vision import frame_and_effect_pictures
+from vision import frame_pictures
 from vision.bundle.adjustment_validation_and_determinacy import HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places
-from vision.bundle.unknowns_and_estimate import UnknownName
+from vision.bundle.unknowns_estimate_and_printing_errors import UnknownName
 from vision.measurement_result import TWICE, MeasurementResult, measurement_verdict
 from vision.reading.marker_identity_mistakes import Suspect
 from vision.recording_adjustment import Measurement
@@ -36,7 +38,7 @@ ENLARGED = 200.0
 
 def _frame_pictures_html(recording: Recording, measurement: Measurement, frame: int) -> list[str]:
     """HTML of the images of a frame; nothing where the recording has corners alone."""
-    images = frame_and_effect_pictures.frame_jpegs(recording, frame)
+    images = frame_pictures.frame_jpegs(recording, frame)
     if not images:
         return []
     figures = [

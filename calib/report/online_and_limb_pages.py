@@ -6,12 +6,20 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_evidence import ALONE, OfCalibrations, confound_sentences
+from calib.certification.calibration_evidence import ALONE, OfCalibrations
 from calib.certification.measuring_limb_calibration_and_slips import AXES, MOVES, Agreement
-from calib.samples.confounded_conditions import Confounds
+from calib.samples.confounded_conditions import Confounds, confound_sentences
 from rig.array_and_json_types import Floats, Integers
-from rig.report.pages.html_and_svg_elements import heading_html, list_html, note_html, paragraph_html, table_html
-from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
+from rig.report.pages.page_templates_and_elements import (
+    Link,
+    Page,
+    heading_html,
+    list_html,
+    note_html,
+    paragraph_html,
+    table_html,
+    write_page,
+)
 from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
 from rig.report.verdict_and_refutations_of_results import AGREES, Evidence, MissingEvidence, Verdict, judge_evidence
 

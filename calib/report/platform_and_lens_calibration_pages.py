@@ -12,29 +12,27 @@ from calib.correction.correction import Correction
 from calib.correction.interpolation.gaussian_process import Radial
 from calib.models.platform.identification import Identified
 from calib.models.platform.parameter_accuracy import parameter_combinations
-from calib.report.pose_figures_and_effect_displacements import (
-    correction_error_figures,
-    pose_coverage_figures,
-    rig_scene,
-)
+from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
 from rig.array_and_json_types import Json
 from rig.model import mechanisms
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import (
+from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, view_scripts
+from rig.report.pages.image_plane_and_3d_views import view_3d_html as view
+from rig.report.pages.page_templates_and_elements import (
+    Link,
+    Page,
     folding_section_html,
     heading_html,
     list_html,
     note_html,
     paragraph_html,
     table_html,
+    write_page,
 )
-from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, view_scripts
-from rig.report.pages.image_plane_and_3d_views import view_3d_html as view
-from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.lenses.lens_calibration_from_photographs import Calibrated

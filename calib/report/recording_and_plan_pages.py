@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from calib.report.pose_figures_and_effect_displacements import effect_displacements, pose_coverage_figures, rig_scene
+from calib.report.pose_and_effect_figures import effect_displacements, pose_coverage_figures, rig_scene
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
@@ -15,10 +15,9 @@ from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import heading_html, list_html
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Played
 from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_scripts
-from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
+from rig.report.pages.page_templates_and_elements import Link, Page, heading_html, list_html, write_page
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, State, Verdict, judge_evidence
 

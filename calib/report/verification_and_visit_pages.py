@@ -21,19 +21,22 @@ from calib.certification.claim_verification import Verification
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.drift.change_evidence import ALARM
 from calib.drift.change_evidence import Verdict as Changes
-from calib.report.pose_figures_and_effect_displacements import (
-    correction_error_figures,
-    pose_coverage_figures,
-    rig_scene,
-)
+from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.confounded_conditions import Confounds
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model.design import Design
 from rig.model.pose import pose_to_vector
-from rig.report.pages.html_and_svg_elements import heading_html, note_html, paragraph_html, table_html
 from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_scripts
-from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
+from rig.report.pages.page_templates_and_elements import (
+    Link,
+    Page,
+    heading_html,
+    note_html,
+    paragraph_html,
+    table_html,
+    write_page,
+)
 from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
 from rig.report.verdict_and_refutations_of_results import (
     AGREES,

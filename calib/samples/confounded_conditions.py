@@ -20,7 +20,7 @@ from rig.array_and_json_types import Floats, Json
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain, Free
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
 from rig.recording.recording_folder import PAYLOAD, Recording
 
 DIRECTION, TIME, LOAD = "direction of approach", "time", "load"
@@ -227,3 +227,8 @@ def _numbered(places: list[str]) -> str:
         else:
             runs.append([number, number])
     return f"{words[0][0]}s " + ", ".join(f"{a}" if a == b else f"{a}-{b}" for a, b in runs)
+
+
+def confound_sentences(confounds: Confounds | None) -> tuple[str, ...]:
+    """Sentence on the confounds of a recording's design, as a list; empty where there are none."""
+    return (confounds.line().split("; record the same")[0],) if confounds is not None and confounds.serious else ()

@@ -21,7 +21,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers, Json
 from rig.errors import NotConverged
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_struts
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.planning.configuration_sets import sobol_configurations
 

@@ -10,7 +10,9 @@ from calib.workspace.workspace_map_and_lost_poses import SHORT, Workspace
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect_parameters_and_covariates import PLOT_UNITS
 from rig.formats.number_parsing_and_rounding import number_text
-from rig.report.pages.html_and_svg_elements import (
+from rig.report.pages.page_templates_and_elements import (
+    Link,
+    Page,
     heading_html,
     note_html,
     paragraph_html,
@@ -19,8 +21,8 @@ from rig.report.pages.html_and_svg_elements import (
     svg_text_within_box,
     svg_tooltip,
     table_html,
+    write_page,
 )
-from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
 from rig.report.pages.plots import panel_row_html
 from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
 

@@ -5,8 +5,7 @@ import importlib
 
 from docs.make.told import in_cell
 from rig.cli.command_line import COMMANDS
-from rig.cli.shared.argument_parser import SHARED
-from rig.cli.shared.command_options import add_worker_options
+from rig.cli.shared.argument_parser_and_common_options import SHARED, add_worker_options
 
 HEAD = """# The commands
 

@@ -13,10 +13,10 @@ import tomlkit
 
 from docs.make.told import fields_told, headline
 from rig.formats.checked_entries import REQUIRED, Entries, Key
+from rig.formats.json_toml_and_yaml_loading import value_positions
 from rig.formats.rig_toml import arm_dynamics_entries, design_file
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
 from rig.formats.rig_toml.mechanism_entries import Joint
-from rig.formats.toml_positions import value_positions
 from rig.model.design import (
     Actuator,
     Arm,
@@ -34,7 +34,7 @@ from rig.model.design import (
     SensorPort,
     Target,
 )
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_links
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
 from rig.planning.layout import hexapod_layout_and_camera_placement, shipped_arm_layout
 
 HEAD = """# rig.toml, table by table

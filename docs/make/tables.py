@@ -9,8 +9,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from unittest.mock import patch
 
-from rig.formats import csv_and_parquet_tables
-from rig.formats.csv_and_parquet_tables import Table
+from rig.formats import csv_and_parquet_tables_and_time_origin
+from rig.formats.csv_and_parquet_tables_and_time_origin import Table
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 
@@ -73,13 +73,13 @@ RIG = {"cameras": 1, "cubes": 1}
 def asked() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
     """{file: (columns that must be there, columns that may be)} as the reader asks for them."""
     found: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {}
-    read = csv_and_parquet_tables.read_csv_table
+    read = csv_and_parquet_tables_and_time_origin.read_csv_table
 
     def noted(path: Any, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> Table:
         found[Path(path).name] = (required, optional)
         return read(path, required, optional)
 
-    with TemporaryDirectory() as name, patch.object(csv_and_parquet_tables, "read_csv_table", noted):
+    with TemporaryDirectory() as name, patch.object(csv_and_parquet_tables_and_time_origin, "read_csv_table", noted):
         recording_folder.load_recording(_sample(Path(name)))
     return {file: found[file] for file in FILES}
 

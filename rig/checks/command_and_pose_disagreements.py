@@ -9,13 +9,13 @@ import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.checks.mistake import Mistake
+from rig.checks.mistake_and_clock_mistakes import Mistake
 from rig.checks.unit_and_convention_mistakes import poses_in_other_conventions
 from rig.errors import RigError
-from rig.formats import csv_and_parquet_tables
+from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod
 from rig.model.mechanisms import hexapod as kinematics
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.recording_folder import Commands, Recording
 from rig.recording.recording_tables import POSE_COLUMNS
 
@@ -100,7 +100,9 @@ def commands_and_measured_poses(
 
 def written_pose_columns(recording: Recording) -> Floats:
     """(n, 6) m and rad pose columns of poses.csv as written, rotation vectors longer than pi included."""
-    return csv_and_parquet_tables.read_csv_table(recording.folder / "poses.csv", POSE_COLUMNS).matrix(POSE_COLUMNS)
+    return csv_and_parquet_tables_and_time_origin.read_csv_table(recording.folder / "poses.csv", POSE_COLUMNS).matrix(
+        POSE_COLUMNS
+    )
 
 
 def commands_disagree_with_poses(moves: CommandsAndPoses) -> bool:

@@ -6,10 +6,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
-from rig.checks.mistake import Mistake
+from rig.checks.mistake_and_clock_mistakes import Mistake
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_links, has_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, has_struts
 from rig.recording.recording_folder import Commands, Sensors
 
 KELVIN = (200.0, 400.0)

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from rig.array_and_json_types import Floats, Json
-from rig.checks import clock_mistakes, implausible_values_and_image_mistakes
-from rig.checks.mistake import Mistake, sort_mistakes
+from rig.checks import implausible_values_and_image_mistakes, mistake_and_clock_mistakes
+from rig.checks.mistake_and_clock_mistakes import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
-from rig.formats import csv_and_parquet_tables, local_and_remote_input_files
+from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import design_file
 
@@ -68,7 +68,9 @@ def _poses(folder: Path, complaint: str) -> Iterator[Mistake]:
     size = m.reach
     if size is None:
         return
-    p = csv_and_parquet_tables.read_csv_table(folder / "poses.csv", ("x", "y", "z")).matrix(("x", "y", "z"))
+    p = csv_and_parquet_tables_and_time_origin.read_csv_table(folder / "poses.csv", ("x", "y", "z")).matrix(
+        ("x", "y", "z")
+    )
     spread = float(np.sqrt(((p - p.mean(axis=0)) ** 2).sum(axis=1).mean())) / (SPREAD[m.kind] * size)
     unit, per = min(
         (("centimetres", 1e2), ("millimetres", 1e3), ("micrometres", 1e6)), key=lambda one: abs(np.log(spread / one[1]))
@@ -154,15 +156,17 @@ def _times(folder: Path, complaint: str) -> Iterator[Mistake]:
     times = {}
     for name in FILES:
         if local_and_remote_input_files.exists(folder / name):
-            times[name] = csv_and_parquet_tables.read_csv_table(folder / name, ("t",)).numbers("t")
-    yield from clock_mistakes.time_unit_and_clock_origin_mistakes(times)
+            times[name] = csv_and_parquet_tables_and_time_origin.read_csv_table(folder / name, ("t",)).numbers("t")
+    yield from mistake_and_clock_mistakes.time_unit_and_clock_origin_mistakes(times)
 
 
 def _numbers(folder: Path, complaint: str) -> Iterator[Mistake]:
     """corners.csv: identities or corners that count from another number."""
     if "corners.csv" not in complaint:
         return
-    rows = csv_and_parquet_tables.read_csv_table(folder / "corners.csv", ("frame", "camera", "marker", "corner"))
+    rows = csv_and_parquet_tables_and_time_origin.read_csv_table(
+        folder / "corners.csv", ("frame", "camera", "marker", "corner")
+    )
     marker, corner = rows.numbers("marker"), rows.numbers("corner")
     if corner.min() == 1 and corner.max() == 4:
         yield Mistake(
@@ -201,7 +205,7 @@ def _numbers(folder: Path, complaint: str) -> Iterator[Mistake]:
 def _order(folder: Path, complaint: str) -> Iterator[Mistake]:
     """frames.csv: rows that are in another order than time or frame number."""
     if "frames must come in order" in complaint or ("time runs backwards" in complaint and "frames.csv" in complaint):
-        frames = csv_and_parquet_tables.read_csv_table(folder / "frames.csv", ("frame", "t"))
+        frames = csv_and_parquet_tables_and_time_origin.read_csv_table(folder / "frames.csv", ("frame", "t"))
         number, t = frames.numbers("frame"), frames.numbers("t")
         back = int((np.diff(number) < 0).sum() + (np.diff(t) < 0).sum())
         yield Mistake(

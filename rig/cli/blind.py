@@ -13,7 +13,7 @@ from subprocess import CompletedProcess
 
 from rig.array_and_json_types import Json
 from rig.cli.shared import blind_case_process
-from rig.cli.shared.command_options import (
+from rig.cli.shared.argument_parser_and_common_options import (
     add_json_result_option,
     add_overwrite_option,
     results_with_progress,

@@ -6,15 +6,16 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_file_options
-from rig.cli.shared.command_options import (
+from rig.cli.shared import input_options_and_output_display
+from rig.cli.shared.argument_parser_and_common_options import (
     add_json_result_option,
     add_overwrite_option,
     file_or_stdout,
     page_links,
     parse_length,
 )
-from rig.cli.shared.input_file_options import (
+from rig.cli.shared.input_options_and_output_display import (
+    Progress,
     add_anyway_option,
     add_limb_options,
     add_recordings_argument,
@@ -22,7 +23,6 @@ from rig.cli.shared.input_file_options import (
     notice_printer,
     read_recordings,
 )
-from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def arguments(parser: ArgumentParser) -> None:
         "geometry; rig correct compensates them",
     )
     kind.add_argument("--find", action="store_true", help="diagnose this recording first and include the effects found")
-    input_file_options.add_effects_option(parser)
+    input_options_and_output_display.add_effects_option(parser)
     parser.add_argument(
         "--quick",
         action="store_true",
@@ -148,7 +148,7 @@ def _options(arguments: Namespace) -> CalibrateOptions:
     return CalibrateOptions(
         arguments.diagnosis,
         arguments.find,
-        input_file_options.load_effect_files(arguments),
+        input_options_and_output_display.load_effect_files(arguments),
         arguments.quick,
         arguments.joint,
         _extend_options(arguments),

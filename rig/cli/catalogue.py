@@ -4,8 +4,8 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_file_options
-from rig.cli.shared.command_options import add_overwrite_option, file_or_stdout
+from rig.cli.shared import input_options_and_output_display
+from rig.cli.shared.argument_parser_and_common_options import add_overwrite_option, file_or_stdout
 from rig.formats.output_files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="where it is written, as Markdown, with a "
         "sketch of each effect in a folder FILE next to it; printed without sketches by default",
     )
-    input_file_options.add_effects_option(parser)
+    input_options_and_output_display.add_effects_option(parser)
     add_overwrite_option(parser)
 
 
@@ -36,7 +36,9 @@ def run(arguments: Namespace) -> None:
     from rig.formats.output_files import write_text
     from rig.formats.output_files.atomic_file_and_manifest import is_written_directly
 
-    kinds = input_file_options.known_effects(input_file_options.load_effect_files(arguments))
+    kinds = input_options_and_output_display.known_effects(
+        input_options_and_output_display.load_effect_files(arguments)
+    )
     out = arguments.outputs.file(arguments.out)
     printed = is_written_directly(out)
     if not printed and not arguments.out.suffix:
@@ -57,6 +59,6 @@ def run(arguments: Namespace) -> None:
 
 def _sketches() -> "Callable[[type[Effect]], Sketch]":
     """The function that draws the sketch of an effect."""
-    from vision.frame_and_effect_pictures import effect_sketch
+    from calib.report.pose_and_effect_figures import effect_sketch
 
     return effect_sketch

@@ -9,8 +9,8 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_file_options
-from rig.cli.shared.command_options import (
+from rig.cli.shared import input_options_and_output_display
+from rig.cli.shared.argument_parser_and_common_options import (
     SEED,
     add_json_result_option,
     add_overwrite_option,
@@ -20,8 +20,7 @@ from rig.cli.shared.command_options import (
     print_frames_without_pose,
     require_matplotlib,
 )
-from rig.cli.shared.input_file_options import read_recording
-from rig.cli.shared.output_escaping_and_progress_display import Progress
+from rig.cli.shared.input_options_and_output_display import Progress, read_recording
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.report.verdict_and_refutations_of_results import exit_status
@@ -162,9 +161,9 @@ def run(arguments: Namespace) -> int:
     source = certificate_provenance(arguments.calibration, calibration, recordings, arguments.argv, SEED)
     result = certify(calibration, recordings, options, refuted, source, str(arguments.calibration), progress)
     progress.close()
-    input_file_options.print_refutations(arguments.calibration, refuted)
+    input_options_and_output_display.print_refutations(arguments.calibration, refuted)
     for name, sentence in result.refutations:
-        input_file_options.write_refutation(arguments, arguments.calibration, name, sentence)
+        input_options_and_output_display.write_refutation(arguments, arguments.calibration, name, sentence)
     left_out = missing_matplotlib_reason() if suffix == "" else None
     kinds = [kind for kind in KINDS if kind != ".pdf" or not left_out]
     for place in [whole / f"certificate{kind}" for kind in kinds] if suffix == "" else [whole]:

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rig.cli.shared.command_options import add_json_option, print_json
+from rig.cli.shared.argument_parser_and_common_options import add_json_option, print_json
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -13,7 +13,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, redi
 from pathlib import Path
 from typing import NoReturn, TextIO, TypeVar, cast
 
-from rig.cli.shared.argument_parser import Parser, add_common_options, join_negative_numbers
+from rig.cli.shared.argument_parser_and_common_options import Parser, add_common_options, join_negative_numbers
 from rig.errors import RigError
 from rig.formats.output_files import STANDARD_OUTPUT, CommandOutputs
 
@@ -84,7 +84,7 @@ def main(argv: list[str] | None = None) -> int:
 
     Raises SystemExit where help was asked for or the usage is wrong
     """
-    from rig.cli.shared.output_escaping_and_progress_display import escaped_output
+    from rig.cli.shared.input_options_and_output_display import escaped_output
 
     with escaped_output():
         return _main(join_negative_numbers(sys.argv[1:] if argv is None else argv))
@@ -179,11 +179,11 @@ def _run(arguments: argparse.Namespace) -> int:
             with _reader_may_leave(name, outputs), _words(arguments), _compiling(), _workers(arguments):
                 status = arguments.run(arguments) or 0
         if outputs.pages:
-            from rig.report.pages.page_templates_and_page_index import refresh_indices
+            from rig.report.pages.page_templates_and_elements import refresh_indices
 
             refresh_indices(outputs.pages)
         if asked and arguments.result is not None:
-            from rig.cli.shared.command_options import print_json
+            from rig.cli.shared.argument_parser_and_common_options import print_json
 
             print_json(arguments.result)
         return _flushed(name, status)
@@ -212,7 +212,7 @@ def _reader_may_leave(name: str, outputs: CommandOutputs) -> Iterator[None]:
     """Within it a command that writes files finishes them though the reader of its standard output is gone, which is
     then reported.
     """
-    from rig.cli.shared.output_escaping_and_progress_display import StandardOutput
+    from rig.cli.shared.input_options_and_output_display import StandardOutput
 
     out = StandardOutput(sys.stdout or io.StringIO(), lambda: outputs.in_use)
     with redirect_stdout(cast(TextIO, out)):
@@ -229,7 +229,7 @@ def _reader_may_leave(name: str, outputs: CommandOutputs) -> Iterator[None]:
 
 def _compiling() -> AbstractContextManager[None]:
     """Context in which compilation, which takes time, is announced once."""
-    from rig.cli.shared.output_escaping_and_progress_display import print_compilation_notice
+    from rig.cli.shared.input_options_and_output_display import print_compilation_notice
     from rig.compute.numba_kernels_and_lazy_exports import announce_compilation
 
     return announce_compilation(print_compilation_notice)
@@ -239,7 +239,7 @@ def _workers(arguments: argparse.Namespace) -> AbstractContextManager[None]:
     """Within it those work for a command who were asked for."""
     if "workers" not in arguments:
         return nullcontext()
-    from rig.cli.shared.command_options import use_requested_workers
+    from rig.cli.shared.argument_parser_and_common_options import use_requested_workers
 
     return use_requested_workers(arguments)
 
@@ -264,7 +264,7 @@ def _for_programs(arguments: argparse.Namespace) -> bool:
 def _words(arguments: argparse.Namespace) -> Iterator[None]:
     """Within it what a command prints goes where its user wants words: nowhere with --quiet, unless it is the result
     that was asked for; to the error output where the result is printed as JSON once the command is done."""
-    from rig.cli.shared.output_escaping_and_progress_display import Progress
+    from rig.cli.shared.input_options_and_output_display import Progress
 
     out, quiet = getattr(arguments, "out", ""), getattr(arguments, "quiet", False)
     aside = _for_programs(arguments)
@@ -333,7 +333,7 @@ def _flushed(name: str, status: S) -> S | int:
         message = ""
     except OSError as error:
         message = f"{name}: standard output cannot be written: {error.strerror}"
-    from rig.cli.shared.output_escaping_and_progress_display import discard_output
+    from rig.cli.shared.input_options_and_output_display import discard_output
 
     discard_output(sys.stdout)
     if name and message:

@@ -15,6 +15,6 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Print the shell's completion of all commands and options, file names where files are named."""
-    from rig.cli.shared.argument_parser import completion_script
+    from rig.cli.shared.argument_parser_and_common_options import completion_script
 
     print(completion_script(arguments.all_commands(), arguments.shell))

@@ -7,8 +7,12 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_file_options
-from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, file_or_stdout
+from rig.cli.shared import input_options_and_output_display
+from rig.cli.shared.argument_parser_and_common_options import (
+    add_json_result_option,
+    add_overwrite_option,
+    file_or_stdout,
+)
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
 
@@ -71,7 +75,7 @@ def arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="command X + KSF(X), the method's first step, not the exact fixed point",
     )
-    input_file_options.add_effects_option(parser)
+    input_options_and_output_display.add_effects_option(parser)
     add_overwrite_option(parser)
     add_json_result_option(parser)
 
@@ -89,11 +93,11 @@ def run(arguments: Namespace) -> None:
             "--uncorrected, --single-step, --skip-unreachable and --sensors apply to commands for wanted "
             "poses, not to --forward"
         )
-    calibration = input_file_options.calibration_of_arguments(arguments)
+    calibration = input_options_and_output_display.calibration_of_arguments(arguments)
     out = arguments.outputs.file(arguments.out)
     if arguments.forward:
         return _write_read_poses(arguments, calibration, out)
-    input_file_options.read_refutations(arguments.calibration)
+    input_options_and_output_display.read_refutations(arguments.calibration)
     wanted = load_wanted_poses(arguments.poses)
     result = correct(calibration, wanted, _options(arguments, wanted))
     result.write(out)
@@ -137,10 +141,12 @@ def _start(text: str) -> Floats | None:
 def _write_read_poses(arguments: Namespace, calibration: Calibration, out: Path) -> None:
     """Write the poses that a measuring machine's readings stand for."""
     from calib.api.measuring_limb_acceptance_and_platform_poses import poses_of_readings
-    from rig.formats import csv_and_parquet_tables
+    from rig.formats import csv_and_parquet_tables_and_time_origin
 
     axes = calibration.correction.nominal.axes
-    found = poses_of_readings(calibration, csv_and_parquet_tables.read_csv_table(arguments.forward, ("frame", *axes)))
+    found = poses_of_readings(
+        calibration, csv_and_parquet_tables_and_time_origin.read_csv_table(arguments.forward, ("frame", *axes))
+    )
     found.write(out)
     print(f"{len(found.poses.frame)} poses written to {arguments.out}: {found}")
     if found.physics:

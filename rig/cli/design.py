@@ -2,7 +2,7 @@
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared.command_options import add_overwrite_option, file_or_stdout
+from rig.cli.shared.argument_parser_and_common_options import add_overwrite_option, file_or_stdout
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
 

@@ -7,23 +7,27 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_file_options
-from rig.cli.shared.command_options import SEED, add_json_result_option, add_overwrite_option, page_links
-from rig.cli.shared.input_file_options import (
+from rig.cli.shared import input_options_and_output_display
+from rig.cli.shared.argument_parser_and_common_options import (
+    SEED,
+    add_json_result_option,
+    add_overwrite_option,
+    page_links,
+)
+from rig.cli.shared.input_options_and_output_display import (
+    Progress,
     add_anyway_option,
     add_recordings_argument,
     notice_printer,
     read_recordings,
 )
-from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.errors import RigError
 from rig.formats.local_and_remote_input_files import json_files_in_same_folders
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
-    from calib.api.diagnose import DiagnoseOptions
-    from calib.api.next_experiment import ExperimentOptions
-    from calib.diagnosis.report.report_data_and_verdict import Report
+    from calib.api.diagnose import DiagnoseOptions, ExperimentOptions
+    from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report
     from rig.recording.recording_folder import Recording
 
 MENTIONED = 4  # remarks, and rows that were left out, in the terminal
@@ -62,7 +66,7 @@ def arguments(parser: ArgumentParser) -> None:
         dest="before",
         help="another diagnosis: begin with its findings, each of which must be confirmed here as well",
     )
-    input_file_options.add_effects_option(parser)
+    input_options_and_output_display.add_effects_option(parser)
     _add_experiment_options(parser)
     add_overwrite_option(parser)
     add_anyway_option(parser)
@@ -101,10 +105,12 @@ def _add_experiment_options(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Diagnose a recording and write what was found."""
-    experiment = _experiment_options(arguments)
+    if arguments.next is None and (arguments.standing or arguments.may):
+        raise RigError("--standing and --may are for --next FILE")
     progress = Progress()
     progress("reading the recording", 0, 1)
     recordings = read_recordings(arguments)
+    experiment = _experiment_options(arguments)
     from calib.api.diagnose import diagnose
     from rig.recording import frame_selection_and_content_hashes
 
@@ -112,7 +118,7 @@ def run(arguments: Namespace) -> None:
     notice = notice_printer(progress)
     result = diagnose(recordings, options, progress, notice)
     for path, state, finding in result.against:
-        input_file_options.write_refutation(arguments, path, result.recording.name, finding, state)
+        input_options_and_output_display.write_refutation(arguments, path, result.recording.name, finding, state)
     result.write(out)
     result.write_page(out / "diagnosis.html", page_links(arguments, arguments.out / "diagnosis.html"))
     if experiment is not None:
@@ -136,7 +142,7 @@ def _options(arguments: Namespace, recordings: list[Recording]) -> DiagnoseOptio
     """Settings of a diagnosis, from the arguments."""
     from calib.api.diagnose import DiagnoseOptions
 
-    effects = input_file_options.load_effect_files(arguments)
+    effects = input_options_and_output_display.load_effect_files(arguments)
     known = arguments.calibration
     return DiagnoseOptions(
         None if arguments.only is None else tuple(arguments.only),
@@ -144,7 +150,7 @@ def _options(arguments: Namespace, recordings: list[Recording]) -> DiagnoseOptio
         tuple(arguments.assume),
         arguments.before,
         effects,
-        None if known is None else input_file_options.load_calibration(known, effects),
+        None if known is None else input_options_and_output_display.load_calibration(known, effects),
         str(known),
         tuple(json_files_in_same_folders(recordings[0].folder, arguments.out)),
         arguments.anyway,
@@ -209,10 +215,8 @@ def _print_report(report: Report) -> None:
 
 def _experiment_options(arguments: Namespace) -> ExperimentOptions | None:
     """What the next experiment may require, None where none is requested. Raises RigError for what cannot be meant"""
-    from calib.api.next_experiment import ExperimentOptions
+    from calib.api.diagnose import ExperimentOptions
 
     may = None if arguments.may is None else tuple(arguments.may)
     found = ExperimentOptions(arguments.minutes, may, arguments.standing, SEED + 1 + len(arguments.further))
-    if arguments.next is None and (arguments.standing or arguments.may):
-        raise RigError("--standing and --may are for --next FILE")
     return None if arguments.next is None else found

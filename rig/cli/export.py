@@ -6,7 +6,11 @@ import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, file_or_stdout
+from rig.cli.shared.argument_parser_and_common_options import (
+    add_json_result_option,
+    add_overwrite_option,
+    file_or_stdout,
+)
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 

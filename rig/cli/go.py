@@ -6,8 +6,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_file_options
-from rig.cli.shared.command_options import (
+from rig.cli.shared import input_options_and_output_display
+from rig.cli.shared.argument_parser_and_common_options import (
     add_json_result_option,
     add_port_options,
     add_speed_option,
@@ -42,7 +42,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--dry-run", action="store_true", help="print what would be commanded, and move nothing")
     add_speed_option(parser, 1.0)
     add_trust_option(parser)
-    input_file_options.add_effects_option(parser)
+    input_options_and_output_display.add_effects_option(parser)
     add_port_options(parser)
     add_json_result_option(parser)
 
@@ -55,8 +55,8 @@ def run(arguments: Namespace) -> None:
 
     require_share(arguments.speed)
     design = design_with_controller_port(arguments.rig, arguments.port)
-    calibration = input_file_options.calibration_of_arguments(arguments)
-    input_file_options.read_refutations(arguments.calibration)
+    calibration = input_options_and_output_display.calibration_of_arguments(arguments)
+    input_options_and_output_display.read_refutations(arguments.calibration)
     require_same_rig(design, calibration, arguments.rig, arguments.calibration)
     move = plan_pose_move(design, calibration, parse_pose(arguments.pose), arguments.uncorrected)
     _print_plan(move)

@@ -2,7 +2,7 @@
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared.command_options import add_controller_arguments
+from rig.cli.shared.argument_parser_and_common_options import add_controller_arguments
 
 
 def arguments(parser: ArgumentParser) -> None:

@@ -3,7 +3,7 @@
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.command_options import add_overwrite_option
+from rig.cli.shared.argument_parser_and_common_options import add_overwrite_option
 from rig.errors import RigError
 
 
@@ -22,7 +22,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Write one page of all pages below a folder."""
-    from rig.report.pages.page_templates_and_page_index import NAME, list_pages_below_folder, write_index_page
+    from rig.report.pages.page_templates_and_elements import NAME, list_pages_below_folder, write_index_page
 
     if not arguments.folder.is_dir():
         raise RigError(f"{arguments.folder}: no such folder")

@@ -6,15 +6,19 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.command_options import (
+from rig.cli.shared.argument_parser_and_common_options import (
     add_json_result_option,
     add_page_option,
     page_links,
     page_path,
     print_frames_without_pose,
 )
-from rig.cli.shared.input_file_options import add_recording_argument, notice_printer, read_recording
-from rig.cli.shared.output_escaping_and_progress_display import Progress
+from rig.cli.shared.input_options_and_output_display import (
+    Progress,
+    add_recording_argument,
+    notice_printer,
+    read_recording,
+)
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 
 from calib.experiment.first_plans import FIRST, LOADED, STANDING
-from rig.cli.shared.command_options import SEED, add_json_result_option
+from rig.cli.shared.argument_parser_and_common_options import SEED, add_json_result_option
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 
 

@@ -8,7 +8,7 @@ from math import degrees
 from pathlib import Path
 
 from rig.array_and_json_types import Json
-from rig.cli.shared.command_options import add_json_option, print_json
+from rig.cli.shared.argument_parser_and_common_options import add_json_option, print_json
 
 LEAVES = 1e-9  # m or rad of a pose, from which it is said
 
@@ -32,14 +32,14 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Print what joint values give, or all joint values that give poses, step by step where requested."""
     from calib.api.arm_kinematics import load_arm_kinematics
-    from rig.formats import csv_and_parquet_tables
+    from rig.formats import csv_and_parquet_tables_and_time_origin
     from rig.recording import recording_tables
 
     machine = load_arm_kinematics(arguments.arm)
     if machine.left_out is not None:
         print(machine.left_out, file=sys.stderr)
     if arguments.forward:
-        rows = csv_and_parquet_tables.read_csv_table(arguments.forward, ("frame", *machine.arm.axes))
+        rows = csv_and_parquet_tables_and_time_origin.read_csv_table(arguments.forward, ("frame", *machine.arm.axes))
         tree = machine.forward(rows.whole("frame"), rows.matrix(machine.arm.axes), arguments.steps)
     else:
         poses = recording_tables.load_poses(arguments.inverse)

@@ -6,8 +6,9 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.command_options import add_json_result_option, add_overwrite_option, page_links
-from rig.cli.shared.input_file_options import (
+from rig.cli.shared.argument_parser_and_common_options import add_json_result_option, add_overwrite_option, page_links
+from rig.cli.shared.input_options_and_output_display import (
+    Progress,
     add_anyway_option,
     add_limb_options,
     add_recording_argument,
@@ -15,7 +16,6 @@ from rig.cli.shared.input_file_options import (
     notice_printer,
     read_recording,
 )
-from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:

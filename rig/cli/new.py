@@ -6,8 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from rig.cli.shared.argument_parser import suggestion_text
-from rig.cli.shared.command_options import add_overwrite_option, parse_length
+from rig.cli.shared.argument_parser_and_common_options import add_overwrite_option, parse_length, suggestion_text
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -84,7 +83,7 @@ def run(arguments: Namespace) -> None:
 def _index(folder: Path) -> None:
     """Write the page of all pages of a project that begins here, where no other index.html is."""
     from rig.formats.output_files import CommandOutputs
-    from rig.report.pages.page_templates_and_page_index import KIND, NAME, write_index_page
+    from rig.report.pages.page_templates_and_elements import KIND, NAME, write_index_page
 
     if not (folder / NAME).exists():
         with CommandOutputs(KIND) as outputs:

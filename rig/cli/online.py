@@ -6,9 +6,15 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_file_options
-from rig.cli.shared.command_options import add_json_result_option, add_page_option, page_links, page_path
-from rig.cli.shared.input_file_options import (
+from rig.cli.shared import input_options_and_output_display
+from rig.cli.shared.argument_parser_and_common_options import (
+    add_json_result_option,
+    add_page_option,
+    page_links,
+    page_path,
+)
+from rig.cli.shared.input_options_and_output_display import (
+    Progress,
     add_anyway_option,
     add_limb_options,
     add_recording_argument,
@@ -16,7 +22,6 @@ from rig.cli.shared.input_file_options import (
     notice_printer,
     read_recording,
 )
-from rig.cli.shared.output_escaping_and_progress_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 
@@ -119,7 +124,7 @@ def _options(arguments: Namespace, limbs: LimbSource | None) -> LearnOptions:
         arguments.state,
         None if start is None else calibration_file.load(start),
         str(start),
-        () if start is None else input_file_options.read_refutations(start),
+        () if start is None else input_options_and_output_display.read_refutations(start),
         arguments.learner,
         getattr(arguments, SETTINGS.get(arguments.learner, ""), None),
         limbs,

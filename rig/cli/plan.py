@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.command_options import (
+from rig.cli.shared.argument_parser_and_common_options import (
     SEED,
     add_json_result_option,
     add_overwrite_option,
@@ -16,7 +16,7 @@ from rig.cli.shared.command_options import (
     page_path,
     parse_length,
 )
-from rig.cli.shared.output_escaping_and_progress_display import Progress
+from rig.cli.shared.input_options_and_output_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
@@ -134,11 +134,11 @@ def _visited(path: Path, design: Design) -> Floats:
     another kind of machine
     """
     import rig
-    from rig.formats import csv_and_parquet_tables
+    from rig.formats import csv_and_parquet_tables_and_time_origin
 
     axes = design.mechanism.axes
     if not path.is_dir():
-        return csv_and_parquet_tables.read_csv_table(path, ("frame", *axes)).matrix(axes)
+        return csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", *axes)).matrix(axes)
     read = rig.load(path)
     if read.design.mechanism.kind != design.mechanism.kind:
         raise RigError(f"{path} is a recording of a mechanism of kind {read.design.mechanism.kind!r}")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.array_and_json_types import Json
-from rig.cli.shared.command_options import (
+from rig.cli.shared.argument_parser_and_common_options import (
     add_json_option,
     add_overwrite_option,
     file_or_stdout,
@@ -119,7 +119,7 @@ def _add_exertion_options(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Search, and print the posture with what certifies it."""
     from rig.formats.rig_toml import arm_dynamics_entries
-    from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_arm
+    from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
     from rig.planning.layout import shipped_arm_layout
     from rig.posture.best_posture import best_posture
 

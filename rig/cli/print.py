@@ -3,7 +3,12 @@
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.command_options import add_overwrite_option, file_or_stdout, parse_length, require_matplotlib
+from rig.cli.shared.argument_parser_and_common_options import (
+    add_overwrite_option,
+    file_or_stdout,
+    parse_length,
+    require_matplotlib,
+)
 
 
 def arguments(parser: ArgumentParser) -> None:

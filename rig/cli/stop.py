@@ -2,7 +2,7 @@
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared.command_options import add_controller_arguments
+from rig.cli.shared.argument_parser_and_common_options import add_controller_arguments
 
 PATIENCE = 10.0  # s for a process that drives to let go
 

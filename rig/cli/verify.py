@@ -7,8 +7,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_file_options
-from rig.cli.shared.command_options import (
+from rig.cli.shared import input_options_and_output_display
+from rig.cli.shared.argument_parser_and_common_options import (
     add_json_option,
     add_page_option,
     page_links,
@@ -17,8 +17,7 @@ from rig.cli.shared.command_options import (
     print_held_out_errors,
     print_json,
 )
-from rig.cli.shared.input_file_options import add_recording_argument, read_recording
-from rig.cli.shared.output_escaping_and_progress_display import Progress
+from rig.cli.shared.input_options_and_output_display import Progress, add_recording_argument, read_recording
 from rig.report.verdict_and_refutations_of_results import exit_status
 
 if TYPE_CHECKING:
@@ -32,7 +31,7 @@ def arguments(parser: ArgumentParser) -> None:
     add_recording_argument(parser)
     add_json_option(parser)
     add_page_option(parser)
-    input_file_options.add_effects_option(parser)
+    input_options_and_output_display.add_effects_option(parser)
     parser.add_argument(
         "--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were intended to take"
     )
@@ -46,17 +45,19 @@ def run(arguments: Namespace) -> int:
 
     progress = Progress()
     progress("reading the recording", 0, 1)
-    calibration = input_file_options.calibration_of_arguments(arguments)
+    calibration = input_options_and_output_display.calibration_of_arguments(arguments)
     wanted = load_poses(arguments.wanted, are_commands=True) if arguments.wanted else None
     recording, page = read_recording(arguments), page_path(arguments)
     refuted = refutations_of_file(arguments.calibration)
     result = verify(calibration, recording, wanted, refuted, progress)
     progress.close()
-    input_file_options.print_refutations(arguments.calibration, refuted)
+    input_options_and_output_display.print_refutations(arguments.calibration, refuted)
     if page is not None:
         result.write_page(page, page_links(arguments, arguments.page))
     if result.refutation is not None:
-        input_file_options.write_refutation(arguments, arguments.calibration, recording.name, result.refutation)
+        input_options_and_output_display.write_refutation(
+            arguments, arguments.calibration, recording.name, result.refutation
+        )
     if arguments.json:
         print_json(result.tree())
         return exit_status(result.verdict)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.command_options import add_overwrite_option, file_or_stdout, page_links
-from rig.cli.shared.input_file_options import add_recording_argument, read_recording
-from rig.cli.shared.output_escaping_and_progress_display import Progress
+from rig.cli.shared.argument_parser_and_common_options import add_overwrite_option, file_or_stdout, page_links
+from rig.cli.shared.input_options_and_output_display import Progress, add_recording_argument, read_recording
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
@@ -52,65 +51,49 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Draw one frame, or the whole recording in three dimensions."""
-    if arguments.page is not None:
-        if arguments.out is not None:
-            raise RigError("--out is for --frame; --page names its own file")
-        _page(arguments)
-        return
-    if arguments.effect:
-        raise RigError("--effect is for --page")
+    from calib.api.view import ViewOptions, view
+
+    _refuse_options_of_other_views(arguments)
+    options = ViewOptions(arguments.frame, arguments.rerun is not None, arguments.enlarge, tuple(arguments.effect))
+    recording = read_recording(arguments)
+    shown = _shown_file(arguments, recording.folder)
+    out = arguments.outputs.file(shown)
+    links = page_links(arguments, shown) if arguments.page is not None else ()
+    lines = view(recording, out, options, links, Progress())
     if arguments.rerun is not None:
-        _rerun(arguments)
-        return
-    _frame(arguments)
+        lines = (*lines[:-1], f"{lines[-1]}; written: {shown}; see them with `rerun {shown}`")
+    for line in lines:
+        print(line)
+    arguments.outputs.finish()
+    if arguments.rerun is None:
+        print(f"written: {shown}")
+    if arguments.frame is not None and arguments.out is None:
+        _open(shown)
 
 
-def _frame(arguments: Namespace) -> None:
+def _refuse_options_of_other_views(arguments: Namespace) -> None:
+    """Raise RigError for --out and --effect with a view that does not take them."""
+    if arguments.frame is None and arguments.out is not None:
+        raise RigError(
+            f"--out is for --frame; --{'page' if arguments.page is not None else 'rerun'} names its own file"
+        )
+    if arguments.page is None and arguments.effect:
+        raise RigError("--effect is for --page")
+
+
+def _shown_file(arguments: Namespace, folder: Path) -> Path:
+    """The file that shows a recording's folder. Raises FileError for a picture's unknown format."""
+    from vision.frame_pictures import picture_file_suffix
+
+    named: Path | None = arguments.page or arguments.rerun
+    if named is None:
+        named = arguments.out or Path(f"{folder.resolve().name}-frame-{arguments.frame}.png")
+        picture_file_suffix(named)
+    return named
+
+
+def _open(picture: Path) -> None:
     import webbrowser
 
-    recording = read_recording(arguments)
-
-    from vision.frame_and_effect_pictures import draw_frame, picture_file_suffix, save_pictures_side_by_side
-
-    shown = arguments.out or Path(f"{recording.folder.resolve().name}-frame-{arguments.frame}.png")
-    picture_file_suffix(shown)
-    out = arguments.outputs.file(shown)
-
-    text = save_pictures_side_by_side(out, *draw_frame(recording, arguments.frame, arguments.enlarge, Progress()))
-    print(text)
-    arguments.outputs.finish()
-    print(f"written: {shown}")
-    if arguments.out is None and not webbrowser.open(shown.resolve().as_uri()):
+    if not webbrowser.open(picture.resolve().as_uri()):
         print("there is no program here to display it; open the file manually")
-
-
-def _page(arguments: Namespace) -> None:
-    from rig.effects.texts.effect_text_and_dict import parse_effect, require_nonzero_effect
-
-    recording, effects = (
-        read_recording(arguments),
-        [require_nonzero_effect(parse_effect(text)) for text in arguments.effect],
-    )
-    out = arguments.outputs.file(arguments.page)
-
-    from calib.report.recording_and_plan_pages import write_recording_page
-
-    write_recording_page(out, recording, effects, page_links(arguments, arguments.page))
-    print(f"written: {arguments.page}")
-
-
-def _rerun(arguments: Namespace) -> None:
-    """Write the whole recording for Rerun. Raises MissingLibrary without it."""
-    from rig.formats.exporters import recording_as_rerun_tum_parquet
-
-    rr = recording_as_rerun_tum_parquet.import_rerun()
-    if arguments.out is not None:
-        raise RigError("--out is of --frame; --rerun names its own file")
-    recording = read_recording(arguments)
-    left_out = recording_as_rerun_tum_parquet.write_rerun_file(recording, arguments.outputs.file(arguments.rerun), rr)
-    if left_out:
-        print(f"{left_out} images are left out: Rerun shows PNG and JPEG")
-    print(
-        f"{len(recording.exposures.times()[0])} frames; written: {arguments.rerun}; see them with `rerun "
-        f"{arguments.rerun}`"
-    )

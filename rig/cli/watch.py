@@ -5,8 +5,8 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared import input_file_options
-from rig.cli.shared.command_options import (
+from rig.cli.shared import input_options_and_output_display
+from rig.cli.shared.argument_parser_and_common_options import (
     SEED,
     add_json_option,
     add_overwrite_option,
@@ -15,7 +15,7 @@ from rig.cli.shared.command_options import (
     page_path,
     print_json,
 )
-from rig.cli.shared.output_escaping_and_progress_display import Progress
+from rig.cli.shared.input_options_and_output_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 from rig.report.verdict_and_refutations_of_results import exit_status, refutations_of_file
@@ -88,14 +88,16 @@ def _watch(arguments: Namespace) -> int:
     refuted = refutations_of_file(arguments.calibration)
     result = watch(calibration, loaded, history, refuted, progress)
     progress.close()
-    input_file_options.print_refutations(arguments.calibration, refuted)
+    input_options_and_output_display.print_refutations(arguments.calibration, refuted)
     if kept is not None:
         visit_history.write_history(kept, result.history)
     if page is not None:
         result.write_page(page, arguments.calibration.name, page_links(arguments, arguments.page))
     if result.refutation is not None:
         state, sentence = result.refutation
-        input_file_options.write_refutation(arguments, arguments.calibration, result.visits[-1].name, sentence, state)
+        input_options_and_output_display.write_refutation(
+            arguments, arguments.calibration, result.visits[-1].name, sentence, state
+        )
     if arguments.json:
         print_json(result.tree())
     else:

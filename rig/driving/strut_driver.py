@@ -26,7 +26,7 @@ from rig.driving.straight_move_profile import straight_move_segment
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
 
 T = TypeVar("T")
 PATIENCE, SHORT_PATIENCE = 30.0, 3.0  # s of trying to connect anew; in order to stop

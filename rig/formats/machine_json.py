@@ -15,7 +15,7 @@ from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.model.design import Camera, Design
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Mechanism, has_stages
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_stages
 from rig.model.pose import pose, pose_to_vector
 
 LIMBS = ("base_joints", "platform_joints", "zeros")

@@ -1,4 +1,6 @@
-"""Design of a rig with cameras and targets, as its owner states it: mechanism, platform, controller settings."""
+"""Design of a rig with cameras and targets, as its owner states it: mechanism, platform, controller settings; the
+markers on targets; warps of a camera's image, and printed edges moved inward.
+"""
 
 from __future__ import annotations
 
@@ -333,3 +335,68 @@ class Design:
                 "rig.toml has no [controller], so there is nothing to drive: state its protocol and port there"
             )
         return self.controller
+
+
+def quarter_turns_of_cubes(design: Design) -> dict[str, int]:
+    """{cube: quarter turns} of a design's remounted cubes; of several recordings, the last."""
+    return {target.name.partition("@")[0]: target.turned for target in design.targets if target.turned is not None}
+
+
+def chebyshev_products(camera: Camera, uv: Floats, degree: int) -> Floats:
+    """Chebyshev products (..., m) of image positions uv (..., 2) px, from the second degree up to a degree."""
+    x = np.clip((np.asarray(uv) - [camera.width / 2, camera.height / 2]) / (camera.width / 2), -1, 1)
+    T = [np.polynomial.chebyshev.chebvander(x[..., c], degree) for c in range(2)]
+    return np.stack(
+        [T[0][..., i] * T[1][..., j] for i in range(degree + 1) for j in range(degree + 1 - i) if i + j > 1], axis=-1
+    )
+
+
+def warp_columns(camera: Camera, uv: Floats, degree: int) -> Floats:
+    """(..., 2, 2 m) px that image positions uv (..., 2) px move per unit of each number of a warp: m in u, then v."""
+    basis = chebyshev_products(camera, uv, degree)
+    zero = np.zeros_like(basis)
+    return np.stack([np.concatenate([basis, zero], axis=-1), np.concatenate([zero, basis], axis=-1)], axis=-2)
+
+
+def move_edges_inward(quads: Floats, distance: float) -> Floats:
+    """Corners (..., 4, 2) px of squares whose edges have each moved inward by a distance px, negative for outward."""
+    edge = np.roll(quads, -1, axis=-2) - quads  # edge k runs from corner k to k + 1
+    unit = edge / np.linalg.norm(edge, axis=-1, keepdims=True)
+    before = np.roll(unit, 1, axis=-2)
+    # a corner moves along both its edges by the distance / sin of the angle between them
+    sine = np.abs(before[..., 0] * unit[..., 1] - before[..., 1] * unit[..., 0])
+    return np.asarray(quads + distance / sine[..., None] * (unit - before))
+
+
+_OUT = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
+
+
+def markers_of_target(target: Target) -> tuple[Marker, ...]:
+    """Markers of a target: its listed ones, or those on a cube's faces.
+    On faces they are centred, top to +z on the sides and to +y on +z and -z.
+
+    Raises ValueError for a target that lists neither faces nor markers.
+    """
+    if target.listed:
+        return target.listed
+    edge, side = target.edge, target.marker
+    if edge is None or side is None:
+        raise ValueError(
+            f"expected a target that lists markers or a cube with edge and marker, got {target.name!r} with "
+            f"{edge} and {side}"
+        )
+    seat = target.seat
+    return tuple(Marker(number, side, seat * face_pose(face, edge), (edge - side) / 2) for face, number in target.faces)
+
+
+def face_pose(face: str, edge: float) -> RigidTransform:
+    """Pose T_cube_marker of a face ("+x" .. "-z") on a cube of that edge (m): x right, y up, z out.
+
+    Raises ValueError for a face that there is not.
+    """
+    if face not in FACES:
+        raise ValueError(f"expected a face out of {FACES}, got {face!r}")
+    out = np.array(_OUT[face], float)
+    up = np.array([0, 1, 0] if face[1] == "z" else [0, 0, 1], float)
+    rotation = Rotation.from_matrix(np.stack([np.cross(up, out), up, out], axis=-1))
+    return RigidTransform.from_components(out * edge / 2, rotation)

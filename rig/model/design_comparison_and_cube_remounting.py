@@ -106,11 +106,6 @@ def parse_cube_turn_permission(word: str, targets: Sequence[Target]) -> tuple[st
     return TURN + name if problem is None else "", problem
 
 
-def quarter_turns_of_cubes(design: Design) -> dict[str, int]:
-    """{cube: quarter turns} of a design's remounted cubes; of several recordings, the last."""
-    return {target.name.partition("@")[0]: target.turned for target in design.targets if target.turned is not None}
-
-
 def design_with_turned_cubes(design: Design, quarters: Mapping[str, int]) -> Design:
     """The Design with cubes turned by quarters {cube: quarter turns}. Raises RigError for an unknown cube."""
     for name in quarters:

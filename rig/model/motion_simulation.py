@@ -12,8 +12,8 @@ from rig.effects.framework.machine_motion_and_play import Motion, Path
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_stages, require_axes, require_struts
 from rig.model.mechanisms import mechanism_chain
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_stages, require_axes, require_struts
 from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 

@@ -9,12 +9,12 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.errors import FileError, RigError
-from rig.formats import csv_and_parquet_tables
+from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import pose
 
 FILL = 0.8  # of the strokes that plans use
@@ -105,7 +105,7 @@ def _levels_of_text(strokes: Floats, text: str) -> list[Floats]:
 
 
 def _levels_of_file(strokes: Floats, path: Path) -> list[Floats]:
-    rows = csv_and_parquet_tables.read_csv_table(path, ("axis", "level"))
+    rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("axis", "level"))
     axis, level = rows.matrix(("axis", "level")).T
     out = []
     for i, (low, high) in enumerate(strokes):

@@ -12,7 +12,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.errors import FileError, RigError
-from rig.formats import csv_and_parquet_tables
+from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
@@ -279,7 +279,7 @@ def _iso9283(writer: PlanWriter, design: Design, cycles: int, rng: np.random.Gen
 
 
 def _commands(writer: PlanWriter, design: Design, file: str, rng: np.random.Generator) -> None:
-    rows = csv_and_parquet_tables.read_csv_table(Path(file), ("frame", *design.mechanism.axes))
+    rows = csv_and_parquet_tables_and_time_origin.read_csv_table(Path(file), ("frame", *design.mechanism.axes))
     if "t" in rows.columns:
         raise FileError(file, "is in time (it has a column t), so it is a complete plan, not part of one")
     for goal in require_commands_in_range(rows, design):

@@ -8,7 +8,8 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.errors import FileError
-from rig.formats import csv_and_parquet_tables
+from rig.formats import csv_and_parquet_tables_and_time_origin
+from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin, parse_exact_decimal
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
@@ -16,7 +17,6 @@ from rig.model.design_comparison_and_cube_remounting import COLUMN, QUARTERS, fi
 from rig.planning.visiting_order_and_approach_balance import balanced_approach_lengths, time_balanced_order
 from rig.recording.recording_folder import PAYLOAD, Commands
 from rig.recording.recording_tables import write_table
-from rig.recording.time_origin import TimeOrigin, parse_exact_decimal
 
 DWELL = 2.0  # s at a configuration before its exposure
 AFTER = 1.0  # s at it after the exposure
@@ -137,7 +137,9 @@ def plan_of_time_table(design: Design, path: str) -> Plan | None:
     FileError with line and column for what is no
     such table.
     """
-    rows = csv_and_parquet_tables.read_csv_table(Path(path), ("frame", *design.mechanism.axes), (PAYLOAD,))
+    rows = csv_and_parquet_tables_and_time_origin.read_csv_table(
+        Path(path), ("frame", *design.mechanism.axes), (PAYLOAD,)
+    )
     if "t" not in rows.columns:
         return None
     rows.times("t", TimeOrigin())  # which checks them
@@ -155,7 +157,7 @@ def plan_of_time_table(design: Design, path: str) -> Plan | None:
     )
 
 
-def _cubes(rows: csv_and_parquet_tables.Table, design: Design) -> tuple[tuple[str, int], ...]:
+def _cubes(rows: csv_and_parquet_tables_and_time_origin.Table, design: Design) -> tuple[tuple[str, int], ...]:
     """(cube, quarter turns) that a table's columns turned_CUBE say. Raises FileError for a cube that there is not, and
     one that turns on the way.
     """
@@ -180,7 +182,7 @@ def _cubes(rows: csv_and_parquet_tables.Table, design: Design) -> tuple[tuple[st
     return tuple(out)
 
 
-def require_commands_in_range(table: csv_and_parquet_tables.Table, design: Design) -> Floats:
+def require_commands_in_range(table: csv_and_parquet_tables_and_time_origin.Table, design: Design) -> Floats:
     """Commands (n, axes) m or rad of a table. Raises FileError with the line of one out of range.
     Raises FileError with the line of what is out of the axes' range.
     """

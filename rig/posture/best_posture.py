@@ -23,7 +23,7 @@ from rig.posture.arm_force_transmission_and_exertable_wrench import (
 from rig.posture.null_space_search import SearchResult
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import write_table
-from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_elements import result_html
 
 STARTS = 24  # joint solutions of the pose from which self-motions are searched for
 SEED = 0

@@ -9,9 +9,9 @@ from rig.array_and_json_types import Booleans, Floats, Json
 from rig.errors import RigError
 from rig.formats.rig_toml.arm_dynamics_entries import load_arm_dynamics
 from rig.model.design import Design
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_arm
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import LinkMasses
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.model.pose import TRIANGLE
 from rig.posture.arm_force_transmission_and_exertable_wrench import DIRECTIONS
 from rig.posture.wrench_estimation_from_torques import (
@@ -26,7 +26,7 @@ from rig.posture.wrench_estimation_from_torques import (
     observe_wrench,
 )
 from rig.recording.recording_tables import COVARIANCE_COLUMNS, write_table
-from rig.report.pages.html_and_svg_elements import result_html
+from rig.report.pages.page_templates_and_elements import result_html
 
 SETTLED = 0.1  # of a record, after which figures are given: a filter begins with knowing nothing
 

@@ -21,15 +21,15 @@ import scipy
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import FileError, RigError
-from rig.formats import csv_and_parquet_tables
+from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.checked_entries import nearest_known_word
+from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import LinkMasses
 from rig.posture.arm_force_transmission_and_exertable_wrench import DIRECTIONS
-from rig.recording.time_origin import TimeOrigin
 
 LARGEST = np.repeat([1e3, 1e2], 3)  # N, N m; standard deviation of a wrench of which nothing is known
 FASTEST = 10.0  # rad/s or m/s; the same of speeds
@@ -211,7 +211,7 @@ def load_torque_table(path: Path, arm: Arm, dynamics: ArmDynamics, source: Path)
     source : the arm's file, for what its [dynamics] lacks. Raises FileError with line and column for what cannot be
     used, RigError where currents come without torque_constants
     """
-    header, n = csv_and_parquet_tables.read_csv_table(path, ("t", *arm.axes)), len(arm.axes)
+    header, n = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("t", *arm.axes)), len(arm.axes)
     current = "i1" in header.columns
     if current and "tau1" in header.columns:
         raise FileError(path, "has both torques (tau1) and motor currents (i1); keep one", 1)
@@ -220,7 +220,7 @@ def load_torque_table(path: Path, arm: Arm, dynamics: ArmDynamics, source: Path)
     if near is not None:
         raise FileError(path, f"has no column 'tau1'; is {near!r} meant?", 1, header.columns.index(near) + 1)
     speeds = tuple(f"v{i + 1}" for i in range(n)) if "v1" in header.columns else ()
-    rows = csv_and_parquet_tables.read_csv_table(path, ("t", *arm.axes, *names, *speeds))
+    rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("t", *arm.axes, *names, *speeds))
     t, q, torque = rows.times("t", TimeOrigin()), rows.matrix(arm.axes), rows.matrix(names)
     back = np.flatnonzero(np.diff(t) <= 0)
     if len(back):

@@ -16,9 +16,8 @@ from rig.errors import RigError
 from rig.formats import local_and_remote_input_files
 from rig.model.design import Camera, Design, Target
 from rig.model.design_comparison_and_cube_remounting import design_contradictions, same_lens
-from rig.recording.exposures_and_images import Exposures
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording, RecordingPart, Sensors
-from rig.recording.recording_tables import Corners, Poses
+from rig.recording.recording_tables import Corners, Exposures, Poses
 
 GAP = 60.0  # s on the common timeline between the end of a recording and the next one's beginning
 HELD = 30.0  # s of it for which the axes are where the next recording begins

@@ -10,17 +10,25 @@ from numpy.typing import ArrayLike
 
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError, RigError
-from rig.formats import csv_and_parquet_tables, local_and_remote_input_files
+from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
 from rig.formats.checked_entries import name_problem
-from rig.formats.csv_and_parquet_tables import Table
-from rig.formats.output_files import require_complete_folder
+from rig.formats.csv_and_parquet_tables_and_time_origin import Table, TimeOrigin, parse_exact_decimal
+from rig.formats.local_and_remote_input_files import read_bytes
+from rig.formats.output_files import require_complete_folder, write_bytes, write_text
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import target_bodies
-from rig.recording.exposures_and_images import Exposures, UnreadableImage, load_exposures
-from rig.recording.recording_tables import Corners, Poses, load_corners, load_instrument_poses, load_poses
-from rig.recording.time_origin import TimeOrigin, parse_exact_decimal
-from rig.report.pages.html_and_svg_elements import result_html
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
+from rig.recording.image_file_check_and_reading import UnreadableImage
+from rig.recording.recording_tables import (
+    Corners,
+    Exposures,
+    Poses,
+    load_corners,
+    load_exposures,
+    load_instrument_poses,
+    load_poses,
+)
+from rig.report.pages.page_templates_and_elements import result_html
 
 LIMB = re.compile(r"m[1-9]\d*")  # a channel of a measuring limb, m, read only where there are rows about an exposure
 PAYLOAD = "payload_mass_kg"  # channel of sensors.csv, column of a plan in time: what the platform carries
@@ -169,7 +177,9 @@ def load_recording(folder: str | Path, skip_unreadable: bool = False) -> Recordi
         raise FileError(folder, "is an empty folder; a recording has at least rig.toml and frames.csv")
     design = design_file.load_design(folder / "rig.toml")
     commanded = _command_rows(folder / "commands.csv", design)
-    exposed = csv_and_parquet_tables.read_csv_table(folder / "frames.csv", ("frame", "t", "camera", "image"))
+    exposed = csv_and_parquet_tables_and_time_origin.read_csv_table(
+        folder / "frames.csv", ("frame", "t", "camera", "image")
+    )
     origin = _origin(exposed if commanded is None else commanded)
     exposures, skipped = load_exposures(folder, design, exposed, origin, skip_unreadable)
     commands = None if commanded is None else _commands(commanded, design, exposures, origin)
@@ -228,7 +238,10 @@ def load_wanted_poses(path: str | Path) -> WantedPoses:
     """Load WantedPoses from a table frame,x,y,z,rx,ry,rz with or without t. Raises FileError.
     Raises FileError with line and column.
     """
-    poses, rows = load_poses(path, are_commands=True), csv_and_parquet_tables.read_csv_table(path, ("frame",))
+    poses, rows = (
+        load_poses(path, are_commands=True),
+        csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame",)),
+    )
     if "t" not in rows.columns:
         return WantedPoses(poses, None, TimeOrigin())
     origin = _origin(rows)
@@ -237,7 +250,7 @@ def load_wanted_poses(path: str | Path) -> WantedPoses:
 
 def load_sensors(path: str | Path, origin: TimeOrigin) -> Sensors:
     """Load Sensors from a sensors.csv, times relative to an TimeOrigin. Raises FileError with line and column."""
-    return _sensor_rows(csv_and_parquet_tables.read_csv_table(path, ("t",)), origin)
+    return _sensor_rows(csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("t",)), origin)
 
 
 def _origin(rows: Table) -> TimeOrigin:
@@ -251,7 +264,7 @@ def _command_rows(path: Path, design: Design) -> Table | None:
         return None
     if not design.mechanism.axes:
         raise FileError(path, 'accompanies a mechanism of kind "free", which cannot be commanded')
-    return csv_and_parquet_tables.read_csv_table(path, ("t", *design.mechanism.axes))
+    return csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("t", *design.mechanism.axes))
 
 
 def _commands(rows: Table, design: Design, exposures: Exposures, origin: TimeOrigin) -> Commands:
@@ -300,7 +313,7 @@ def _increasing(rows: Table, origin: TimeOrigin) -> Floats:
 def _sensors(path: Path, origin: TimeOrigin, exposures: Exposures) -> Sensors | None:
     if not local_and_remote_input_files.exists(path):
         return None
-    rows = csv_and_parquet_tables.read_csv_table(path, ("t",))
+    rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("t",))
     sensors = _sensor_rows(rows, origin)
     if not all(LIMB.fullmatch(name) for name in sensors.channels):
         _covers(rows, sensors.t, exposures, origin)
@@ -334,3 +347,19 @@ def _covers(rows: Table, t: Floats, exposures: Exposures, origin: TimeOrigin) ->
                 row,
                 "t",
             )
+
+
+def copy_frames_commands_and_sensors(source: Path, target: Path, exposures: Exposures, origin: TimeOrigin) -> None:
+    """Copy frames.csv (without image names), commands.csv and sensors.csv from one folder to another.
+
+    origin : TimeOrigin that the folder's times are told by
+    """
+    lines = ["frame,t,camera,image"]
+    lines += [
+        f"{frame},{origin.text(t)},{camera},"
+        for frame, t, camera in zip(exposures.frame, exposures.t, exposures.camera)
+    ]
+    write_text(Path(target) / "frames.csv", "\n".join(lines) + "\n")
+    for name in ("commands.csv", "sensors.csv"):
+        if local_and_remote_input_files.exists(Path(source) / name):
+            write_bytes(Path(target) / name, read_bytes(Path(source) / name))

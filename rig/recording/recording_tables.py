@@ -1,4 +1,4 @@
-"""Tables of a recording's corners, poses and configurations (CSV), loaded with checks and written."""
+"""Tables of a recording: exposures, corners, poses and configurations (CSV), loaded with checks and written."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,15 +10,131 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError
-from rig.formats import csv_and_parquet_tables, local_and_remote_input_files
+from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
 from rig.formats.checked_entries import LARGEST_RIG
-from rig.formats.csv_and_parquet_tables import Table
-from rig.formats.local_and_remote_input_files import read_bytes
-from rig.formats.output_files import write_bytes, write_text
-from rig.model.design import Design, Instrument
+from rig.formats.csv_and_parquet_tables_and_time_origin import Table, TimeOrigin
+from rig.formats.output_files import write_text
+from rig.model.design import Camera, Design, Instrument
 from rig.model.pose import TRIANGLE, angle_sigmas, covariance_from_triangle, pose, pose_to_vector, roll_pitch_yaw
-from rig.recording.exposures_and_images import Exposures
-from rig.recording.time_origin import TimeOrigin
+from rig.recording.image_file_check_and_reading import (
+    UnreadableImage,
+    image_file_problem,
+    image_path_problem,
+    undecodable_image_problem,
+    unusable_images_error,
+)
+
+SIMULTANEOUS = 1e-3  # s; exposures of one frame that differ by more were not exposed together
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exposures:
+    """One row per exposure. frame : (n,) int; t : (n,) s; camera, image : n names ("" where there is none)."""
+
+    frame: Integers
+    t: Floats
+    camera: list[str]
+    image: list[str]
+
+    def times(self) -> tuple[Integers, Floats]:
+        """(frames, t) : the distinct frames in order and their times (s)."""
+        frames, first = np.unique(self.frame, return_index=True)
+        return frames, self.t[first]
+
+
+def undecodable_images(folder: Path, exposures: Exposures) -> list[UnreadableImage]:
+    """Images of exposures that cannot be decoded."""
+    found = []
+    for frame, camera, name in zip(exposures.frame.tolist(), exposures.camera, exposures.image):
+        problem = undecodable_image_problem(folder / name) if name else None
+        if problem:
+            found.append(UnreadableImage(frame, camera, folder / name, problem))
+    return found
+
+
+def load_exposures(
+    folder: Path, design: Design, table: Table, origin: TimeOrigin, skip_unreadable: bool = False
+) -> tuple[Exposures, list[UnreadableImage]]:
+    """Load (Exposures, [UnreadableImage]) from the rows of a frames.csv.
+    skip_unreadable : whether images that cannot be used are left out, which takes decoding every one; else they are
+        errors,
+    all of them named in one. Raises FileError with line and column. every one; else they are errors, all of them
+    named in one. Raises FileError with line and
+    column.
+    """
+    written = table.text("t")
+    frame, t, camera, image = table.whole("frame"), table.times("t", origin), table.text("camera"), table.text("image")
+    cameras = {c.name: c for c in design.cameras}
+    seen: dict[Any, Any] = {}
+    start: dict[Any, Any] = {}
+    last = (-1, -np.inf, "")
+    for i in range(len(table)):
+        if camera[i] and camera[i] not in cameras:
+            table.fail(
+                f"unknown camera {camera[i]!r}; rig.toml has {', '.join(map(repr, cameras)) or 'none'}",
+                i,
+                "camera",
+                camera[i],
+            )
+        if image[i] and not camera[i]:
+            table.fail(f"image {image[i]!r} without a camera", i, "camera")
+        if (frame[i], camera[i]) in seen:
+            table.fail(
+                f"frame {frame[i]} of camera {camera[i]!r} is listed twice, first in line {seen[frame[i], camera[i]]}",
+                i,
+                "frame",
+            )
+        seen[frame[i], camera[i]] = table.lines[i]
+        if frame[i] in start:
+            if abs(t[i] - start[frame[i]]) > SIMULTANEOUS:
+                table.fail(
+                    f"frame {frame[i]} at t = {written[i]} s, but its first exposure was at "
+                    f"{origin.text(start[frame[i]])} s: "
+                    "exposures of one frame are simultaneous",
+                    i,
+                    "t",
+                    written[i],
+                )
+            continue
+        if frame[i] < last[0]:
+            table.fail(f"frame {frame[i]} follows frame {last[0]}: frames must come in order", i, "frame", frame[i])
+        if t[i] < last[1]:
+            table.fail(f"time runs backwards: t = {written[i]} s follows {last[2]} s", i, "t", written[i])
+        start[frame[i]], last = t[i], (frame[i], t[i], written[i])
+    looked_at = (
+        _unusable(folder, image[i], frame[i], cameras[camera[i]], table.lines[i], skip_unreadable)
+        for i in range(len(table))
+        if image[i]
+    )
+    bad = [found for found in looked_at if found]
+    if bad and (not skip_unreadable or len(bad) == sum(map(bool, image))):
+        raise unusable_images_error(bad)
+    out = {(b.frame, b.camera) for b in bad}
+    return Exposures(
+        frame, t, camera, ["" if (f, c) in out else name for f, c, name in zip(frame.tolist(), camera, image)]
+    ), bad
+
+
+def _unusable(folder: Path, name: str, frame: int, camera: Camera, line: int, decode: bool) -> UnreadableImage | None:
+    """UnreadableImage of an image named in a line of frames.csv, or None. decode : whether it is decoded too"""
+    look = _listed if local_and_remote_input_files.is_remote(folder) else image_file_problem
+    problem = (
+        image_path_problem(folder, name)
+        or look(folder / name, camera)
+        or (undecodable_image_problem(folder / name) if decode else None)
+    )
+    if problem is None:
+        return None
+    return UnreadableImage(int(frame), camera.name, folder / name, f"{problem} (frames.csv, line {line})")
+
+
+def _listed(path: Path, _: Camera) -> str | None:
+    """What is wrong with an image behind a URL, as far as its folder's listing tells; the rest is seen when it is
+    fetched to be measured.
+    """
+    size = local_and_remote_input_files.file_size(path)
+    return "no such image" if size is None else "is an empty file" if not size else None
+
 
 POSE_COLUMNS = ("x", "y", "z", "rx", "ry", "rz")
 DISTANCE = "distance"  # column of a drawn wire's length, m
@@ -56,7 +172,7 @@ def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | 
     """
     if not local_and_remote_input_files.exists(path):
         return None
-    rows = csv_and_parquet_tables.read_csv_table(path, CORNER_COLUMNS, ("sigma", *CORNER_COVARIANCE))
+    rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, CORNER_COLUMNS, ("sigma", *CORNER_COVARIANCE))
     frame, marker, corner, camera = rows.whole("frame"), rows.whole("marker"), rows.whole("corner"), rows.text("camera")
     uv = rows.matrix(("u", "v"))
     cameras = {c.name for c in design.cameras}
@@ -133,7 +249,7 @@ def load_poses(
     machine has no freedom
     Raises FileError with line and column.
     """
-    rows = csv_and_parquet_tables.read_csv_table(
+    rows = csv_and_parquet_tables_and_time_origin.read_csv_table(
         path, ("frame", *POSE_COLUMNS[: 3 if positions_only else 6]), COVARIANCE_COLUMNS
     )
     frame = _frames(rows, known_frames)
@@ -154,7 +270,7 @@ def load_instrument_poses(path: Path, known_frames: set[int], instrument: Instru
     if kind == "pose":
         return load_poses(path, known_frames, instrument is not None and instrument.rotation_sigma is None)
     columns = POSE_COLUMNS[3:] if kind == "orientation" else (DISTANCE,)
-    rows = csv_and_parquet_tables.read_csv_table(path, ("frame", *columns))
+    rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", *columns))
     frame, values = _frames(rows, known_frames), rows.matrix(columns)
     nothing = np.zeros((len(rows), 3))
     if kind == "orientation":
@@ -277,19 +393,3 @@ def write_corners(path: Path, corners: Corners) -> None:
         (uu, uv), (_, vv) = np.moveaxis(c.covariance, 0, -1)
         columns += [column.tolist() for column in (np.sqrt((uu + vv) / 2), uu, uv, vv)]
     write_table(path, header, (form % row for row in zip(*columns)))
-
-
-def copy_frames_commands_and_sensors(source: Path, target: Path, exposures: Exposures, origin: TimeOrigin) -> None:
-    """Copy frames.csv (without image names), commands.csv and sensors.csv from one folder to another.
-
-    origin : TimeOrigin that the folder's times are told by
-    """
-    lines = ["frame,t,camera,image"]
-    lines += [
-        f"{frame},{origin.text(t)},{camera},"
-        for frame, t, camera in zip(exposures.frame, exposures.t, exposures.camera)
-    ]
-    write_text(Path(target) / "frames.csv", "\n".join(lines) + "\n")
-    for name in ("commands.csv", "sensors.csv"):
-        if local_and_remote_input_files.exists(Path(source) / name):
-            write_bytes(Path(target) / name, read_bytes(Path(source) / name))

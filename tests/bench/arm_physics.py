@@ -19,7 +19,7 @@ from calib.files.calibration_provenance_and_used_frames import calibration_with_
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import arm_workspace_claim, certify_arm
 from calib.models.wanted_pose_commands import commands_along_route
-from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import sample_recording
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.formats.rig_toml import design_file

@@ -19,14 +19,14 @@ from rig.model.design import Marker, Sensor, Target
 from rig.model.pose import pose, pose_difference
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
-from rig.recording.exposures_and_images import read_image
+from rig.recording.image_file_check_and_reading import read_image
 from tests.bench import corner_bound
 from tests.cli import RIG
 from tests.conftest import SHARED
 from tests.vision.drawn_observations import nees, scene
 from vision.corners.marker_detection import detect_markers
+from vision.predict import marker_map
 from vision.recording_adjustment import measure_observations
-from vision.targets import marker_map
 
 INSIDE = {2: 5.991, 6: 12.592}  # chi-square that 95 % stay below
 RECORDINGS, FRAMES = 32, 24

@@ -118,8 +118,7 @@ def _rendered(design, rng):
     from synthetic import rig_meshes
     from synthetic.ideal_image_renderer import SAMPLES, Renderer
     from synthetic.image_sensor_and_occlusion import expose_image
-    from vision.predict import markers_expected_in_image
-    from vision.targets import marker_map
+    from vision.predict import marker_map, markers_expected_in_image
 
     renderer, markers, out = Renderer(rig_meshes.rig_parts(design), design), marker_map(design), {}
     scenes = []
@@ -178,7 +177,7 @@ def _main(reach):
 
     edge_pixels.REACH = reach
     from vision.corners import edge_spread as spread
-    from vision.targets import marker_map
+    from vision.predict import marker_map
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from calib.diagnosis.effect_signal import platform_effect_signal_to_noise
-from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report, write_diagnosis_folder
-from calib.samples.recording_samples import Sampled, sample_recording
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report, write_diagnosis_folder
+from calib.samples.pose_samples import Sampled, sample_recording
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
@@ -25,8 +25,7 @@ from tests.calib.diagnose_recording import diagnosis_of
 from tests.vision.drawn_observations import nees
 from tests.vision.test_recording_adjustment import joint_chi2
 from vision.corner_observations import Observations
-from vision.predict import Sightings, State, predict_sightings
-from vision.targets import marker_map
+from vision.predict import Sightings, State, marker_map, predict_sightings
 
 SEEDS = {"nothing": 7001, "one": 7302}  # by what is hidden
 RECORDINGS = {"nothing": 24, "one": 36}

@@ -26,14 +26,13 @@ from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_ad
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.marker_displacements import compare_stated_and_adjusted_places
 from vision.bundle.unknown_priors import adjustment_unknowns
-from vision.bundle.unknowns_and_estimate import offset_from_stated, update_estimate
+from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated, update_estimate
 from vision.corner_observations import observations_from_corners, whitener_of_observations
 from vision.corners.marker_detection import detect_markers
 from vision.lenses import calibration_board as boards
 from vision.lenses.lens_calibration import calibrate_lens, cross_validate_lens, observations_from_board_views
-from vision.predict import State, predict_corners
+from vision.predict import MarkerMap, State, marker_map, predict_corners
 from vision.recording_adjustment import measure_observations
-from vision.targets import MarkerMap, marker_map
 
 BOARD = "charuco:5x7:0.036195:0.018256:DICT_6X6_250"
 FEW = 3  # frames that SciPy, with differences for derivatives, is asked to adjust

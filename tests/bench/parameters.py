@@ -12,21 +12,16 @@ from scipy.optimize import least_squares
 
 from calib.certification import measuring_limb_calibration_and_slips
 from calib.correction import joint_camera_fit
-from calib.models.platform.identification import (
-    PRIOR,
-    geometric_parameters,
-    identify_platform,
-    mechanism_with_parameters,
-    pose_parameter_jacobian,
-)
+from calib.models.platform.identification import PRIOR, identify_platform, pose_parameter_jacobian
 from calib.models.platform.optimal_configurations import CRITERIA, choose_d_optimal_configurations
 from calib.models.platform.parameter_accuracy import PLAUSIBLE, parameter_combinations
 from calib.online.information_filter import Online
 from calib.online.learners import Drifting, FirstOrder, Forgetting
-from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import sample_recording
 from rig.formats.exporters import geometry_and_camera_files
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, mechanism_with_parameters
 from rig.model.pose import exp, pose_difference
 from rig.planning import configuration_sets, plan
 from rig.planning.layout import hexapod_layout_and_camera_placement

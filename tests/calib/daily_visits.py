@@ -7,7 +7,7 @@ import numpy as np
 from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.correction.correction import calibrate_correction
 from calib.drift.visit_configurations import choose_visit_configurations
-from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import sample_recording
 from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.planning import plan
 from rig.recording import recording_folder

@@ -2,7 +2,7 @@
 
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.diagnosis.report.diagnosis_page import arm_or_platform_page_view, diagnosis_page
-from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 
 
 def diagnosis_of(recording, only=None, without=(), **options):

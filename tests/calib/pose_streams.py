@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
 from calib.online.information_filter import Online
 from rig.model.mechanisms import hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, mechanism_with_parameters
 from rig.model.pose import exp
 from rig.planning.configuration_sets import sobol_configurations
 from synthetic import secret_machine

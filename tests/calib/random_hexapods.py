@@ -3,9 +3,9 @@
 import numpy as np
 
 from calib.models.platform import closed_loop_equations
-from calib.models.platform.identification import geometric_parameters
 from rig.model.design import Hexapod
 from rig.model.mechanisms import hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.model.pose import exp, pose
 
 REGULAR = 50.0  # greatest condition number of the struts' Jacobian, lengths over the platform's radius

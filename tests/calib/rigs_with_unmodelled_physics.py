@@ -11,7 +11,7 @@ from calib.certification.platform_certification import Certified
 from calib.correction.correction import calibrate_correction
 from calib.diagnosis.findings_refit import findings_of_diagnosis, refit_platform_with_findings
 from calib.models.wanted_pose_commands import commands_along_route, pace_with_hold_times
-from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES
 from rig.model import mechanisms, motion_simulation

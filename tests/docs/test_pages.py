@@ -17,9 +17,9 @@ import pytest
 
 from docs.make import commands, messages, rig_toml, tables
 from rig.cli.command_line import COMMANDS
-from rig.cli.shared.argument_parser import add_common_options
+from rig.cli.shared.argument_parser_and_common_options import add_common_options
 from rig.errors import FileError
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Mechanism
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 from rig.recording.recording_folder import load_recording
 from tests.docs import told
 

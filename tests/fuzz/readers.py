@@ -21,7 +21,7 @@ from rig.effects.texts.effect_text_and_dict import (
     require_known_effect,
 )
 from rig.errors import RigError
-from rig.formats import csv_and_parquet_tables, importers
+from rig.formats import csv_and_parquet_tables_and_time_origin, importers
 from rig.formats.importers import image_file_frames as frames
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.rig_toml import design_file
@@ -29,9 +29,8 @@ from rig.model.pose import TRIANGLE
 from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
-from rig.recording.exposures_and_images import load_exposures
-from rig.recording.image_file_check import image_file_problem
-from rig.recording.recording_tables import COVARIANCE_COLUMNS, load_corners, load_poses
+from rig.recording.image_file_check_and_reading import image_file_problem
+from rig.recording.recording_tables import COVARIANCE_COLUMNS, load_corners, load_exposures, load_poses
 from synthetic import diagnosis_score, recording_simulation, secret_machine
 from synthetic.blind_campaign import Campaign, case_numbers
 from tests.fuzz.laws import laws
@@ -71,7 +70,7 @@ def _files(folder, design, held):
         return ((folder / name).read_bytes(),)
 
     def frames(path):
-        rows = csv_and_parquet_tables.read_csv_table(path, ("frame", "t", "camera", "image"))
+        rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", "t", "camera", "image"))
         return load_exposures(folder, design, rows, recording_folder._origin(rows))
 
     def commands(path):

@@ -17,8 +17,8 @@ from rig.recording import recording_folder
 from synthetic import ideal_image_renderer, image_simulation, recording_simulation, rig_meshes, secret_machine
 from synthetic.image_sensor_and_occlusion import is_occluded
 from tests.conftest import SHARED
+from vision.predict import marker_map
 from vision.reading.recording_corners import collect_corners
-from vision.targets import marker_map
 
 
 @pytest.fixture(scope="module")

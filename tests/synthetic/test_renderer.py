@@ -19,8 +19,7 @@ from synthetic.image_sensor_and_occlusion import expose_image
 from tests.synthetic.corners_by_edge_lines import edge_corners
 from vision.corners.marker_detection import fit_read_markers
 from vision.corners.whole_image_marker_reader import ReadMarkers
-from vision.predict import State, markers_facing_cameras, predict_sightings
-from vision.targets import marker_map
+from vision.predict import State, marker_map, markers_facing_cameras, predict_sightings
 
 
 def wall(design, tilt, distortion, size=0.11):

@@ -18,8 +18,7 @@ from rig.model.pose import exp
 from rig.planning import plan
 from synthetic import recording_simulation, secret_machine
 from vision import lens
-from vision.predict import State, is_inside_image, markers_facing_cameras, predict_sightings
-from vision.targets import marker_map
+from vision.predict import State, is_inside_image, marker_map, markers_facing_cameras, predict_sightings
 
 EFFECTS = [
     "scale_error:strut3:scale=2e-4",

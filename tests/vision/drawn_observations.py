@@ -7,7 +7,7 @@ import numpy as np
 from rig.planning import configuration_sets, plan
 from synthetic import recording_simulation, secret_machine
 from vision.corner_observations import observations_from_corners
-from vision.targets import marker_map
+from vision.predict import marker_map
 
 
 def scene(design, seed, frames=12, noise=0.04, size=1.0, spoil=None):

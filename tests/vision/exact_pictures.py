@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 
 from rig.model.design import Camera
 from rig.model.pose import pose
-from vision.targets import marker_cells
+from vision.predict import marker_cells
 
 SIZE = 180
 

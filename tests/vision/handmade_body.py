@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model.design import FACES, Actuator, Camera, Design, Free, Marker, Platform, Target
+from rig.model.design import FACES, Actuator, Camera, Design, Free, Marker, Platform, Target, face_pose
 from rig.model.pose import exp, pose
 from rig.recording.recording_folder import Corners
-from vision.predict import State, markers_facing_cameras, predict_sightings
-from vision.targets import face_pose, marker_map
+from vision.predict import State, marker_map, markers_facing_cameras, predict_sightings
 
 EDGE, SIDE, WHITE = 0.12, 0.03, 0.004  # m
 ON_A_FACE = ((-0.036, 0.03), (0.036, 0.03), (0.0, -0.034))  # m

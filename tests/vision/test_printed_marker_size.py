@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from rig.cli.command_line import main
-from rig.recording.image_file_check import PNG
-from vision.targets import marker_cells
+from rig.recording.image_file_check_and_reading import PNG
+from vision.predict import marker_cells
 
 PIXEL, WIDTH, HEIGHT = 5.0, 210.0, 297.0  # px per mm of the flat drawing; mm
 RIG = """schema = "rig/1"

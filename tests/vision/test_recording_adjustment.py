@@ -9,8 +9,8 @@ from rig.errors import NotEnoughData
 from rig.model.pose import exp, pose_difference
 from tests.vision.drawn_observations import known, nees, scene, standing
 from vision.corner_observations import corner_correlation_rows, whitener_of_observations
+from vision.predict import marker_map
 from vision.recording_adjustment import measure_observations
-from vision.targets import marker_map
 
 
 def joint_chi2(m, errors):

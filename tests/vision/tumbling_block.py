@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model.design import Actuator, Camera, Design, Free, Marker, Platform, Target
+from rig.model.design import Actuator, Camera, Design, Free, Marker, Platform, Target, face_pose
 from rig.model.pose import exp, pose
 from rig.recording.recording_folder import Corners
 from vision.corner_observations import observations_from_corners
-from vision.predict import State, is_inside_image, markers_facing_cameras, predict_sightings
-from vision.targets import face_pose, marker_map
+from vision.predict import State, is_inside_image, marker_map, markers_facing_cameras, predict_sightings
 
 
 def design():

@@ -8,9 +8,9 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from vision.bundle.bundle_adjustment import Adjustment
-from vision.bundle.normal_equations import linearise, normal_equations, schur_complement
+from vision.bundle.normal_equations_and_corner_jacobians import linearise, normal_equations, schur_complement
 from vision.bundle.unknown_priors import POSE_SIGMA, adjustment_unknowns
-from vision.bundle.unknowns_and_estimate import Unknowns, offset_from_stated
+from vision.bundle.unknowns_estimate_and_printing_errors import Unknowns, offset_from_stated
 from vision.corner_observations import Observations, observations_of_frames, whitener_of_observations
 
 FOLDS = 10

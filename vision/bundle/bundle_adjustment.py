@@ -14,12 +14,18 @@ import numpy as np
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera
-from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, schur_complement, solve_step
-from vision.bundle.printing_errors import Printing
+from vision.bundle.normal_equations_and_corner_jacobians import (
+    linearise,
+    normal_equations,
+    predicted_decrease,
+    schur_complement,
+    solve_step,
+)
 from vision.bundle.unknown_priors import adjustment_unknowns, stated_lens_prior_sigmas
-from vision.bundle.unknowns_and_estimate import (
+from vision.bundle.unknowns_estimate_and_printing_errors import (
     POSE_SCALE,
     Estimate,
+    Printing,
     UnknownName,
     Unknowns,
     align_with_datums,

@@ -12,9 +12,14 @@ from rig.model.design import Marker
 from rig.model.places_and_tolerances import Place
 from rig.model.pose import log
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
-from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, solve_step
+from vision.bundle.normal_equations_and_corner_jacobians import (
+    linearise,
+    normal_equations,
+    predicted_decrease,
+    solve_step,
+)
 from vision.bundle.unknown_priors import adjustment_unknowns
-from vision.bundle.unknowns_and_estimate import offset_from_stated
+from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated
 from vision.corner_observations import Observations, whitener_of_observations
 from vision.pose.pose_refinement_and_ambiguity import (
     MOST,
@@ -22,8 +27,7 @@ from vision.pose.pose_refinement_and_ambiguity import (
     pose_from_neighbours,
     rotation_angle,
 )
-from vision.predict import State, predict_corners
-from vision.targets import MarkerMap
+from vision.predict import MarkerMap, State, predict_corners
 
 HALVED = 0.5  # of the corners' scatter; stated places are doubted where markers that may move leave less than this
 PROOF = 0.999  # probability with which an unmoved marker stays unmentioned

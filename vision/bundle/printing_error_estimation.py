@@ -13,11 +13,16 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from rig.array_and_json_types import Floats
 from rig.compute.parallel_map_and_dask_cluster import thread_map
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
-from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, schur_complement, solve_step
-from vision.bundle.printing_errors import KINDS, NAMES, Printing
+from vision.bundle.normal_equations_and_corner_jacobians import (
+    linearise,
+    normal_equations,
+    predicted_decrease,
+    schur_complement,
+    solve_step,
+)
 from vision.bundle.robust_adjustment import RobustAdjustment, inflate_repeated_corner_covariance, is_within_gate
 from vision.bundle.unknown_priors import adjustment_unknowns
-from vision.bundle.unknowns_and_estimate import offset_from_stated
+from vision.bundle.unknowns_estimate_and_printing_errors import KINDS, NAMES, Printing, offset_from_stated
 from vision.corner_observations import (
     Observations,
     find_repeated_base_corners,

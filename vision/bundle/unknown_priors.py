@@ -14,10 +14,14 @@ from rig.model.design import Camera
 from rig.model.places_and_tolerances import SIDES, Place
 from rig.model.pose import skew
 from vision import lens
-from vision.bundle.printing_errors import NAMES, NONE, SIDE, Printing, Prints
-from vision.bundle.unknowns_and_estimate import (
+from vision.bundle.unknowns_estimate_and_printing_errors import (
+    NAMES,
+    NONE,
     POSE_SCALE,
+    SIDE,
     Estimate,
+    Printing,
+    Prints,
     UnknownName,
     Unknowns,
     do_cameras_hold_base,
@@ -25,8 +29,7 @@ from vision.bundle.unknowns_and_estimate import (
     target_motion_from_stated,
 )
 from vision.corner_observations import Observations
-from vision.predict import State
-from vision.targets import MarkerMap
+from vision.predict import MarkerMap, State
 
 GROUPS = ("poses", "lenses", "markers", "targets")
 # What a stated lens is worth: standard deviations of its terms. Wide enough to leave to the images all that they can

@@ -11,12 +11,12 @@ from rig.checks import Mistake
 from rig.errors import FileError
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
-from vision.checks.corner_convention_trials import FRAMES
+from vision.checks.corner_and_lens_convention_trials import FRAMES
 from vision.corners.marker_detection import Detection, detect_markers
 from vision.corners.whole_image_marker_reader import opencv_detector
+from vision.predict import MarkerMap, marker_map
 from vision.reading.parallel_image_map_and_marker_rendering import map_images_in_threads
 from vision.reading.recording_corners import image_reader
-from vision.targets import MarkerMap, marker_map
 
 FAMILIES = (
     "DICT_4X4_1000",

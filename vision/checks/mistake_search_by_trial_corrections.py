@@ -9,17 +9,15 @@ import scipy
 from scipy.spatial.transform import RigidTransform
 
 from rig.checks import Mistake, command_and_pose_disagreements, sort_mistakes
-from rig.model.chebyshev_warp_and_printed_edge_shift import move_edges_inward
-from rig.model.design import Camera, Design
+from rig.model.design import Camera, Design, move_edges_inward
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from vision.checks import camera_mistakes_in_rig_toml as cameras
-from vision.checks import corner_convention_trials as order
+from vision.checks import corner_and_lens_convention_trials as conventions
 from vision.checks import target_mistakes_in_rig_toml as targets
-from vision.checks.corner_convention_trials import LOST, SampledRecording, Trial, measure_trial, sample_frames
-from vision.hand_cameras_stages_and_remounted_cubes import has_hand_cameras, recording_seen_from_hand
+from vision.checks.corner_and_lens_convention_trials import LOST, SampledRecording, Trial, measure_trial, sample_frames
 from vision.lenses.lens_calibration import alternative_initial_lenses, are_lenses_plausible
-from vision.recording_adjustment import Measurement
+from vision.recording_adjustment import Measurement, has_hand_cameras, recording_seen_from_hand
 
 FINE = 0.3  # px; a misfit below it is noise and what calibration takes up
 GROSS = 2.0  # px; a misfit beyond it is no matter of sizes and lenses alone
@@ -134,7 +132,7 @@ def _stands(stated: SampledRecording, other: Trial) -> bool:
         return True
     ones = list(zip(stated.design.cameras, other.seen.design.cameras, other.measured.design.cameras))
     return all(
-        cameras.is_same_lens(meant, adjusted) or (other.misfit < DONE and cameras.is_same_lens(was, meant))
+        conventions.is_same_lens(meant, adjusted) or (other.misfit < DONE and conventions.is_same_lens(was, meant))
         for was, meant, adjusted in ones
     )
 
@@ -158,13 +156,13 @@ def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
     if not are_lenses_plausible(adjusted, stated):
         return None
     tail = f"corners lie {first.misfit:.3g} px RMS from their expected positions as it stands, {best.misfit:.3g} px"
-    read = cameras.find_matching_lens_convention(first.seen, adjusted)
+    read = conventions.find_matching_lens_convention(first.seen, adjusted)
     if read is not None:
         what, do, other = read
         return [Mistake(f"{what}: {tail} so", do, True, LIKELY * (1 - best.misfit / first.misfit))], measure_trial(
             other
         )
-    off = [s.name for s, a in zip(stated, adjusted) if not cameras.is_same_lens(s, a)]
+    off = [s.name for s, a in zip(stated, adjusted) if not conventions.is_same_lens(s, a)]
     if first.misfit < GROSS or not off:
         return [], best
     return [
@@ -240,14 +238,14 @@ def _tried(first: Trial, most: int) -> tuple[list[tuple[str, str, Trial]], bool]
     """
     seen = first.seen
     stated = not any(target.body == "base" for target in seen.design.targets)
-    makers: list[Maker] = [cameras.alternative_lens_trials]
+    makers: list[Maker] = [conventions.alternative_lens_trials]
     if first.misfit > GROSS:
         makers = [
-            order.all_camera_corner_corrections,
+            conventions.all_camera_corner_corrections,
             cameras.exchanged_camera_trials,
             targets.exchanged_target_trials,
-            cameras.alternative_lens_trials,
-            order.single_camera_corner_corrections,
+            conventions.alternative_lens_trials,
+            conventions.single_camera_corner_corrections,
             *([cameras.alternative_camera_pose_trials] if stated else []),
         ]
     wrong = targets.suspicious_targets(first) if first.misfit > GROSS else []
@@ -349,20 +347,20 @@ def _lens(m: Measurement, design: Design) -> list[Mistake]:
     ones = list(zip(design.cameras, m.design.cameras))
     if not all(
         any(
-            cameras.is_same_lens(way, seen)
-            for way in (stated, *(other for *_, other in cameras.alternative_distortion_conventions(stated)))
+            conventions.is_same_lens(way, seen)
+            for way in (stated, *(other for *_, other in conventions.alternative_distortion_conventions(stated)))
         )
         for stated, seen in ones
     ):
         return []  # lenses of which nothing was known: one of them resembles a term exchanged by chance
     for stated, seen in ones:
-        off = cameras.distortion_difference(stated, seen)
+        off = conventions.distortion_difference(stated, seen)
         ways = {
-            (what, do): cameras.distortion_difference(other, seen)
-            for what, do, other in cameras.alternative_distortion_conventions(stated)
+            (what, do): conventions.distortion_difference(other, seen)
+            for what, do, other in conventions.alternative_distortion_conventions(stated)
         }
         named = min(ways, key=lambda way: ways[way], default=None)
-        if off > BENT and named is not None and ways[named] < min(SAME * off, cameras.ALIKE[2]):
+        if off > BENT and named is not None and ways[named] < min(SAME * off, conventions.ALIKE[2]):
             found.setdefault(named, []).append(stated.name)
     return [
         Mistake(

@@ -12,15 +12,14 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.checks.implausible_values_and_image_mistakes import recording_file_mistakes
-from rig.checks.mistake import Mistake
+from rig.checks.mistake_and_clock_mistakes import Mistake
 from rig.errors import RigError
-from rig.model.design import Design, Target
-from rig.model.design_comparison_and_cube_remounting import WORDS, quarter_turns_of_cubes
+from rig.model.design import Design, Target, markers_of_target, quarter_turns_of_cubes
+from rig.model.design_comparison_and_cube_remounting import WORDS
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from vision.checks.mistake_search_by_trial_corrections import find_corner_mistakes
-from vision.predict import markers_expected_in_image
-from vision.targets import MarkerMap, marker_map, markers_of_target
+from vision.predict import MarkerMap, marker_map, markers_expected_in_image
 
 Notice = Callable[[str], None]
 

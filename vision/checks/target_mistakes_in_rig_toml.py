@@ -10,8 +10,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats, Pixels
 from rig.model.design import Camera, Target
-from vision.checks.corner_convention_trials import SampledRecording, Trial
-from vision.targets import SQUARE, marker_map
+from vision.checks.corner_and_lens_convention_trials import SampledRecording, Trial
+from vision.predict import SQUARE, marker_map
 
 Candidate = tuple[str, str, SampledRecording]
 PRINTED = 0.01  # a scale of the print beyond this is a mistake, below it a print_scale (its usual size ends at 0.005)

@@ -15,8 +15,7 @@ from rig.model.design import Camera
 from vision.corners import edge_pixels, local_lens, square_fit, square_gauss_newton, square_sides
 from vision.corners.edge_spread import LEVELS, NO_PROFILE, PLAIN_EDGE_SPREAD, EdgeSpread
 from vision.corners.whole_image_marker_reader import ExcludedMarker, ReadMarkers, opencv_detector, read_markers
-from vision.predict import markers_expected_in_image
-from vision.targets import MarkerMap, marker_cells
+from vision.predict import MarkerMap, marker_cells, markers_expected_in_image
 
 ITERATIONS = 25
 ROOM = 6.0  # px around a marker that its blur may take

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from rig.array_and_json_types import Floats, Integers, Pixels
-from vision.targets import MarkerMap
+from vision.predict import MarkerMap
 
 CELL_PIXELS = 8  # pixels each way that are sampled in a cell
 # of a candidate's perimeter, within which another one is taken for the same marker. OpenCV's 0.125 takes the marker and

@@ -14,7 +14,7 @@ from rig.model.design import DICTIONARIES, Camera
 from vision import lens
 from vision.corners.marker_detection import detect_markers, grey_images_for_reader_and_fit
 from vision.lenses import chessboard_corner
-from vision.targets import SQUARE, MarkerMap
+from vision.predict import SQUARE, MarkerMap
 
 KINDS = {
     "charuco": "charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY (squares; m, m)",

@@ -12,7 +12,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Camera
 from vision import lens
 from vision.pose.pose_refinement_and_ambiguity import AHEAD, GATE, refine_pose
-from vision.targets import SQUARE, MarkerMap
+from vision.predict import SQUARE, MarkerMap
 
 CONSENSUS = 10.0  # px; a corner farther than this from where a candidate puts it speaks against the candidate
 FINEST = 0.02  # px; a robust scale below this is rounding, not noise

@@ -11,16 +11,16 @@ import numpy as np
 
 from rig.compute.parallel_map_and_dask_cluster import path_on_workers
 from rig.model.design import Camera
-from rig.recording.exposures_and_images import read_image
+from rig.recording.image_file_check_and_reading import read_image
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from vision.corners import local_lens
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD
 from vision.corners.marker_detection import Detection, fit_read_markers, grey_images_for_reader_and_fit
 from vision.corners.whole_image_marker_reader import ReadMarkers
+from vision.predict import MarkerMap
 from vision.reading.parallel_image_map_and_marker_rendering import map_images_in_processes
 from vision.reading.recording_corners import Collected, corners_from_detections, group_corners_by_image
-from vision.targets import MarkerMap
 
 SETTLED = 2e-3  # px, by which a lens may bend a marker otherwise than another: that moves corners by a tenth of it
 ROUNDS = 3  # of placing and measuring; a round leaves a few hundredths of what the one before was off by

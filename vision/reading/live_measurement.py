@@ -30,14 +30,12 @@ from vision.corners.marker_detection import (
     fit_read_markers,
     grey_images_for_reader_and_fit,
 )
-from vision.hand_cameras_stages_and_remounted_cubes import design_seen_from_hand, has_hand_cameras
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_and_camera_poses import Views, locate_fixed_cameras, locate_frames
-from vision.predict import State, markers_expected_in_image, predict_corners
+from vision.predict import State, marker_map, markers_expected_in_image, predict_corners
 from vision.reading.corner_refit import ROUNDS, SETTLED, largest_lens_difference
 from vision.reading.recording_corners import corners_from_detections, learn_camera_edge_spread
-from vision.recording_adjustment import Measurement, measure_observations
-from vision.targets import marker_map
+from vision.recording_adjustment import Measurement, design_seen_from_hand, has_hand_cameras, measure_observations
 
 Rows = tuple[tuple[int, str, Detection], ...]  # frame, camera, what its image shows
 Images = tuple[tuple[int, str, Pixels], ...]  # frame, camera, its image
@@ -102,7 +100,7 @@ class _Adjusted:
 
 class Live:
     """The measuring of one run. design : Design as stated, one whose cameras are in the hand as seen from there (see
-    vision.hand_cameras_stages_and_remounted_cubes)
+    vision.recording_measurement)
     cameras : as adjusted so far; noise : px of a corner, None before that."""
 
     def __init__(self, design: Design) -> None:

@@ -14,9 +14,8 @@ import numpy as np
 
 from rig.array_and_json_types import Floats, Integers, Pixels
 from vision.corners.whole_image_marker_reader import opencv_detector
-from vision.predict import Sightings, markers_expected_in_image, markers_facing_cameras, predict_sightings
+from vision.predict import MarkerMap, Sightings, markers_expected_in_image, markers_facing_cameras, predict_sightings
 from vision.recording_adjustment import Measurement
-from vision.targets import MarkerMap
 
 LEAST = 3  # sightings from which anything is said of a marker
 MOSTLY = 0.5  # share of a marker's sightings that are set aside, from which it is reported whatever it looks like

@@ -13,18 +13,17 @@ from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.compute.parallel_map_and_dask_cluster import path_on_workers
 from rig.errors import FileError
 from rig.model.design import Camera, Design
-from rig.recording.exposures_and_images import read_image, undecodable_images, unusable_images_error
+from rig.recording.image_file_check_and_reading import read_image, unusable_images_error
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Corners
+from rig.recording.recording_tables import Corners, undecodable_images
 from vision.corner_observations import corner_correlation_rows
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread, empty_profile, learn_edge_spread
 from vision.corners.marker_detection import Detection, detect_markers, fit_read_markers, grey_images_for_reader_and_fit
 from vision.corners.whole_image_marker_reader import ReadMarkers, read_markers
-from vision.predict import markers_expected_in_image
+from vision.predict import MarkerMap, markers_expected_in_image
 from vision.reading import expected_marker_places
 from vision.reading.parallel_image_map_and_marker_rendering import map_images_in_processes, map_images_in_threads
 from vision.recording_adjustment import Measurement
-from vision.targets import MarkerMap
 
 LEARN_FROM = 12  # images of each camera from which its edge spread is learnt
 ROUNDS = 4  # of fitting and learning; the edges' width and shape settle together

@@ -7,7 +7,7 @@ import numpy as np
 import scipy
 
 from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion, scan_p_value
-from calib.diagnosis.engine.frame_inner_products import (
+from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import (
     SWALLOWED,
     FrameProducts,
     Normal,

@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from calib.identify.robust_fit import MOST
+from calib.identify.least_squares_and_robust_fit import MOST
 from rig.array_and_json_types import Floats
 from rig.model.places_and_tolerances import Place
 

@@ -1,12 +1,22 @@
-"""Diagnosis JSON entries (diagnosis.json, schema diagnosis/1) as dataclasses, for any machine, in SI units, px."""
+"""Diagnosis JSON entries (diagnosis.json, schema diagnosis/1) as dataclasses, in SI units, px, made of a Diagnosis."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any
 
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate
+from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
+from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit, first_of_each_place
 from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import StatedTerms
-from calib.diagnosis.problems.evidence_interface import Value
-from calib.diagnosis.problems.remainder_covariates_and_formulas import Suggestion
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
+    MeasuredFinding,
+    Misfit,
+    ScatterSize,
+    Value,
+)
+from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import Suggestion
+from calib.diagnosis.recording_diagnosis import Diagnosis
+from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_file_from_formula import Written
 from rig.effects.texts.user_effect_file_loading import Plugin
 from rig.recording.recording_folder import RecordingPart
@@ -238,3 +248,115 @@ def kind_of_statement_beforehand(stated_terms: StatedTerms, effect: str, place: 
     r"""Kind of statement made beforehand of an effect at a place: assumed, seen before, or None."""
     site = (effect, place)
     return ASSUMED if site in stated_terms.assumed else SEEN_BEFORE if site in stated_terms.before else None
+
+
+def measured_finding_entry(one: MeasuredFinding) -> FindingEntry:
+    """FindingEntry of what was measured before anything was searched."""
+    return FindingEntry(one.kind.name, one.place, one.parameters, action=one.kind.action_at(one.place))
+
+
+# Any: candidates, of each kind of machine their own
+def finding_entry(d: Diagnosis, finding: Finding[Any], proof: CrossValidation) -> FindingEntry:
+    """FindingEntry of a Finding and how it predicts held-out data."""
+    problem, fit, score = d.selection.problem, d.selection.fit, finding.score
+    candidate = problem.terms(fit)[finding.number]
+    kind, place = candidate.kind, candidate.place
+    parameters = d.evidence.parameters(d.selection, finding, d.origin)
+    evidence = Evidence(
+        score.delta_bic(problem.size(fit)),
+        min(1.0, score.p_value * d.selection.asked),
+        proof.before,
+        proof.after,
+        proof.unit,
+        proof.gain,
+    )
+    others = tuple(
+        AlternativeEntry(
+            other.name,
+            other.place,
+            a.behind,
+            a.cosine,
+            separating_experiment_text((kind, place), (other.kind, other.place)),
+            a.score.node.get("order"),
+        )
+        for a, other in ((a, a.score.candidate) for a in finding.alternatives)
+    )
+    return FindingEntry(
+        candidate.name,
+        place,
+        parameters,
+        evidence,
+        others,
+        kind.action_at(place),
+        kind_of_statement_beforehand(d.options.given, candidate.name, place),
+        unusual_size_reason(kind, place, parameters),
+    )
+
+
+def remark_entries(d: Diagnosis) -> list[RemarkEntry]:
+    """What is there beyond chance and does not matter: what was fitted, what was left, what tolerances were seen to
+    be.
+    """
+    terms, out = d.selection.problem.terms(d.selection.fit), []
+    for f, reason in d.tolerable.findings:
+        out.append(
+            RemarkEntry(
+                terms[f.number].name,
+                terms[f.number].place,
+                d.evidence.parameters(d.selection, f, d.origin),
+                remark_reason_sentence(reason),
+                min(1.0, f.score.p_value * d.selection.asked),
+            )
+        )
+    out += [
+        RemarkEntry(UNKNOWN, str(u.place), _size_of(u), remark_reason_sentence(reason), u.p_value)
+        for u, reason in d.tolerable.left
+    ]
+    return out + [
+        RemarkEntry(r.effect, r.place, r.parameters, remark_reason_sentence(r.reason), r.p_value)
+        for r in d.tolerable.remarks
+    ]
+
+
+def remark_reason_sentence(reason: str) -> str:
+    """Sentence with the reason of a remark."""
+    return f"No more than {reason}."
+
+
+def largest_unexplained(diagnosis: Diagnosis) -> Unexplained | None:
+    """Largest unexplained lack of fit of a Diagnosis, else the scatter of poses beyond their stated noise, or N"""
+    if diagnosis.left:
+        first = diagnosis.left[0]
+        return Unexplained(str(first.place), first.magnitude, first.unit, first.depends_on)
+    if isinstance(diagnosis.evidence, ScatterSize):
+        beyond, unstated = diagnosis.evidence.scatter_beyond_stated(diagnosis.selection)
+        return Unexplained("rig", beyond, "m", ()) if unstated else None
+    return None
+
+
+def unnamed_finding_entries(lacks_of_fit: list[LackOfFit]) -> list[FindingEntry]:
+    """Entries of findings without a name, one for each place with a lack of fit."""
+    return [
+        FindingEntry(UNKNOWN, str(u.place), _size_of(u), Evidence(p_value=u.p_value, delta_chi2=u.delta_chi2))
+        for u in first_of_each_place(lacks_of_fit)
+    ]
+
+
+def _size_of(left: LackOfFit) -> dict[str, Value]:
+    return {"magnitude": Value(left.magnitude, left.unit), "depends_on": Value(list(left.depends_on), "")}
+
+
+def fit_entry(fit: Misfit) -> FitEntry:
+    """FitEntry of a Misfit."""
+    return FitEntry(fit.before, fit.after, fit.floor, fit.unit)
+
+
+def separating_experiment_text(*sites: tuple[type[Effect], str]) -> str:
+    """Text on the experiment that would separate two hypotheses, an effect at a place each."""
+    names, shown = [kind.name for kind, _ in sites], [kind.experiment_at(place) for kind, place in sites]
+    return shown[0] if names[0] == names[1] else "; ".join(f"{name}: {text}" for name, text in zip(names, shown))
+
+
+def unusual_size_reason(kind: type[Effect], place: str, parameters: dict[str, Value]) -> str | None:
+    """Why the size of an effect at a place is hard to believe, or None."""
+    return kind.unusual(place, {key: value.value for key, value in parameters.items()})

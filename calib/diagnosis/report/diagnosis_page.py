@@ -7,20 +7,22 @@ from typing import Protocol
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import report_sentences
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
-from calib.diagnosis.report.report_data_and_verdict import Report, diagnosis_verdict
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report, diagnosis_verdict
+from calib.report.pose_and_effect_figures import effect_sketch
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import (
+from rig.report.pages.image_plane_and_3d_views import view_scripts
+from rig.report.pages.page_templates_and_elements import (
+    Link,
+    Page,
     folding_section_html,
     heading_html,
     note_html,
     paragraph_html,
     table_html,
+    write_page,
 )
-from rig.report.pages.image_plane_and_3d_views import view_scripts
-from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
 from rig.report.pages.plots import panel_row_html
-from vision.frame_and_effect_pictures import effect_sketch
 
 DOTS = (
     "Small dots are residuals, large ones means of equal numbers of them with their 95 % interval. Without "

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
-from calib.report.pose_figures_and_effect_displacements import closed_outline
+from calib.report.pose_and_effect_figures import closed_outline
 from rig.array_and_json_types import Floats
 from rig.model import mechanisms
 from rig.model.design import Camera
@@ -17,9 +17,9 @@ from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import mechanism_chain as chains
 from rig.model.places_and_tolerances import Place
 from rig.model.pose import transform_points
-from rig.report.pages.html_and_svg_elements import WIDTH, list_html, svg_figure, svg_text, svg_tooltip
+from rig.report.pages.page_templates_and_elements import WIDTH, list_html, svg_figure, svg_text, svg_tooltip
 from rig.report.pages.plots import panel_row_html
-from vision.targets import marker_map
+from vision.predict import marker_map
 
 AZIMUTH, ELEVATION = np.radians(-65), np.radians(24)  # from where the rig is looked at
 MARKS = (3, 1, 4, 5, 2, 0)  # colours of the first, second, .. finding

@@ -14,27 +14,23 @@ from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from calib.diagnosis.report.machine_outline import arm_outline_figures, rig_outline_figure
 from calib.diagnosis.report.residual_figures_and_contributions import (
     SAME_ANGLE,
-    held_out_gain_table,
-    position_error_statistics,
-    repeatability_rows,
-    residual_scatter_figure,
-    residuals_in_time_figure,
-)
-from calib.diagnosis.report.residual_plots import (
     effect_residual_figures,
     image_residual_figures,
     model_residuals,
+    position_error_statistics,
+    residual_scatter_figure,
+    residuals_in_time_figure,
     residuals_without_effects,
 )
-from calib.report.pose_figures_and_effect_displacements import FACTORS, effect_displacements, mechanism_scene, rig_scene
+from calib.report.pose_and_effect_figures import FACTORS, effect_displacements, mechanism_scene, rig_scene
 from rig.array_and_json_types import Floats
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.model.places_and_tolerances import Place
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import heading_html, paragraph_html, table_html
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect, view_3d_html
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Shown
+from rig.report.pages.page_templates_and_elements import heading_html, note_html, paragraph_html, table_html
 from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
 
 ARM_PLAYED = 4  # findings that are shown in three dimensions
@@ -315,3 +311,39 @@ def _camera_levels(model: LinearisedModel, before: LinearisedModel) -> tuple[lis
 
 def _rms(values: Floats) -> Floats:
     return np.sqrt((values**2).mean(axis=0))
+
+
+SCALES, UNITS = {"m": 1e6}, {"m": "µm"}  # in which misfits are shown
+
+
+def repeatability_rows(diagnosis: Diagnosis) -> list[tuple[str, object]]:
+    """Table rows [(what, value)] on how well poses repeat; none where too few commands were repeated."""
+    if diagnosis.repeats is None:
+        return []
+    text = f"{diagnosis.repeats.mean * 1e6:.1f} µm ({diagnosis.repeats.pairs} pairs)"
+    return [("repeatability of the same command", text)]
+
+
+def held_out_gain_table(diagnosis: Diagnosis) -> str:
+    """Table of the fall of the held-out misfit by each finding, with stretches of time and regions of each axis' travel
+    held out.
+    """
+    rows, terms = [], diagnosis.selection.problem.terms(diagnosis.selection.fit)
+    for i, finding in enumerate(diagnosis.findings):
+        candidate = terms[finding.number]
+        found = [diagnosis.cross_validations[i], *(row[i] for row in diagnosis.regions)]
+        scale = SCALES.get(found[0].unit, 1.0)
+        rows.append(
+            [
+                f"{candidate.name.replace('_', ' ')} at {candidate.place}",
+                *(f"{(v.before - v.after) * scale:+.{1 if scale > 1 else 4}f}" for v in found),
+            ]
+        )
+    places = [] if diagnosis.design is None else mechanisms.axis_place_texts(diagnosis.design.mechanism)
+    units = " or ".join(dict.fromkeys(UNITS.get(v.unit, v.unit) for v in diagnosis.cross_validations))
+    said = note_html(
+        f"{units}, RMS along one axis, by which held-out data are predicted better with it than without. A curve of "
+        "an axis' own position is undetermined where that axis was never recorded: there, its gain by that axis' own "
+        "regions may be negative."
+    )
+    return table_html(("finding", "held out: time", *places[: len(diagnosis.regions)]), rows) + said

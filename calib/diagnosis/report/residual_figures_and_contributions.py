@@ -1,27 +1,29 @@
-"""Figures of residuals before and after for the report, and the table of what each finding contributes to each pose."""
+"""Figures of residuals before and after for the report, also against the covariate of an effect; position errors, and
+the table of what each finding contributes to each pose.
+"""
 
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from calib.diagnosis.engine.problem_interface import Fit
 from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C
 from calib.diagnosis.engine.term_selection import Selection
-from calib.diagnosis.problems.evidence_interface import (
-    HeldOutPoses,
-    NestedSelection,
-    PoseContributions,
-    RegionValidation,
-    RepeatedCommands,
-    ScatterSize,
-    WeighedPoses,
-)
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import HeldOutPoses, PoseContributions
+from calib.diagnosis.problems.platform.effect_candidates import affects_images_only
+from calib.diagnosis.problems.platform.lack_of_fit import closure_residuals, closures_in_metres
+from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
+from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
+from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import residual_change_column
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.recording_diagnosis import Diagnosis
-from rig.array_and_json_types import Floats, Json
-from rig.model import mechanisms
+from rig.array_and_json_types import Floats, Integers, Json
+from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
 from rig.recording.recording_tables import write_table
-from rig.report.pages.html_and_svg_elements import note_html, svg_figure, svg_text, svg_tooltip, table_html
-from rig.report.pages.plots import COLOURS, Series, panel_row_html, plot_panel_svg
+from rig.report.pages.image_plane_and_3d_views import Arrows, image_plane_figure, patch_means
+from rig.report.pages.page_templates_and_elements import svg_figure, svg_text, svg_tooltip
+from rig.report.pages.plots import COLOURS, Series, bar_chart_svg, panel_row_html, plot_panel_svg
 
 WORST = 24  # poses that are drawn
 ROW, START, END = 16.0, 60.0, 392.0  # units of a figure: of a pose; where bars begin and end
@@ -78,8 +80,6 @@ def _colour(which: int, count: int) -> str:
 
 BINS = 14  # of the covariate, with as many residuals each
 BEFORE, AFTER, GREY = 3, 0, -1  # colours of a figure
-SCALES, UNITS = {"m": 1e6}, {"m": "µm"}  # in which misfits are shown
-SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile
 
 
 def residual_scatter_figure(
@@ -149,63 +149,196 @@ def residuals_in_time_figure(title: str, t: Floats, values: Floats, residual_lab
     return plot_panel_svg(title, ("time, min", residual_label), [Series(t / 60, values, colour=GREY), mean], level=0.0)
 
 
-def held_out_entries(diagnosis: Diagnosis) -> Json:
-    """Entries of diagnosis.json {key: tree} on held-out data: time stretches, travel regions and repeats."""
-    out: Json = {}
-    if isinstance(diagnosis.evidence, ScatterSize):
-        out["scatter_beyond_stated_m"] = diagnosis.evidence.scatter_beyond_stated(diagnosis.selection)[0]
-    if isinstance(diagnosis.evidence, NestedSelection):
-        out["held_out"] = [
-            {
-                "stretches": h.stretches,
-                "before": position_error_statistics(h.before),
-                "after": position_error_statistics(h.after),
-                **errors_at_and_beyond_fitted_angles(h),
-                "chosen": [list(n) for n in h.names],
-            }
-            for h in diagnosis.held
-        ]
-    if isinstance(diagnosis.evidence, RegionValidation):
-        out["held_out_by_region"] = held_out_region_gains(diagnosis)
-    if isinstance(diagnosis.evidence, RepeatedCommands):
-        out["repeats"] = repeatability_entry(diagnosis)
-    if isinstance(diagnosis.evidence, WeighedPoses):
-        out["set_aside"] = diagnosis.evidence.frames_set_aside(diagnosis.selection)
+CELLS = 14  # of a residual map, across the image
+
+
+def residuals_without_effects(refinement: Refinement, omitted_effects: tuple[int, ...] = ()) -> tuple[Floats, Floats]:
+    """(closures (F, axes) m, corners (n, 2) px) residuals without some admitted effects."""
+    model, k = refinement.model, refinement.point
+    kept = [e for i, e in enumerate(k.effects) if i not in set(omitted_effects)]
+    if len(kept) == len(k.effects):
+        return model_residuals(model)
+    done = residual_change_column(model, kept)
+    taken = model.linear.project(done).onto
+    grown = [
+        (0 if part is None else part[:, 0]) - (cast(Floats, basis) @ taken)[:, 0]
+        for part, basis in zip(done.parts, model.linear.columns.parts)
+    ]
+    return closures_in_metres(model, model.closure_residual + grown[CLOSURES]), _in_pixels(
+        model, model.corner_residual + grown[CORNERS]
+    )
+
+
+def model_residuals(model: LinearisedModel) -> tuple[Floats, Floats]:
+    """(closures (F, axes) m, corners (n, 2) px) residuals of a model as it is."""
+    return closure_residuals(model), _in_pixels(model, model.corner_residual)
+
+
+def _in_pixels(model: LinearisedModel, image: Floats) -> Floats:
+    c = model.corners
+    out = np.zeros((len(c.order), 2))
+    if len(c.order):
+        out[c.order] = np.linalg.solve(c.whiten, c.sigma * image.reshape(-1, 2, 1))[..., 0]
     return out
 
 
-def repeatability_entry(diagnosis: Diagnosis) -> Json | None:
-    """Entry on how well poses repeat; None where too few commands were repeated."""
-    again = diagnosis.repeats
-    if again is None:
-        return None
-    return {
-        "pairs": again.pairs,
-        "mean_m": again.mean,
-        "rms_m": again.rms,
-        "mean_rad": again.mean_rad,
-        "remainder_that_repeats": again.recurring_share,
+def effect_residual_figures(refinement: Refinement, number: int) -> str:
+    """Figures of the residuals of one admitted effect, without it and with it."""
+    k, effect = refinement.point, refinement.point.effects[number]
+    (struts_before, image_before), (struts_after, image_after) = (
+        residuals_without_effects(refinement, (number,)),
+        residuals_without_effects(refinement),
+    )
+    if not affects_images_only(effect):
+        x, label, y = _strut_view(effect, k, struts_before, struts_after)
+        return residual_scatter_figure(x, label, [v * 1e6 for v in y], "strut, µm")
+    own = _own(effect, k)
+    draw = {
+        "map": lambda: image_residual_figures(k, own, (image_before, image_after)),
+        "time": lambda: _along_time(k, own, image_before, image_after),
+        "scale": lambda: _focal(k, own, image_before, image_after),
+        "outward": lambda: _outward(k, own, image_before, image_after),
+        "markers": lambda: _bars(effect, k, image_before, image_after),
+        "targets": lambda: _bars(effect, k, image_before, image_after),
     }
+    if effect.view in draw:
+        return draw[effect.view]()
+    way = image_before[own] - image_after[own]
+    size = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
+    return residual_scatter_figure(
+        size[:, 0],
+        "displacement that it causes, px",
+        [np.einsum("ni,ni->n", v[own], way / size) for v in (image_before, image_after)],
+        "residual along it, px",
+    )
 
 
-def held_out_region_gains(diagnosis: Diagnosis) -> list[Json]:
-    """Gains by each finding where whole regions of an axis' travel are held out: misfit before and after,
-    m, and standard errors.
-    """
-    if diagnosis.design is None:
-        return []
-    places = mechanisms.axis_place_texts(diagnosis.design.mechanism)
-    return [
-        {
-            "joint": j + 1,
-            "place": places[j],
-            "findings": [
-                {"heldout_before": v.before, "heldout_after": v.after, "gain_sigma": v.gain, "unit": v.unit}
-                for v in row
-            ],
-        }
-        for j, row in enumerate(diagnosis.regions)
+def _along_time(k: OperatingPoint, own: Integers, before: Floats, after: Floats) -> str:
+    """Mean residuals of each picture along the way that the effect moves it most."""
+    frame = k.observed.observations.frame[own]
+    along = _mean(frame, before[own] - after[own])
+    way = along[np.argmax(np.linalg.norm(along, axis=1))]
+    way = way / max(np.linalg.norm(way), 1e-12)
+    return residual_scatter_figure(
+        k.t[np.unique(frame)] / 60,
+        "time, min",
+        [_mean(frame, v[own] @ way) for v in (before, after)],
+        "mean of a picture's corners, px",
+    )
+
+
+def _strut_view(effect: Effect, k: OperatingPoint, before: Floats, after: Floats) -> tuple[Floats, str, list[Floats]]:
+    """(covariate (m,), its label, [residuals (m,) before, after]) of an effect of the struts."""
+    motion = k.motion(tuple(e for e in k.effects if e is not effect))
+    covariate, direction = effect.covariate(motion), effect.direction(motion)
+    if direction is not None:
+        mode = k.swayed(direction)
+        size = np.maximum((mode**2).sum(axis=1), 1e-300)
+        return (
+            covariate.values,
+            covariate.label,
+            [(mode * v).sum(axis=1) / size * np.sqrt(size.max()) for v in (before, after)],
+        )
+    at = np.arange(k.axes) if effect.place == "clock" else np.flatnonzero(effect.axes(motion.places) > 0)
+    x = covariate.values
+    x = np.broadcast_to(x if x.ndim == 2 else x[:, None], before.shape)
+    return x[:, at].ravel(), covariate.label, [before[:, at].ravel(), after[:, at].ravel()]
+
+
+def _own(effect: Effect, k: OperatingPoint) -> Integers:
+    """Indices of the corners at an effect's place."""
+    o, place = k.observed.observations, effect.site
+    if place.kind == "camera":
+        return np.flatnonzero(o.camera == [c.name for c in k.design.cameras].index(place.name))
+    if place.kind == "marker":
+        return np.flatnonzero(k.observed.markers.id[o.marker] == place.number)
+    if place.kind == "target":
+        return np.flatnonzero(np.array(k.observed.markers.target)[o.marker] == place.name)
+    return np.arange(len(o))
+
+
+def _mean(key: Integers, values: Floats) -> Floats:
+    """Means of values (n, ...) by key (n,), in the order of the keys."""
+    _, index, count = np.unique(key, return_inverse=True, return_counts=True)
+    out = np.zeros((len(count), *values.shape[1:]))
+    np.add.at(out, index, values)
+    return out / count.reshape(-1, *[1] * (values.ndim - 1))
+
+
+def _focal(k: OperatingPoint, own: Integers, before: Floats, after: Floats) -> str:
+    """Scale of each picture about its centre against temperature."""
+    o = k.observed.observations
+    matrix = np.stack([c.matrix[:2, 2] for c in k.design.cameras])
+    away = o.uv[own] - matrix[o.camera[own]]
+    key = o.frame[own] * len(matrix) + o.camera[own]
+    keys, first = np.unique(key, return_index=True)
+    scale = [
+        _mean(key, np.einsum("ni,ni->n", v[own], away)) / np.maximum(_mean(key, (away**2).sum(axis=1)), 1e-12) * 1e6
+        for v in (before, after)
     ]
+    camera = [c.name for c in k.design.cameras]
+    warmth = np.stack([k.logged(f"camera_{name}_temperature_C", "ambient_temperature_C") for name in camera])
+    x = warmth[o.camera[own][first], o.frame[own][first]]
+    return residual_scatter_figure(
+        x, f"temperature, C (dimensions hold at {REFERENCE_TEMPERATURE:g})", scale, "scale of a picture, 1e-6"
+    )
+
+
+def _outward(k: OperatingPoint, own: Integers, before: Floats, after: Floats) -> str:
+    """How far corners lie outward of their marker's middle against its size in the image."""
+    o = k.observed.observations
+    row = k.observed.row[own]
+    middle = _mean(row, o.uv[own])
+    _, index = np.unique(row, return_inverse=True)
+    away = o.uv[own] - middle[index]
+    size = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+    values = [_mean(row, np.einsum("ni,ni->n", v[own], away) / size) for v in (before, after)]
+    return residual_scatter_figure(
+        np.sqrt(2) * _mean(row, size), "side of the marker in the image, px", values, "corners lie outward by, px"
+    )
+
+
+def _bars(effect: Effect, k: OperatingPoint, before: Floats, after: Floats) -> str:
+    """Residuals of every marker or target of the same body."""
+    o = k.observed.observations
+    by_target = effect.view == "targets"
+    names = np.array(k.observed.markers.target if by_target else [str(i) for i in k.observed.markers.id])[o.marker]
+    labels = sorted(set(names.tolist()), key=lambda n: (len(n), n))
+    groups = [
+        (text, [float(np.sqrt(np.mean(values[names == n] ** 2))) for n in labels], colour)
+        for values, colour, text in ((before, BEFORE, "without it"), (after, AFTER, "with it"))
+    ]
+    return bar_chart_svg(
+        f"residuals of every {'cube' if by_target else 'marker'}, RMS", labels, groups, "px", [effect.site.name]
+    )
+
+
+def image_residual_figures(
+    point: OperatingPoint,
+    corner_rows: Integers,
+    residuals: tuple[Floats, ...],
+    titles: tuple[str, ...] = ("without it", "with it"),
+) -> str:
+    """Figures of mean residuals over one camera's image, one for each of several residuals (n, 2) px."""
+    o = point.observed.observations
+    camera = point.design.cameras[o.camera[corner_rows[0]]]
+    cell = camera.width / CELLS
+    drawn = [patch_means(o.uv[corner_rows], values[corner_rows], cell) for values in residuals]
+    longest = max(float(np.linalg.norm(drawn[0][1], axis=1).max(initial=0)), 1e-9)
+    return panel_row_html(
+        *(
+            image_plane_figure(
+                f"{camera.name}, {title}",
+                f"longest arrow of both {longest:.3g} px",
+                (camera.width, camera.height),
+                (Arrows(centre, mean, 1.2 * cell / longest, "px", colour),),
+            )
+            for (centre, mean), title, colour in zip(drawn, titles, (BEFORE, AFTER))
+        )
+    )
+
+
+SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile
 
 
 def position_error_statistics(pose_errors: Floats) -> dict[str, float]:
@@ -232,36 +365,3 @@ def errors_at_and_beyond_fitted_angles(held_out_poses: HeldOutPoses) -> Json:
         name: position_error_statistics(held_out_poses.after[rows]) if rows.any() else None
         for name, rows in (("after_at_fitted_angles", near), ("after_beyond", ~near))
     }
-
-
-def repeatability_rows(diagnosis: Diagnosis) -> list[tuple[str, object]]:
-    """Table rows [(what, value)] on how well poses repeat; none where too few commands were repeated."""
-    if diagnosis.repeats is None:
-        return []
-    text = f"{diagnosis.repeats.mean * 1e6:.1f} µm ({diagnosis.repeats.pairs} pairs)"
-    return [("repeatability of the same command", text)]
-
-
-def held_out_gain_table(diagnosis: Diagnosis) -> str:
-    """Table of the fall of the held-out misfit by each finding, with stretches of time and regions of each axis' travel
-    held out.
-    """
-    rows, terms = [], diagnosis.selection.problem.terms(diagnosis.selection.fit)
-    for i, finding in enumerate(diagnosis.findings):
-        candidate = terms[finding.number]
-        found = [diagnosis.cross_validations[i], *(row[i] for row in diagnosis.regions)]
-        scale = SCALES.get(found[0].unit, 1.0)
-        rows.append(
-            [
-                f"{candidate.name.replace('_', ' ')} at {candidate.place}",
-                *(f"{(v.before - v.after) * scale:+.{1 if scale > 1 else 4}f}" for v in found),
-            ]
-        )
-    places = [] if diagnosis.design is None else mechanisms.axis_place_texts(diagnosis.design.mechanism)
-    units = " or ".join(dict.fromkeys(UNITS.get(v.unit, v.unit) for v in diagnosis.cross_validations))
-    said = note_html(
-        f"{units}, RMS along one axis, by which held-out data are predicted better with it than without. A curve of "
-        "an axis' own position is undetermined where that axis was never recorded: there, its gain by that axis' own "
-        "regions may be negative."
-    )
-    return table_html(("finding", "held out: time", *places[: len(diagnosis.regions)]), rows) + said

@@ -11,21 +11,23 @@ from calib.certification.held_out_errors import Figures, errors_before_and_after
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import CertifiedArm
 from calib.report.platform_and_lens_calibration_pages import evidence_html, provenance_html, view_3d_html
-from calib.report.pose_figures_and_effect_displacements import correction_error_figures, pose_coverage_figures
+from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
 from rig.effects.framework.effect_parameters_and_covariates import PLOT_UNITS
 from rig.model import mechanisms
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import (
+from rig.report.pages.image_plane_and_3d_views import view_scripts
+from rig.report.pages.page_templates_and_elements import (
+    Link,
+    Page,
     folding_section_html,
     heading_html,
     note_html,
     paragraph_html,
     table_html,
+    write_page,
 )
-from rig.report.pages.image_plane_and_3d_views import view_scripts
-from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 
 

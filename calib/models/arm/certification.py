@@ -33,7 +33,7 @@ from calib.certification.workspace_claim import (
     empty_claim_of_too_few_configurations,
     extension_error_squares,
 )
-from calib.identify.robust_fit import CONSISTENT, MOST, isolated_outlier_rows
+from calib.identify.least_squares_and_robust_fit import CONSISTENT, MOST, isolated_outlier_rows
 from calib.models.arm import error_model_and_observations, identification_and_joint_profiles
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import KINDS, PLAUSIBLE, Observations, sample_observations

@@ -20,7 +20,7 @@ from typing import NamedTuple, cast
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
-from calib.identify.robust_fit import excess_scatter
+from calib.identify.least_squares_and_robust_fit import excess_scatter
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.error_model_and_observations import Observations, Rank
 from calib.models.arm.error_model_and_observations import parameter_rank as independent

@@ -16,7 +16,7 @@ from calib.certification.held_out_errors import (
     standardised_residuals,
 )
 from calib.correction.physics_compensation import samples_with_effects
-from calib.identify.least_squares import bounded_least_squares_step
+from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import observation_jacobian, sample_observations
@@ -33,7 +33,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import (
 from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_arm
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.recording.recording_folder import Commands, Sensors
 
 ITERATIONS = 12

@@ -36,7 +36,7 @@ from calib.models.arm.joint_effects_fit_and_held_out_scatter import unexplained_
 from calib.models.chain import error_model
 from calib.models.chain.identification import Identified, identify_chain
 from calib.report.platform_and_lens_calibration_pages import evidence_html, provenance_html, view_3d_html
-from calib.report.pose_figures_and_effect_displacements import correction_error_figures, pose_coverage_figures
+from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model.mechanism_geometry_classes import Chain
@@ -44,15 +44,17 @@ from rig.model.mechanisms import mechanism_chain as mechanism
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.planning.configuration_sets import FILL, sobol_configurations
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import (
+from rig.report.pages.image_plane_and_3d_views import view_scripts
+from rig.report.pages.page_templates_and_elements import (
+    Link,
+    Page,
     folding_section_html,
     heading_html,
     note_html,
     paragraph_html,
     table_html,
+    write_page,
 )
-from rig.report.pages.image_plane_and_3d_views import view_scripts
-from rig.report.pages.page_templates_and_page_index import Link, Page, write_page
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,23 +10,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.identify.least_squares import Linear
-from calib.identify.robust_fit import excess_scatter
+from calib.identify.least_squares_and_robust_fit import Linear, excess_scatter
 from calib.models.arm import error_model_and_observations as arms
 from calib.models.arm.error_model_and_observations import PLAUSIBLE
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters as independent
-from calib.models.platform.identification import (
-    NAMES,
-    PRIOR,
-    geometric_parameters,
-    mechanism_with_parameters,
-    pose_parameter_jacobian,
-)
+from calib.models.platform.identification import PRIOR, pose_parameter_jacobian
 from calib.models.platform.parameter_accuracy import base_motion_columns
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats
 from rig.model.mechanism_geometry_classes import Arm, Chain, Stage
 from rig.model.mechanisms import mechanism_chain as mechanism
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import NAMES, geometric_parameters, mechanism_with_parameters
 from rig.model.pose import pose_difference
 
 

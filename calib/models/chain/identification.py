@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.identify.least_squares import Linear, fit_least_squares
-from calib.identify.robust_fit import MOST as FEW
-from calib.identify.robust_fit import robust_fit
+from calib.identify.least_squares_and_robust_fit import MOST as FEW
+from calib.identify.least_squares_and_robust_fit import Linear, fit_least_squares, robust_fit
 from calib.models.chain import error_model
 from calib.models.chain.error_model import measured_stages, noise_leverage
 from calib.samples.pose_samples import Samples

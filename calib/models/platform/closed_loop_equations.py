@@ -13,15 +13,15 @@ the hinge is turned, is no part of the fit.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
-from calib.identify.least_squares import Linear
+from calib.identify.least_squares_and_robust_fit import Linear
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.errors import NotConverged, RigError
 from rig.model.mechanism_geometry_classes import Planar2
 from rig.model.mechanisms import two_strut_plane
+from rig.model.mechanisms.two_strut_plane import two_strut_loop_jacobian
 from rig.model.pose import rotate_increment
 
 TOLERANCE = 1e-13  # m; what Newton leaves of a strut's length
@@ -217,19 +217,8 @@ def whitened_pose_rows(
     return -1
 
 
-def two_strut_loop_jacobian(T_base_platform: RigidTransform, mechanism: Planar2) -> Floats:
-    """Loop Jacobian (..., 2, 6) of two struts: change of zero - length with base joints and zeros (m/m)."""
-    struts = T_base_platform.translation[..., None, :2] - mechanism.base_joints
-    u = struts / np.linalg.norm(struts, axis=-1, keepdims=True)
-    out = np.zeros((*u.shape[:-1], 6))
-    for i in range(2):
-        out[..., i, 2 * i : 2 * i + 2] = u[..., i, :]
-        out[..., i, 4 + i] = 1
-    return out
-
-
 def linearised_hinge_equations(samples: Samples, lengths: Floats, mechanism: Planar2, scatter: Floats) -> Linear:
-    """Linearised equations (least_squares.Linear) of the measured hinge (x, y) at a geometry.
+    """Linearised equations (Linear) of the measured hinge (x, y) at a geometry.
 
     lengths : (n, 2) m, commanded; scatter : (2,) m of each strut beyond the poses' own
     Raises RigError naming the first pose whose circles do not cross, or that does not say where in the plane it is

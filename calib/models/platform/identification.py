@@ -8,23 +8,28 @@ of one solve of cameras, lenses and geometry (calib/correction/joint_camera_fit.
 two struts in a plane have 6.
 """
 
-from dataclasses import dataclass, replace
-from typing import TypeVar, cast
+from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from calib.identify.least_squares import Fit, Linear, fit_least_squares
-from calib.identify.robust_fit import MOST, robust_fit
+from calib.identify.least_squares_and_robust_fit import MOST, Fit, Linear, fit_least_squares, robust_fit
 from calib.models.platform import closed_loop_equations
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
-from rig.model.mechanisms import hexapod, two_strut_plane
+from rig.model.mechanisms import hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Struts,
+    geometric_parameters,
+    loop_closure_jacobian,
+    mechanism_with_parameters,
+    strut_length_jacobian,
+)
 
 PRIOR = 5e-3  # m; how far a joint or a zero may be from where its owner states it: ten times what rigs show
 ROUNDS = 8  # of weighing struts and poses anew; one that still wavers then remains unchanged
@@ -32,19 +37,6 @@ LEAST = 7  # poses from which struts may scatter, and on which a geometry must s
 GATE = 6.0  # standard deviations of one strut's closure beyond which a pose is left out
 ROWS = 4  # poses for each parameter of a strut's loop, from which a robust start is taken
 EXCESS = 3.0  # standard deviations of chance that scatter must exceed before it counts as the struts'
-NAMES = {
-    "hexapod": (
-        *(f"{plate} joint {i + 1} {axis}" for plate in ("base", "platform") for i in range(6) for axis in "xyz"),
-        *(f"zero of strut {i + 1}" for i in range(6)),
-    ),
-    "planar2": (
-        *(f"base joint {i + 1} {axis}" for i in range(2) for axis in "xy"),
-        "zero of strut 1",
-        "zero of strut 2",
-    ),
-}
-
-S = TypeVar("S", Hexapod, Planar2, Hexapod | Planar2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,21 +62,6 @@ class Identified:
     inliers: Booleans
     prior: Floats
     cost: float
-
-
-def geometric_parameters(mechanism: Struts) -> Floats:
-    """Geometric parameters (p,) m: joints and zeros in the order of NAMES."""
-    platform = mechanism.platform_joints.ravel() if isinstance(mechanism, Hexapod) else np.zeros(0)
-    return np.concatenate([mechanism.base_joints.ravel(), platform, mechanism.strut_zeros])
-
-
-def mechanism_with_parameters(mechanism: S, p: Floats) -> S:
-    """The mechanism with parameters p (p,) m."""
-    if isinstance(mechanism, Hexapod):
-        return replace(
-            mechanism, base_joints=p[:18].reshape(6, 3), platform_joints=p[18:36].reshape(6, 3), strut_zeros=p[36:]
-        )
-    return replace(mechanism, base_joints=p[:4].reshape(2, 2), strut_zeros=p[4:])
 
 
 def identify_platform(
@@ -167,13 +144,13 @@ class Loops:
         self.R, self.t = np.tile(home[:3, :3], (len(samples), 1, 1)), np.tile(home[:3, 3], (len(samples), 1))
 
     def fit(self, start: Floats, inliers: Booleans, scatter: Floats) -> Fit:
-        """least_squares.Fit from parameters start (p,). inliers : (n,) bool; scatter : (axes,) m"""
+        """Fit from parameters start (p,). inliers : (n,) bool; scatter : (axes,) m"""
         return fit_least_squares(
             lambda p: self.linearise(p, scatter), start, geometric_parameters(self.nominal), self.prior, inliers=inliers
         )
 
     def linearise(self, p: Floats, scatter: Floats) -> Linear:
-        """least_squares.Linear at parameters p (p,). Raises RigError naming the first pose that has no solution
+        """Linear at parameters p (p,). Raises RigError naming the first pose that has no solution
         there.
         """
         common = self.samples.common
@@ -234,34 +211,10 @@ class Loops:
         return left, A @ self.samples.covariance @ np.swapaxes(A, 1, 2)
 
 
-def strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:
-    """Strut length Jacobian (..., axes, 6), m/m and m/rad, by the poses' tangents on the right."""
-    if isinstance(mechanism, Hexapod):
-        return hexapod.jacobian(T_base_platform, mechanism)
-    return two_strut_plane.jacobian(T_base_platform, mechanism)
-
-
 def inverse_strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:
     """Inverse strut length Jacobian (..., 6, axes): change of the pose's tangent with strut lengths."""
     A = strut_length_jacobian(T_base_platform, mechanism)
     return cast(Floats, np.linalg.inv(A) if A.shape[-2] == 6 else np.linalg.pinv(A))
-
-
-def loop_closure_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:
-    """Loop closure Jacobian (..., axes, p): change of zero - length with the parameters, at poses (...)."""
-    if isinstance(mechanism, Planar2):
-        return closed_loop_equations.two_strut_loop_jacobian(T_base_platform, mechanism)
-    matrix = T_base_platform.as_matrix()
-    R = matrix[..., :3, :3]
-    struts = mechanism.platform_joints @ np.swapaxes(R, -1, -2) + matrix[..., None, :3, 3] - mechanism.base_joints
-    u = struts / np.linalg.norm(struts, axis=-1, keepdims=True)
-    D = np.zeros((*u.shape[:-2], 6, 42))
-    turned = u @ R
-    for i in range(6):
-        D[..., i, 3 * i : 3 * i + 3] = u[..., i, :]
-        D[..., i, 18 + 3 * i : 21 + 3 * i] = -turned[..., i, :]
-        D[..., i, 36 + i] = 1
-    return D
 
 
 def pose_parameter_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.identify.least_squares import Visibility, parameter_visibility
-from calib.models.platform.identification import NAMES, PRIOR, Identified, geometric_parameters
+from calib.identify.least_squares_and_robust_fit import Visibility, parameter_visibility
+from calib.models.platform.identification import PRIOR, Identified
 from rig.array_and_json_types import Floats
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
 from rig.model.mechanisms import hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import NAMES, Struts, geometric_parameters
 from rig.model.pose import skew
 
 PLAUSIBLE = 5e-4  # m; how far off a joint or a zero may well be

@@ -20,8 +20,7 @@ from rig.driving.cameras.opencv_camera import open_opencv_camera
 from rig.driving.clock import Clock
 from rig.errors import FileError
 from rig.model.design import Camera
-from rig.recording.exposures_and_images import read_image
-from rig.recording.image_file_check import JPEG, PNG, image_file_problem, image_size_from_header
+from rig.recording.image_file_check_and_reading import JPEG, PNG, image_file_problem, image_size_from_header, read_image
 
 EVERY = 0.02  # s between looks
 QUIET = 0.2  # s without growth after which a file without an end mark of its own counts as whole

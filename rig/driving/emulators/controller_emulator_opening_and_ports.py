@@ -25,7 +25,7 @@ from rig.formats.number_parsing_and_rounding import parse_numbers
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_hexapod, require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod, require_struts
 
 ACCELERATION = 0.1  # m/s^2, where the rig.toml states none
 

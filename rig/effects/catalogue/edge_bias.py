@@ -6,8 +6,7 @@ from typing import ClassVar
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Parameter
-from rig.model.chebyshev_warp_and_printed_edge_shift import move_edges_inward
-from rig.model.design import Camera
+from rig.model.design import Camera, move_edges_inward
 from rig.model.places_and_tolerances import FINDER, Place
 
 

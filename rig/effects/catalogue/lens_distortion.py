@@ -16,8 +16,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     Parameter,
     log_uniform,
 )
-from rig.model.chebyshev_warp_and_printed_edge_shift import chebyshev_products, warp_columns
-from rig.model.design import Camera
+from rig.model.design import Camera, chebyshev_products, warp_columns
 from rig.model.places_and_tolerances import Place
 
 LACKING = {

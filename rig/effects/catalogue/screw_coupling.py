@@ -10,7 +10,7 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import cardan_twist, require_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_twist, require_hexapod
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanisms.kinematics_by_kind import MechanismKinematics
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import MechanismKinematics
 from rig.recording.recording_folder import PAYLOAD, Sensors
 
 SOON = 1e-6  # s; knots that lie closer together are one

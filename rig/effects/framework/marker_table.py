@@ -9,7 +9,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 
 
 class MarkerTable(Protocol):
-    """A dataclass of markers, a row each, as vision.targets has it.
+    """A dataclass of markers, a row each, as vision.predict has it.
 
     id : (m,); on_platform : (m,) bool; T_body_marker : RigidTransform (m,); side : (m,) m; target : m names; stage :
         (m,) number

@@ -20,7 +20,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.design import Camera
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import cardan_twist, has_plates
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_twist, has_plates
 from rig.model.pose import pose_to_entry, pose_to_vector
 
 HEXAPOD = (

@@ -17,8 +17,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import MissingLibrary, RigError
-from rig.formats import csv_and_parquet_tables
-from rig.formats.csv_and_parquet_tables import parquet_bytes
+from rig.formats import csv_and_parquet_tables_and_time_origin
+from rig.formats.csv_and_parquet_tables_and_time_origin import parquet_bytes
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.model.design import Camera, Target
 from rig.recording.recording_folder import Recording
@@ -200,12 +200,14 @@ def parquet_tables(recording_folder: Path) -> dict[str, bytes]:
     """
     found = [name for name in RECORDING_TABLES if (recording_folder / f"{name}.csv").is_file()]
     return {
-        name: parquet_bytes(_columns(csv_and_parquet_tables.read_csv_table(recording_folder / f"{name}.csv", ())))
+        name: parquet_bytes(
+            _columns(csv_and_parquet_tables_and_time_origin.read_csv_table(recording_folder / f"{name}.csv", ()))
+        )
         for name in found
     }
 
 
-def _columns(rows: csv_and_parquet_tables.Table) -> dict[str, list[int] | list[float] | list[str]]:
+def _columns(rows: csv_and_parquet_tables_and_time_origin.Table) -> dict[str, list[int] | list[float] | list[str]]:
     return {
         name: rows.text(name) if name in TEXT else (rows.whole(name) if name in WHOLE else rows.numbers(name)).tolist()
         for name in rows.columns

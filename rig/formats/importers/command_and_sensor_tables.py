@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from rig.array_and_json_types import Floats, Integers
-from rig.checks.clock_mistakes import FASTEST, SLOWEST, USUAL
+from rig.checks.mistake_and_clock_mistakes import FASTEST, SLOWEST, USUAL
 from rig.errors import FileError, RigError
 from rig.formats.checked_entries import name_problem
 from rig.formats.importers.csv_dialect import read_foreign_table
@@ -36,7 +36,7 @@ from rig.formats.importers.units_and_timestamps import (
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_links, require_arm, require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, require_arm, require_struts
 
 
 def _over(per: float, values: Floats) -> Floats:

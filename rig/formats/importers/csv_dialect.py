@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rig.errors import FileError
-from rig.formats.csv_and_parquet_tables import is_parquet, read_parquet_cells
+from rig.formats.csv_and_parquet_tables_and_time_origin import is_parquet, read_parquet_cells
 from rig.formats.importers.foreign_table_columns import LONGEST, NUMBER, Cells, add_time_column, lines_with_header
 from rig.formats.importers.import_recipe import DECIMALS, SEPARATORS, ForeignTable
 from rig.formats.importers.units_and_timestamps import ambiguity_error

@@ -9,10 +9,10 @@ from pathlib import Path
 from rig.array_and_json_types import Floats
 from rig.errors import FileError, RigError
 from rig.formats.checked_entries import LARGEST_NUMBER
+from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.units_and_timestamps import TIMES, Times, read_times, split_header
 from rig.formats.local_and_remote_input_files import short_repr
-from rig.recording.time_origin import DIGITS
 
 TIME = {
     "t": (

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.checks.clock_mistakes import dwell_clock_shift
+from rig.checks.mistake_and_clock_mistakes import dwell_clock_shift
 from rig.errors import RigError
+from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.importers import image_file_frames
 from rig.formats.importers.command_and_sensor_tables import ImportedCommands
 from rig.formats.importers.csv_dialect import read_foreign_table
@@ -24,7 +25,6 @@ from rig.formats.importers.foreign_table_columns import (
 from rig.formats.importers.image_file_frames import ImportedExposures
 from rig.formats.importers.import_recipe import ForeignTable, Recipe
 from rig.recording.recording_folder import LAST_DWELL
-from rig.recording.time_origin import DIGITS
 
 LISTED = 20  # of what is missing, in a message
 Like = Callable[[Floats], bool]

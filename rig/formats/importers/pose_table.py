@@ -21,8 +21,8 @@ from rig.formats.importers.foreign_table_columns import (
 from rig.formats.importers.import_recipe import EULER, ForeignTable
 from rig.formats.importers.units_and_timestamps import ANGLES, LENGTHS, ambiguity_error
 from rig.model.design import Design
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_plates
 from rig.model.mechanisms import hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates
 
 POSITION = {
     "x": ("x", "tx", "px", "posx", "positionx", "xpos"),

@@ -9,6 +9,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
+from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.importers import image_file_frames
 from rig.formats.importers.camera_calibrations import rig_toml_with_cameras
 from rig.formats.importers.command_and_sensor_tables import (
@@ -32,9 +33,8 @@ from rig.formats.local_and_remote_input_files import read_bytes, read_text
 from rig.formats.output_files import write_bytes
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
-from rig.recording.image_file_check import image_file_problem
+from rig.recording.image_file_check_and_reading import image_file_problem
 from rig.recording.recording_tables import Poses, write_poses, write_table
-from rig.recording.time_origin import DIGITS
 
 LARGEST_IMAGE_FILE = 1 << 31  # bytes
 SAME_MOMENT = 0.05  # s that a pose may be from its frame

@@ -31,7 +31,7 @@ from rig.formats.importers.units_and_timestamps import ambiguity_error
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.output_files import write_bytes
 from rig.model.design import Design
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_links
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader

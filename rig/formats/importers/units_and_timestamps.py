@@ -10,8 +10,8 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
+from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.local_and_remote_input_files import short_repr
-from rig.recording.time_origin import DIGITS
 
 
 def ambiguity_error(subject: str, readings: Iterable[tuple[str, str]]) -> RigError:

@@ -10,8 +10,8 @@ from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_links
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import LinkMasses
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
 
 HEAVIEST = 1e5  # kg, and kg m^2
 STRONGEST = 1e7  # N m or N

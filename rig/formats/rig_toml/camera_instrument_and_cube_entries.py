@@ -9,7 +9,7 @@ import numpy as np
 from rig.formats.checked_entries import Entries
 from rig.model.design import DISTORTION_TERMS, PERMITTED, SOURCES, TURN, Camera, Instrument, Marker, Permission, Target
 from rig.model.design_comparison_and_cube_remounting import find_cube, parse_cube_turn_permission
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Mechanism
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 from rig.model.pose import pose_to_vector
 
 LARGEST_IMAGE = 100_000  # px along a side

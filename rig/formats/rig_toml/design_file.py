@@ -25,7 +25,7 @@ from rig.model.design import (
     port_problem,
 )
 from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import has_struts, target_bodies
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_struts, target_bodies
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)

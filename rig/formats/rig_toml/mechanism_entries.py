@@ -9,7 +9,7 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.formats.checked_entries import LARGEST_RIG, Entries, nearest_known_word
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2, Stage
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Mechanism, singular_geometry_problem
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, singular_geometry_problem
 
 KINDS = {"revolute": False, "prismatic": True}
 

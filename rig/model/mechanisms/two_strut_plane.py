@@ -112,3 +112,14 @@ def link_points(lengths: Floats, planar: Planar2) -> None:
 def strut_ends(T: RigidTransform, planar: Planar2) -> tuple[Floats, Floats]:
     """Ends of the struts: base joints (2, 3) and the hinge (n, 2, 3) m, base frame, at poses T (n,)."""
     return np.pad(planar.base_joints, ((0, 0), (0, 1))), np.repeat(T.translation[:, None], 2, axis=1)
+
+
+def two_strut_loop_jacobian(T_base_platform: RigidTransform, mechanism: Planar2) -> Floats:
+    """Loop Jacobian (..., 2, 6) of two struts: change of zero - length with base joints and zeros (m/m)."""
+    struts = T_base_platform.translation[..., None, :2] - mechanism.base_joints
+    u = struts / np.linalg.norm(struts, axis=-1, keepdims=True)
+    out = np.zeros((*u.shape[:-1], 6))
+    for i in range(2):
+        out[..., i, 2 * i : 2 * i + 2] = u[..., i, :]
+        out[..., i, 4 + i] = 1
+    return out

@@ -17,8 +17,8 @@ from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import require_arm
 from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.layout.hexapod_layout_and_camera_placement import (
     FACES,

@@ -24,7 +24,7 @@ from calib.certification.uncertainty_budget import rms_length_uncertainty, therm
 from calib.correction.correction import calibrate_correction
 from calib.correction.physics_compensation import Physics
 from calib.files import calibration_file
-from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_and_dict import parse_effect

@@ -23,7 +23,7 @@ from calib.certification.strut_deviation_sizes_and_possible_machines import (
     draw_strut_deviation_component_sizes,
 )
 from calib.files.calibration_provenance_and_used_frames import calibration_with_provenance
-from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import sample_recording
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from tests import truth

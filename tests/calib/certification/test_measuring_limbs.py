@@ -7,7 +7,7 @@ import pytest
 
 from calib.certification import measuring_limb_calibration_and_slips
 from calib.online.information_filter import Online
-from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import sample_recording
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod

@@ -15,10 +15,11 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     mean_sample_per_configuration,
 )
 from calib.certification.platform_certification import certify_platform, platform_workspace_claim
-from calib.models.platform.identification import geometric_parameters, identify_platform
+from calib.models.platform.identification import identify_platform
 from calib.models.platform.parameter_accuracy import estimate_tolerance_of_stated_geometry
-from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import sample_recording
 from rig.model.mechanisms import hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.model.pose import pose_difference
 from rig.planning import configuration_sets, plan
 from rig.recording import recording_folder

@@ -8,12 +8,11 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.formats.rig_toml import design_file
-from rig.model.design import Target
+from rig.model.design import Target, markers_of_target
 from rig.model.pose import pose, pose_to_vector
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib.checks.good import make
 from vision.checks.recording_refusal_and_uneven_cube_layouts import uneven_cube_layout_remarks
-from vision.targets import markers_of_target
 
 TEXT = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=3, width=1280, height=1024, cubes=4)
 

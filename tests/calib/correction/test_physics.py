@@ -21,7 +21,7 @@ from calib.correction.physics_compensation import (
 from calib.diagnosis.findings_refit import Findings
 from calib.files import calibration_file
 from calib.models.wanted_pose_commands import commands_along_route
-from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES

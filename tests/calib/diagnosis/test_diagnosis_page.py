@@ -11,9 +11,13 @@ import pytest
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.problems.platform import platform_recording_evidence as platform
 from calib.diagnosis.report.diagnosis_json_entries import AlternativeEntry, NotAskedEntry
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from calib.diagnosis.report.machine_outline import MARKS, rig_outline_figure
-from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report
-from calib.diagnosis.report.residual_plots import effect_residual_figures, model_residuals, residuals_without_effects
+from calib.diagnosis.report.residual_figures_and_contributions import (
+    effect_residual_figures,
+    model_residuals,
+    residuals_without_effects,
+)
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.model.places_and_tolerances import Place

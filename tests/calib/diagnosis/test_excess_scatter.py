@@ -10,13 +10,12 @@ import pytest
 
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import MATERIAL, detect_excess_scatter
 from calib.diagnosis.problems.arm.arm_recording_evidence import ArmEvidence
-from calib.diagnosis.problems.arm.linearised_poses import linearise_poses
-from calib.diagnosis.problems.evidence_interface import ASSUMED_NOISE, RESIDUALS, STATED
+from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearise_poses
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import ASSUMED_NOISE, RESIDUALS, STATED
 from calib.diagnosis.recording_diagnosis import diagnose_evidence
 from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
-from calib.diagnosis.report.report_data_and_verdict import summary_sentence
-from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report
-from calib.samples.recording_samples import sample_recording
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report, summary_sentence
+from calib.samples.pose_samples import sample_recording
 from rig.model.design import Arm
 from rig.model.places_and_tolerances import Place
 from rig.recording import recording_folder

@@ -11,16 +11,16 @@ import pytest
 from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.certification.platform_certification import certify_platform
 from calib.diagnosis.engine.cross_validation_and_chance import scan_p_value
-from calib.diagnosis.problems.platform import misplaced_markers_and_frames, simultaneous_refinement
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
+from calib.diagnosis.problems.platform import misplaced_markers_and_held_out_validation, simultaneous_refinement
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
 from calib.diagnosis.problems.platform.lack_of_fit import find_lack_of_fit_by_place
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.linearised_residuals import CORNERS, linearise
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
-from calib.diagnosis.problems.requested_effects import RequestedEffects
-from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report
-from calib.samples.recording_samples import sample_recording
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.samples.pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.model.places_and_tolerances import Place
@@ -32,7 +32,7 @@ from tests.calib.diagnose_recording import diagnosis_of, page_text
 from tests.calib.recordings_with_effects import recorded
 from tests.numerical_derivatives import jacobian
 from tests.vision import tumbling_block
-from vision.targets import marker_map
+from vision.predict import marker_map
 
 LINEARISATIONS = 250  # of a whole diagnosis in which one effect is hidden, each a Jacobian of all corners
 
@@ -136,9 +136,9 @@ def test_a_tilted_window_is_found_in_few_linearisations(tmp_path, design, monkey
 def test_faces_exchanged_are_named(tmp_path, design):
     rec = recorded(tmp_path, design, ["marker_swap:8:other=6,turn=1"])
     point, _, _ = operating_point_of_recording(rec)
-    found = misplaced_markers_and_frames.find_marker_swaps(point, [k for k in ALL if k.discrete])
+    found = misplaced_markers_and_held_out_validation.find_marker_swaps(point, [k for k in ALL if k.discrete])
     assert len(found) == 1 and {found[0].place, f"marker {int(found[0].other)}"} == {"marker 8", "marker 6"}
-    left = misplaced_markers_and_frames.correct_marker_swaps(point, found)
+    left = misplaced_markers_and_held_out_validation.correct_marker_swaps(point, found)
     assert np.abs(left.seen.observations.uv - left.pixels()).max() < 3
 
 

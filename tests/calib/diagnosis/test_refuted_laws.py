@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.frame_inner_products import Normal, solve_normal_equations
+from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import Normal, solve_normal_equations
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit, delta_chi2_by_column_count
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem

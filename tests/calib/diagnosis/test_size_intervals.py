@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
-from calib.diagnosis.problems.evidence_interface import Value, bounded_value
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value, bounded_value
 from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnosis.problems.platform.findings_attributable_to_tolerances import (
-    parameter_errors_by_tolerances,
-    tolerance_sigmas_from_residuals,
-    widen_intervals_by_temperature_logs_and_tolerances,
-)
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_columns import tolerance_sigmas_from_residuals
 from calib.diagnosis.problems.platform.simultaneous_refinement import (
     Refinement,
     refine_at_fixed_repeated_error,
     refine_operating_point,
+)
+from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import (
+    parameter_errors_by_tolerances,
+    widen_intervals_by_temperature_logs_and_tolerances,
 )
 from calib.diagnosis.report import report_sentences
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry

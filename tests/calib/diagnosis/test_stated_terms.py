@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import NotAsked, StatedTerms
-from calib.diagnosis.problems.requested_effects import RequestedEffects, require_assumed_effects_testable
-from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
+    RequestedEffects,
+    require_assumed_effects_testable,
+)
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from calib.diagnosis.report.report_sentences import evidence_sentence
 from rig.cli import command_line
 from rig.effects.texts.effect_text_and_dict import parse_effect_and_place

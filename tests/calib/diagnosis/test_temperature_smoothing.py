@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnosis.problems.platform.findings_attributable_to_tolerances import parameter_errors_by_temperature_logs
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
-from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
+from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import (
+    parameter_errors_by_temperature_logs,
+)
+from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import smooth_temperatures
 from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.recording.recording_folder import Sensors
 from synthetic.secret_machine import draw_temperatures

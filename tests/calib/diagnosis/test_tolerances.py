@@ -7,8 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.frame_inner_products import normal_equations_by_common_weights
+from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import normal_equations_by_common_weights
 from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import NO_STATED_TERMS
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
@@ -21,8 +22,7 @@ from calib.diagnosis.problems.platform.scores_of_all_candidates import (
     corner_products,
     score_candidates,
 )
-from calib.diagnosis.problems.requested_effects import RequestedEffects
-from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from rig.effects.catalogue import effect_list
 from rig.model.places_and_tolerances import PLACES, SIDES, Place
 from synthetic import blind_image_settings

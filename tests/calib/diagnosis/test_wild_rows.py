@@ -12,8 +12,8 @@ from calib.certification.platform_certification import certify_platform, platfor
 from calib.diagnosis import recording_diagnosis
 from calib.diagnosis.problems.arm import arm_recording_evidence
 from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
-from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report
-from calib.identify.robust_fit import (
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.identify.least_squares_and_robust_fit import (
     MOST,
     has_several_deviating_numbers,
     isolated_outlier_rows,
@@ -22,8 +22,9 @@ from calib.identify.robust_fit import (
 )
 from calib.models.arm.certification import arm_workspace_claim as arm_promised
 from calib.models.arm.certification import certify_arm as arm_certify
-from calib.models.platform.identification import Loops, geometric_parameters, identify_platform
-from calib.samples.recording_samples import sample_recording
+from calib.models.platform.identification import Loops, identify_platform
+from calib.samples.pose_samples import sample_recording
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.recording import frame_selection_and_content_hashes, recording_folder
 from rig.report.verdict_and_refutations_of_results import State
 from tests.calib import secret_arms

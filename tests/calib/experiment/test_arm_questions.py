@@ -9,7 +9,7 @@ import pytest
 
 from calib.api.next_experiment import evaluate_experiment
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidate
-from calib.diagnosis.problems.arm.linearised_poses import linearise_planned_poses
+from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearise_planned_poses
 from calib.experiment.arm_questions import arm_questions
 from rig.cli.command_line import main
 from rig.effects.catalogue.time_offset import TimeOffset

@@ -12,7 +12,7 @@ import pytest
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.linearised_corners import SEAT_LABELS, corner_rows
 from rig.cli.command_line import main
-from rig.model.design_comparison_and_cube_remounting import quarter_turns_of_cubes
+from rig.model.design import quarter_turns_of_cubes
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from vision.combined_recordings import combine_recordings

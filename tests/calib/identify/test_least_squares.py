@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.identify.least_squares import Linear, fit_least_squares, parameter_visibility
+from calib.identify.least_squares_and_robust_fit import Linear, fit_least_squares, parameter_visibility
 from rig.errors import NotEnoughData, RigError
 
 

@@ -16,8 +16,9 @@ from scipy.spatial.transform import RigidTransform
 from calib.models.arm.certification import calibrate_arm
 from calib.models.chain import error_model as chains
 from calib.models.chain.identification import identify_chain as identify_chain
-from calib.models.platform.identification import geometric_parameters, identify_platform
-from calib.samples.recording_samples import sample_recording
+from calib.models.platform.identification import identify_platform
+from calib.samples.pose_samples import sample_recording
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.model.pose import exp, log
 from rig.recording import recording_folder
 from tests.closed_loops import rig

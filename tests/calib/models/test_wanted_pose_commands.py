@@ -16,13 +16,13 @@ from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
 from calib.models.chain import error_model as chains
 from calib.models.machine_models import corrected_pose_covariance
-from calib.models.platform.identification import geometric_parameters
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.errors import FileError, RigError, Unreachable
-from rig.formats import csv_and_parquet_tables
+from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.layout import hexapod_layout_and_camera_placement, shipped_arm_layout
 from rig.recording import recording_folder
@@ -105,9 +105,9 @@ def test_the_library_commands_what_the_command_line_does_and_refuses_to_leave_ph
     calibration_file.save(tmp_path / "c.json", calibration)
     write_poses(tmp_path / "w.csv", Poses(np.arange(len(wanted)), wanted, None))
     command(capsys)("correct", tmp_path / "c.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / "k.csv")
-    given = csv_and_parquet_tables.read_csv_table(tmp_path / "k.csv", ("frame", *design.mechanism.axes)).matrix(
-        design.mechanism.axes
-    )
+    given = csv_and_parquet_tables_and_time_origin.read_csv_table(
+        tmp_path / "k.csv", ("frame", *design.mechanism.axes)
+    ).matrix(design.mechanism.axes)
     again = calibration_file.load(tmp_path / "c.json")
     done = calib.correct(again, wanted)
     np.testing.assert_allclose(done.values, given, atol=1e-9)

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.platform.identification import geometric_parameters, identify_platform
+from calib.models.platform.identification import identify_platform
 from calib.models.platform.parameter_accuracy import frame_motion_columns
 from calib.online.information_filter import Online
 from calib.samples.pose_samples import Samples
 from rig.errors import FileError, RigError
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from tests.calib.noisy_samples import OWN, sampled
 from tests.calib.pose_streams import COVARIANCE, found_within, learnt, missed_step, stream
 

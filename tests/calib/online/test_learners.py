@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from calib.models.platform.identification import geometric_parameters, identify_platform, pose_parameter_jacobian
+from calib.models.platform.identification import identify_platform, pose_parameter_jacobian
 from calib.online import learners
 from calib.online.learners import Drifting, FirstOrder, Forgetting
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.model.pose import exp, pose_difference
 from tests.calib.noisy_samples import OWN, rms, sampled, workspace
 from tests.calib.pose_streams import COVARIANCE, learnt, stream

@@ -13,7 +13,7 @@ from calib.models.platform.identification import pose_parameter_jacobian
 from calib.online import measuring_limbs_file, platform_poses_from_measuring_limbs
 from calib.online.information_filter import Online
 from calib.online.platform_poses_from_measuring_limbs import IN_A_ROW, LimbCheck, LiveLimbPoses
-from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import sample_recording
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from rig.formats import csv_and_parquet_tables
+from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from tests.cli import command
@@ -65,10 +65,9 @@ def test_the_loop_of_an_arm_with_slides_closes(tmp_path, rig, name):
     poses, asked = (recording_folder.load_poses(tmp_path / path) for path in ("commands.poses.csv", "seen/poses.csv"))
     rest = pose_difference(poses.T_base_platform, asked.T_base_platform)
     assert np.sqrt((rest[:, 3:] ** 2).sum(axis=1).mean()) * 1e3 == pytest.approx(float(left[2]), abs=1e-3)
-    assert csv_and_parquet_tables.read_csv_table(tmp_path / "commands.csv", ("frame", "q1", "q2", "q3")).columns == (
-        "frame",
-        *(f"q{i + 1}" for i in range(joints)),
-    )
+    assert csv_and_parquet_tables_and_time_origin.read_csv_table(
+        tmp_path / "commands.csv", ("frame", "q1", "q2", "q3")
+    ).columns == ("frame", *(f"q{i + 1}" for i in range(joints)))
 
 
 @pytest.mark.parametrize(

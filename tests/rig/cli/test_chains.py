@@ -12,12 +12,11 @@ from scipy.spatial.transform import RigidTransform
 from calib.files import calibration_file
 from calib.models.chain import error_model
 from calib.models.chain.identification import identify_chain
-from calib.samples.pose_samples import Samples
-from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import Samples, sample_recording
 from rig.cli import command_line
 from rig.effects.texts.effect_text_and_dict import parse_effect, require_existing_place
 from rig.errors import FileError, RigError, Unreachable
-from rig.formats import csv_and_parquet_tables, machine_json
+from rig.formats import csv_and_parquet_tables_and_time_origin, machine_json
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import arm, hexapod, mechanism_chain
 from rig.model.mechanisms import axis_place_texts as chain_places
@@ -262,7 +261,8 @@ def test_configurations_are_planned_that_tell_all_stages(tmp_path, capfd):
     assert len(rows) == 8 and all(float(row[0]) < float(row[1]) for row in rows)
     m = design_file.load_design(tmp_path / "rig.toml").mechanism
     assert not mechanism_chain.limit_excess(
-        csv_and_parquet_tables.read_csv_table(tmp_path / "plan.csv", ("frame", *m.axes)).matrix(m.axes), m
+        csv_and_parquet_tables_and_time_origin.read_csv_table(tmp_path / "plan.csv", ("frame", *m.axes)).matrix(m.axes),
+        m,
     ).any()
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from calib.models.chain import error_model
 from calib.models.chain.identification import identify_chain
-from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import sample_recording
 from rig.cli import command_line
 from rig.errors import FileError
 from rig.formats import machine_json

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rig.cli.command_line import main
-from rig.formats import csv_and_parquet_tables
+from rig.formats import csv_and_parquet_tables_and_time_origin
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def test_plan_for_parameters_is_written_and_can_be_run(rig_file, tmp_path, capsy
     )
     said = capsys.readouterr().out
     assert "condition number of the 42" in said and "evenly spread" in said and " um " in said
-    assert len(csv_and_parquet_tables.read_csv_table(out, ("frame", "l1"))) == 10
+    assert len(csv_and_parquet_tables_and_time_origin.read_csv_table(out, ("frame", "l1"))) == 10
     assert main(["simulate", str(rig_file), "--plan", f"commands:{out}", "--out", str(tmp_path / "rec")]) == 0
     again = tmp_path / "more.csv"
     assert (
@@ -92,7 +92,7 @@ def test_parts_of_a_plan_are_written_as_configurations(rig_file, tmp_path, capsy
     assert (
         "48 configurations of axes:2,combined:2" in said
         and "rz -" in said
-        and len(csv_and_parquet_tables.read_csv_table(out, ("frame", "l1"))) == 48
+        and len(csv_and_parquet_tables_and_time_origin.read_csv_table(out, ("frame", "l1"))) == 48
     )
     assert main(["simulate", str(rig_file), "--plan", f"commands:{out}", "--out", str(tmp_path / "rec")]) == 0
     assert main(["plan", str(rig_file), "--parts", "combinde:2", "--out", str(tmp_path / "none.csv")]) == 1
@@ -132,7 +132,7 @@ def test_a_missed_step_in_a_recording_is_told(rig_file, tmp_path, capsys):
         )
         == 0
     )
-    times = csv_and_parquet_tables.read_csv_table(tmp_path / "rec" / "frames.csv", ("frame", "t"))
+    times = csv_and_parquet_tables_and_time_origin.read_csv_table(tmp_path / "rec" / "frames.csv", ("frame", "t"))
     first = int(times.numbers("frame")[times.numbers("t") > 400][0])
     state = tmp_path / "state.json"
     capsys.readouterr()
@@ -208,11 +208,20 @@ def test_accepted_limbs_stand_for_vision_until_one_slips(limbed, tmp_path, capsy
     )
     assert main(["measure", str(again), "--limbs", str(limbs), "--out", str(tmp_path / "poses"), "--check", "10"]) == 0
     assert "40 poses from the measuring limbs; vision checked 4 of them and agrees" in capsys.readouterr().out
-    assert len(csv_and_parquet_tables.read_csv_table(tmp_path / "poses" / "poses.csv", ("frame", "x", "c55"))) == 40
-    told = csv_and_parquet_tables.read_csv_table(
+    assert (
+        len(
+            csv_and_parquet_tables_and_time_origin.read_csv_table(
+                tmp_path / "poses" / "poses.csv", ("frame", "x", "c55")
+            )
+        )
+        == 40
+    )
+    told = csv_and_parquet_tables_and_time_origin.read_csv_table(
         tmp_path / "poses" / "rpy.csv", ("frame", "roll", "pitch", "yaw", "u_roll", "u_z")
     )
-    turned = csv_and_parquet_tables.read_csv_table(tmp_path / "poses" / "poses.csv", ("rx",)).matrix(("rx", "ry", "rz"))
+    turned = csv_and_parquet_tables_and_time_origin.read_csv_table(tmp_path / "poses" / "poses.csv", ("rx",)).matrix(
+        ("rx", "ry", "rz")
+    )
     np.testing.assert_allclose(
         Rotation.from_euler("xyz", told.matrix(("roll", "pitch", "yaw"))).as_rotvec(), turned, atol=1e-9
     )

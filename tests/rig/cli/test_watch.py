@@ -10,7 +10,7 @@ from calib.drift.change_evidence import ALARM, SOMETHING, Suspect, Verdict
 from calib.files import calibration_file
 from calib.report.verification_and_visit_pages import Visit, last_visit_verdict
 from rig.cli.command_line import main
-from rig.formats import csv_and_parquet_tables
+from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.report.verdict_and_refutations_of_results import REFUTED as CHANGED
 from rig.report.verdict_and_refutations_of_results import Evidence
 from tests.calib.daily_visits import changed, rig
@@ -138,7 +138,7 @@ def test_a_visit_is_planned_within_the_strokes_and_tells_more_than_an_even_one(w
     assert main(["watch", str(base / "calibration.json"), "--plan", "--count", "6", "--out", str(out)]) == 0
     rows = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("  ")]
     assert len(rows) == 4 and all(float(row[-3]) < float(row[-2]) for row in rows)
-    commands = csv_and_parquet_tables.read_csv_table(out, ("frame",)).matrix(design.mechanism.axes)
+    commands = csv_and_parquet_tables_and_time_origin.read_csv_table(out, ("frame",)).matrix(design.mechanism.axes)
     low, high = design.mechanism.strut_range.T
     assert commands.shape == (6, 6) and (commands > low).all() and (commands < high).all()
 

@@ -14,7 +14,7 @@ from calib.models.machine_models import calibration_with_workspace
 from calib.models.platform.identification import identify_platform
 from calib.workspace.workspace_map_and_lost_poses import is_pose_lost
 from rig.cli.command_line import main
-from rig.formats import csv_and_parquet_tables
+from rig.formats import csv_and_parquet_tables_and_time_origin
 from synthetic import secret_machine
 from tests.calib.noisy_samples import sampled
 from tests.cli import Links
@@ -83,7 +83,9 @@ def test_the_map_is_said_and_written(kept, tmp_path, capsys):
         and tree["lost"] == made.workspace.lost
         and "oriented as home" in tree["room_of"]
     )
-    rows = csv_and_parquet_tables.read_csv_table(tmp_path / "map" / "workspace.csv", ("x", "y", "z", "lost"))
+    rows = csv_and_parquet_tables_and_time_origin.read_csv_table(
+        tmp_path / "map" / "workspace.csv", ("x", "y", "z", "lost")
+    )
     assert rows.matrix(("lost",)).sum() == made.workspace.lost_in.sum()
     page, links = (tmp_path / "map" / "workspace.html").read_text(), Links()
     links.feed(page)
@@ -133,7 +135,7 @@ def test_plans_avoid_what_was_lost(kept, tmp_path, asked, capsys):
         out.append(
             is_pose_lost(
                 made.correction,
-                csv_and_parquet_tables.read_csv_table(tmp_path / "plan.csv", ("frame",)).matrix(
+                csv_and_parquet_tables_and_time_origin.read_csv_table(tmp_path / "plan.csv", ("frame",)).matrix(
                     made.correction.nominal.axes
                 ),
             )

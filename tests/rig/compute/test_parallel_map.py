@@ -5,12 +5,12 @@ import os
 import numpy as np
 import pytest
 
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.linearised_residuals import linearise
 from calib.diagnosis.problems.platform.scores_of_all_candidates import score_candidates
-from calib.diagnosis.problems.requested_effects import RequestedEffects
 from rig.compute import parallel_map_and_dask_cluster
 from rig.compute.worker_processes import MOST, split_into_decreasing_parts
 from tests.calib.recordings_with_effects import recorded

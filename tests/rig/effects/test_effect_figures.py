@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from calib.report.pose_and_effect_figures import effect_sketch
 from rig.cli.command_line import main
 from rig.effects.catalogue.backlash import Backlash
 from rig.effects.catalogue.effect_list import ALL
@@ -16,9 +17,8 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Parameter
 from rig.effects.sketches.motion_effect_sketches import Sketch
 from rig.errors import RigError
-from rig.report.pages.page_templates_and_page_index import standalone_svg
+from rig.report.pages.page_templates_and_elements import standalone_svg
 from tests.conftest import ROOT
-from vision.frame_and_effect_pictures import effect_sketch
 
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
 WITHOUT_SIZE = {"marker_swap"}  # faces are exchanged or they are not

@@ -11,12 +11,11 @@ from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Camera, Platform
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import cardan_twist
 from rig.model.mechanisms import hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_twist
 from rig.model.pose import exp, pose, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
-from vision.predict import State, markers_facing_cameras, predict_sightings
-from vision.targets import marker_map
+from vision.predict import State, marker_map, markers_facing_cameras, predict_sightings
 
 
 def moved(design, values, t, effect, sensors=None):

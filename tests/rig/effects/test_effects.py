@@ -12,8 +12,7 @@ from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands
-from vision.predict import State, markers_facing_cameras, predict_sightings
-from vision.targets import marker_map
+from vision.predict import State, marker_map, markers_facing_cameras, predict_sightings
 
 PLACES = {
     "axis": "strut 3",

@@ -9,7 +9,7 @@ from rig.cli.command_line import main
 from rig.cli.go import parse_pose
 from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.errors import FileError, RigError
-from rig.formats import csv_and_parquet_tables
+from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.importers.foreign_table_columns import NUMBER
 from rig.formats.number_parsing_and_rounding import NotFinite, parse_number, parse_whole_number
 from rig.recording.frame_selection_and_content_hashes import parse_frame_ranges
@@ -70,13 +70,16 @@ def test_anything_else_is_none_wherever_it_stands(text, tmp_path, capsys):
         with pytest.raises(
             FileError, match="is not finite" if text in UNBOUNDED else "is not a number|is empty|more than any number"
         ) as caught:
-            csv_and_parquet_tables.read_csv_table(tmp_path / "t.csv", ("a", "b")).numbers("a")
+            csv_and_parquet_tables_and_time_origin.read_csv_table(tmp_path / "t.csv", ("a", "b")).numbers("a")
         assert caught.value.line == 3
 
 
 def test_spaces_around_a_cell_are_left_out_and_frames_are_counted_in_ascii(tmp_path):
     (tmp_path / "t.csv").write_text("a\n 1 \n2\t\n")
-    assert csv_and_parquet_tables.read_csv_table(tmp_path / "t.csv", ("a",)).numbers("a").tolist() == [1.0, 2.0]
+    assert csv_and_parquet_tables_and_time_origin.read_csv_table(tmp_path / "t.csv", ("a",)).numbers("a").tolist() == [
+        1.0,
+        2.0,
+    ]
     assert parse_frame_ranges(" 3, 7 - 9") == ((3, 3), (7, 9))
     with pytest.raises(RigError):
         parse_frame_ranges("\u0663")

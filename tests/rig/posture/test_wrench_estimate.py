@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from rig.cli import command_line
 from rig.errors import FileError, RigError
-from rig.formats import csv_and_parquet_tables
+from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.rig_toml import arm_dynamics_entries
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
@@ -275,7 +275,7 @@ def test_the_best_of_postures_visited_is_gone_back_to_the_way_it_came(tmp_path, 
         and tree["value"] == pytest.approx(value.max(), rel=1e-6)
         and tree["elsewhere"] == 1
     )
-    rows = csv_and_parquet_tables.read_csv_table(out, ("t", *PANDA.axes)).matrix(PANDA.axes)
+    rows = csv_and_parquet_tables_and_time_origin.read_csv_table(out, ("t", *PANDA.axes)).matrix(PANDA.axes)
     np.testing.assert_allclose(rows[[0, -1]], visited[[-1, value.argmax()]], atol=1e-8)
     assert len(rows) == len(visited) - value.argmax()
     assert (
@@ -315,7 +315,7 @@ def test_the_command_tells_the_wrench_beside_the_plain_one(tmp_path, capsys):
         printed, said = capsys.readouterr()
         result = json.loads(printed)
         assert ("motor currents" in said) == (columns == "i") and "weight and motion subtracted" in said
-        rows = csv_and_parquet_tables.read_csv_table(out, ("t", "fx"))
+        rows = csv_and_parquet_tables_and_time_origin.read_csv_table(out, ("t", "fx"))
         late = rows.matrix(DIRECTIONS)[int(SETTLED * 250) :]
         np.testing.assert_allclose(result["mean"], late.mean(axis=0), atol=1e-4)
         np.testing.assert_allclose(np.abs(result["largest"]), np.abs(late).max(axis=0), atol=1e-4)

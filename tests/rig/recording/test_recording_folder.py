@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rig.errors import FileError, RigError
-from rig.formats import csv_and_parquet_tables
+from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.model.pose import pose, pose_difference
 from rig.recording import recording_folder as recording
 from rig.recording import recording_tables
@@ -65,7 +65,7 @@ def test_a_last_row_that_does_not_end_is_said_to_be_cut_off(tmp_path):
     ):
         path.write_text(text)
         with pytest.raises(FileError) as refused:
-            csv_and_parquet_tables.read_csv_table(path, ("a", "b"))
+            csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("a", "b"))
         assert str(refused.value).endswith(says)
 
 

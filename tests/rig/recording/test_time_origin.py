@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from rig.errors import FileError
+from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.recording import recording_folder as recording
-from rig.recording import recording_tables
-from rig.recording.time_origin import TimeOrigin
 from tests.shifted_clock import ORIGINS, counted_from
 
 
@@ -34,7 +33,7 @@ def test_a_measured_recording_keeps_the_owners_clock(recording_folder, tmp_path)
     folder = counted_from(recording_folder, tmp_path / "moved", "1700000000.123456789")
     found = recording.load_recording(folder)
     (tmp_path / "out").mkdir()
-    recording_tables.copy_frames_commands_and_sensors(folder, tmp_path / "out", found.exposures, found.origin)
+    recording.copy_frames_commands_and_sensors(folder, tmp_path / "out", found.exposures, found.origin)
     before, after = (
         [line.split(",")[:3] for line in (part / "frames.csv").read_text().splitlines()]
         for part in (folder, tmp_path / "out")

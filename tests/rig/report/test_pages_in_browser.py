@@ -21,7 +21,7 @@ from rig.report.pages.run_page_server import PageServer
 from synthetic.blind_campaign_page import write_campaign_page
 from synthetic.diagnosis_score import Case, Found, Hidden
 from tests.rig.report.pages.test_run_page_server import EVENT
-from vision.frame_and_effect_pictures import encode_jpeg
+from vision.frame_pictures import encode_jpeg
 
 pytestmark = pytest.mark.slow
 KINDS = (

@@ -13,12 +13,16 @@ from rig.model.pose import exp, log, pose_difference
 from tests.vision.drawn_observations import known, scene
 from vision.bundle.adjustment_validation_and_determinacy import determined_combinations
 from vision.bundle.bundle_adjustment import adjust_bundle
-from vision.bundle.normal_equations import linearise
+from vision.bundle.normal_equations_and_corner_jacobians import linearise
 from vision.bundle.unknown_priors import TERM_PRIOR, adjustment_unknowns
-from vision.bundle.unknowns_and_estimate import UnknownName, align_points, offset_from_stated, update_estimate
+from vision.bundle.unknowns_estimate_and_printing_errors import (
+    UnknownName,
+    align_points,
+    offset_from_stated,
+    update_estimate,
+)
 from vision.corner_observations import corner_correlation_rows, whitener_of_observations
-from vision.predict import State, predict_corners
-from vision.targets import marker_map
+from vision.predict import State, marker_map, predict_corners
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,11 @@ from scipy.stats import chi2
 from rig.model.pose import log
 from tests.vision.handmade_body import Handmade, handmade
 from vision.bundle.marker_displacements import are_stated_places_doubtful, marker_displacements
-from vision.bundle.unknowns_and_estimate import align_points
+from vision.bundle.unknowns_estimate_and_printing_errors import align_points
 from vision.corner_observations import observations_from_corners
+from vision.predict import marker_map
 from vision.recording_adjustment import Measurement
 from vision.recording_measurement import measure_with_stated_or_free_places
-from vision.targets import marker_map
 
 
 def measured(made: Handmade, places: str = "auto") -> Measurement:

@@ -13,10 +13,10 @@ from tests.vision.tumbling_block import scene
 from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_adjustment, determined_combinations
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.marker_displacements import adjusted_markers, compare_stated_and_adjusted_places
-from vision.bundle.unknowns_and_estimate import align_points
+from vision.bundle.unknowns_estimate_and_printing_errors import align_points
+from vision.predict import marker_map
 from vision.recording_adjustment import measure_observations
 from vision.recording_measurement import unsolved_frames_with_enough_markers
-from vision.targets import marker_map
 
 FREE = ("lenses", "markers")
 

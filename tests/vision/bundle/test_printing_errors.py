@@ -12,14 +12,12 @@ from rig.model.pose import exp, pose_difference
 from tests.numerical_derivatives import jacobian
 from tests.vision.drawn_observations import nees, scene, standing
 from tests.vision.test_recording_adjustment import joint_chi2
-from vision.bundle.normal_equations import linearise
-from vision.bundle.printing_errors import Printing
+from vision.bundle.normal_equations_and_corner_jacobians import linearise
 from vision.bundle.unknown_priors import adjustment_unknowns
-from vision.bundle.unknowns_and_estimate import offset_from_stated, update_estimate
+from vision.bundle.unknowns_estimate_and_printing_errors import Printing, offset_from_stated, update_estimate
 from vision.corner_observations import whitener_of_observations
-from vision.predict import State, predict_corners
+from vision.predict import State, marker_map, predict_corners
 from vision.recording_adjustment import measure_observations
-from vision.targets import marker_map
 
 FREE = ("poses", "lenses")
 NOISE = 0.005  # px, of a good image

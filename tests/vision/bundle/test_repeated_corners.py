@@ -7,9 +7,9 @@ import pytest
 
 from tests.vision.drawn_observations import known, scene
 from vision.bundle import bundle_adjustment as adjusting
-from vision.bundle.normal_equations import linearise, normal_equations
+from vision.bundle.normal_equations_and_corner_jacobians import linearise, normal_equations
 from vision.bundle.unknown_priors import adjustment_unknowns
-from vision.bundle.unknowns_and_estimate import offset_from_stated
+from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated
 from vision.corner_observations import corner_correlation_rows, merge_repeated_corners, whitener_of_observations
 from vision.predict import State
 

@@ -12,8 +12,7 @@ from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.exact_pictures import SIZE, camera, picture, quad
 from vision.corners.marker_detection import detect_markers, fit_read_markers
 from vision.corners.whole_image_marker_reader import ReadMarkers
-from vision.predict import markers_expected_in_image
-from vision.targets import marker_map
+from vision.predict import marker_map, markers_expected_in_image
 
 
 @pytest.mark.parametrize(

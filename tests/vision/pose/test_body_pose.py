@@ -10,7 +10,7 @@ from rig.model.pose import pose, pose_difference
 from tests.vision import tumbling_block
 from tests.vision.drawn_observations import known, nees, scene
 from vision.pose.body_pose import View, locate_body, undistort_corners
-from vision.targets import marker_map
+from vision.predict import marker_map
 
 
 def view_of(observations, design, frame, keep=None):

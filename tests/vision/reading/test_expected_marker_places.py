@@ -14,12 +14,12 @@ from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands, Exposures, Recording
 from tests.vision.reading.test_marker_identity import printed
 from vision.corners import marker_detection
+from vision.predict import marker_map
 from vision.reading import expected_marker_places
 from vision.reading import recording_corners as collecting
 from vision.reading.marker_identity_mistakes import find_suspicious_markers
 from vision.reading.recording_corners import LEARN_FROM, collect_corners
 from vision.recording_measurement import measure_recording
-from vision.targets import marker_map
 
 FRAMES = 28
 SHOWN = {

@@ -12,10 +12,10 @@ from rig.errors import FileError, NotEnoughData
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from tests.conftest import BENCH, make_recording
+from vision.predict import marker_map
 from vision.reading.corner_refit import SETTLED, largest_lens_difference
 from vision.reading.recording_corners import collect_corners
 from vision.recording_measurement import measure_recording
-from vision.targets import marker_map
 
 
 @pytest.fixture(scope="module")

@@ -22,9 +22,9 @@ from calib.diagnosis.engine.problem_interface import Progress, Wald
 from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import ARM, SelectionPolicy, StatedTerms
 from calib.diagnosis.engine.term_selection import fit_selected_terms, remove_redundant_terms
 from calib.diagnosis.problems.arm import lack_of_fit_and_unlisted_effects as remainder
+from calib.diagnosis.problems.arm.finding_and_nonlinear_parameters import has_continuous_parameters
 from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, JointScore
-from calib.diagnosis.problems.arm.linearised_poses import Arms, Geometry
-from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters
+from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, Geometry
 from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import (
     FINE,
     QUICK,
@@ -40,8 +40,8 @@ from calib.diagnosis.problems.arm.scores_of_all_candidates import (
     score_candidates,
     score_column,
 )
-from calib.diagnosis.problems.evidence_interface import HeldOutPoses
-from calib.samples.pose_samples import time_block_folds
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import HeldOutPoses
+from calib.identify.least_squares_and_robust_fit import time_block_folds
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.model.places_and_tolerances import Place

@@ -21,16 +21,19 @@ from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import 
 )
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.arm.arm_problem import COARSE_PARTS, FINE_PARTS, ArmProblem, nested_held_out_poses
-from calib.diagnosis.problems.arm.finding_parameters import finding_parameters, term_errors_by_temperature_logs
+from calib.diagnosis.problems.arm.finding_and_nonlinear_parameters import (
+    finding_parameters,
+    term_errors_by_temperature_logs,
+)
 from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, joint_candidates
 from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import (
     excess_scatter,
     ranked_covariates,
     suggest_joint_formulas,
 )
-from calib.diagnosis.problems.arm.linearised_poses import FEWEST, Arms, Geometry, linearise_poses
+from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import FEWEST, Arms, Geometry, linearise_poses
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
-from calib.diagnosis.problems.evidence_interface import (
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     ASSUMED_NOISE,
     LEFT,
     STATED,
@@ -38,23 +41,29 @@ from calib.diagnosis.problems.evidence_interface import (
     HeldOutPoses,
     Misfit,
     Noise,
-    Repeats,
+    RequestedEffects,
     Value,
+    require_assumed_effects_testable,
 )
-from calib.diagnosis.problems.remainder_covariates_and_formulas import Suggestion, axis_speeds, time_cosines
-from calib.diagnosis.problems.repeated_commands import repeatability_of_pairs, repeated_pairs
-from calib.diagnosis.problems.requested_effects import RequestedEffects, require_assumed_effects_testable
-from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
-from calib.identify.robust_fit import MIDDLE, MOST, isolated_outlier_rows, robust_fit
+from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
+    Repeats,
+    Suggestion,
+    axis_speeds,
+    repeatability_of_pairs,
+    repeated_pairs,
+    smooth_temperatures,
+    time_cosines,
+)
+from calib.identify.least_squares_and_robust_fit import MIDDLE, MOST, isolated_outlier_rows, robust_fit
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import UNSTATED
-from calib.samples.recording_samples import Sampled, sample_recording
+from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
+from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.recording.recording_folder import Recording
-from rig.recording.time_origin import TimeOrigin
 from vision.pose_uncertainty_prediction import predict_pose_uncertainty
 
 GROSS, GATE = (

@@ -8,8 +8,8 @@ import numpy as np
 
 from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Candidate, Node, NotAsked
-from calib.diagnosis.problems.arm.linearised_poses import Arms
-from calib.diagnosis.problems.requested_effects import EffectSites, RequestedEffects
+from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import EffectSites, RequestedEffects
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect

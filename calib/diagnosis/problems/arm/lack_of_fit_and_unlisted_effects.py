@@ -13,6 +13,7 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
     time_stretch_folds,
 )
 from calib.diagnosis.engine.formula_search import Formula, Library, Search
+from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import Reduced
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
     ALPHA,
     Covariate,
@@ -25,18 +26,20 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
     significant_lack_of_fit,
     test_lack_of_fit,
 )
-from calib.diagnosis.engine.reduced_least_squares import Reduced
 from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import ARM
+from calib.diagnosis.problems.arm.finding_and_nonlinear_parameters import (
+    has_continuous_parameters,
+    term_parameter_covariance,
+)
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidate
-from calib.diagnosis.problems.arm.linearised_poses import Arms
-from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters, term_parameter_covariance
+from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import optimise_terms
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
 from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_products
-from calib.diagnosis.problems.evidence_interface import Repeats
-from calib.diagnosis.problems.remainder_covariates_and_formulas import (
+from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
     AGREE,
     NAME,
+    Repeats,
     Suggestion,
     formula_quantities,
     formula_text,

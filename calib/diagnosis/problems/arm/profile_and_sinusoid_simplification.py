@@ -7,8 +7,11 @@ from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import 
     SelectionPolicy,
     StatedTerms,
 )
+from calib.diagnosis.problems.arm.finding_and_nonlinear_parameters import (
+    has_continuous_parameters,
+    optimise_nonlinear_parameters,
+)
 from calib.diagnosis.problems.arm.joint_candidates import OWN_ANGLE, SPAN, Form, JointCandidate
-from calib.diagnosis.problems.arm.nonlinear_parameters import has_continuous_parameters, optimise_nonlinear_parameters
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
 from calib.diagnosis.problems.arm.scores_of_all_candidates import score_candidates
 from rig.array_and_json_types import Booleans

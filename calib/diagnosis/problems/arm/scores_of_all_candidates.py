@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import score_at_node
-from calib.diagnosis.engine.frame_inner_products import (
+from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import (
     FrameProducts,
     Normal,
     Solved,

@@ -13,8 +13,8 @@ from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import 
     Role,
     UsualRange,
 )
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import EffectSites, RequestedEffects
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
-from calib.diagnosis.problems.requested_effects import EffectSites, RequestedEffects
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from calib.diagnosis.engine.cross_validation_and_chance import scan_p_value
-from calib.diagnosis.engine.frame_inner_products import FrameProducts, solve_normal_equations
+from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import FrameProducts, solve_normal_equations
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
     ALPHA,
     LIKELY,
@@ -24,7 +24,7 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
 )
 from calib.diagnosis.problems.platform.effect_candidates import effect_context, lacks_temperature_log
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
-from calib.diagnosis.problems.platform.linearised_corners import MEDIAN
+from calib.diagnosis.problems.platform.linearised_corners import MEDIAN, edge_pixels
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.scores_of_all_candidates import (
     axis_products,
@@ -37,20 +37,19 @@ from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions 
     camera_mount_and_focal_pixel_derivatives,
     camera_time_functions,
     corner_shift_pixel_derivatives,
-    edge_pixels,
     image_warp_pixel_derivatives,
     smooth_strut_functions,
 )
-from calib.diagnosis.problems.remainder_covariates_and_formulas import (
+from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
     motion_functions,
     separate_weights,
     time_and_sensor_functions,
 )
-from calib.models.platform.identification import geometric_parameters
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.model.places_and_tolerances import Place
 
 MEDIAN_SPREAD = (

@@ -8,8 +8,8 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_data_type_and_claim_sentences import Calibration
 from calib.diagnosis.engine.problem_interface import Progress
-from calib.diagnosis.problems.temperature_smoothing import smooth_temperatures
-from calib.samples.recording_samples import Sampled, sample_recording
+from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import smooth_temperatures
+from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect import Effect
@@ -18,16 +18,14 @@ from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
-from rig.model.mechanism_kinds_singularity_and_cardan_twist import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
 from rig.model.places_and_tolerances import FINDER, SEAT, Place
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.corner_observations import Observations
-from vision.hand_cameras_stages_and_remounted_cubes import has_hand_cameras
-from vision.predict import Sightings, State, predict_sightings
-from vision.recording_adjustment import Measurement
+from vision.predict import MarkerMap, Sightings, State, marker_map, predict_sightings
+from vision.recording_adjustment import Measurement, has_hand_cameras
 from vision.recording_measurement import measure_recording
-from vision.targets import MarkerMap, marker_map
 
 KINDS = ("hexapod", "planar2", "free")  # of mechanisms
 FEWEST = 12  # frames
@@ -69,7 +67,7 @@ class OperatingPoint:
         nothing
     standing : px, what comes back in every frame where neither camera nor marker moves
     known : (mechanism, (42, 42) root of their information) of joints and zeros as another recording has them, or None
-    log_errors : {channel: (n, q)} of the sensors' temperatures, see temperature_smoothing.smoothed
+    log_errors : {channel: (n, q)} of the sensors' temperatures, see `smooth_temperatures`
     seats : by which cubes that were put back sit off where they are stated; assumed : whether the noise is not stated
     of poses that an instrument measured, so that a usual figure stands for it
     """

@@ -10,7 +10,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.model.design import Design
 from rig.model.places_and_tolerances import FINDER, SEAT, Place
 from vision import lens
-from vision.bundle.corner_jacobians import (
+from vision.bundle.normal_equations_and_corner_jacobians import (
     corner_jacobians,
     iterate_camera_jacobians,
     rotate_jacobian,
@@ -224,3 +224,23 @@ def repeated_corner_error(point: OperatingPoint) -> float:
     chance = np.median((off - mean[index])[many[index]] ** 2) / MEDIAN / np.median(count[many])
     excess = np.median(mean[many] ** 2) / MEDIAN - chance
     return float(np.sqrt(excess)) if excess > STANDING_PROOF * chance / np.sqrt(many.sum()) else 0.0
+
+
+def edge_pixels(point: OperatingPoint) -> Floats:
+    """Derivatives (n, 2, 2) of corner pixels by shifts along the two edges of their marker, per side."""
+    seen, quads = point.observed, point.pixels(rows=np.arange(len(point.observed.sightings.frame)))
+    depth = _depths(quads)
+    edges = np.stack(
+        [(np.roll(depth, s, axis=1) / depth)[..., None] * (np.roll(quads, s, axis=1) - quads) for s in (-1, 1)], axis=-1
+    )  # (s, 4, 2, 2)
+    return edges[seen.row, seen.observations.corner]
+
+
+def _depths(quads: Floats) -> Floats:
+    """(s, 4) depths of the corners of squares seen as quads (s, 4, 2), the first one's 1. Source: Heckbert,
+    Fundamentals of texture mapping and image warping, 1989, 2.2.3"""
+    a, b = quads[:, 1] - quads[:, 2], quads[:, 3] - quads[:, 2]
+    skew = quads[:, 0] - quads[:, 1] + quads[:, 2] - quads[:, 3]
+    area = a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1]
+    g, h = (skew[:, 0] * b[:, 1] - b[:, 0] * skew[:, 1]) / area, (a[:, 0] * skew[:, 1] - skew[:, 0] * a[:, 1]) / area
+    return np.stack([np.ones(len(g)), 1 + g, 1 + g + h, 1 + h], axis=1)

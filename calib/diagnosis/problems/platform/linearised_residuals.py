@@ -18,14 +18,14 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     corner_rows,
     cube_seat_freedoms,
 )
-from calib.models.platform.identification import (
-    PRIOR,
+from calib.models.platform.identification import PRIOR
+from rig.array_and_json_types import Floats, Integers
+from rig.compute.parallel_map_and_dask_cluster import thread_map
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     geometric_parameters,
     loop_closure_jacobian,
     strut_length_jacobian,
 )
-from rig.array_and_json_types import Floats, Integers
-from rig.compute.parallel_map_and_dask_cluster import thread_map
 from rig.model.places_and_tolerances import FINDER, SEAT
 
 CORNERS, CLOSURES = 0, 1  # the blocks

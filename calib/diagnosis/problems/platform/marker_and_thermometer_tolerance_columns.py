@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 from scipy.sparse import csr_array
 
-from calib.diagnosis.engine.frame_inner_products import (
+from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import (
     Normal,
     chi2_reduction_at_unit_coefficient,
     solve_normal_equations,
@@ -17,13 +17,13 @@ from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions import SLOW
-from calib.diagnosis.problems.remainder_covariates_and_formulas import time_cosines
+from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import time_cosines
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect_parameters_and_covariates import Linear
 from rig.model import mechanisms
 from rig.model.places_and_tolerances import PLACES, SIDES, STEEL, THERMOMETER, Place, Tolerance
-from vision.bundle.printing_errors import KINDS, NAMES
+from vision.bundle.unknowns_estimate_and_printing_errors import KINDS, NAMES
 
 ALPHA = 1e-3  # chance, over all, that tolerances are taken to be at work where they are not
 STEP = 1e-4  # of a side, a metre or a radian, for derivatives
@@ -234,3 +234,33 @@ def significant_tolerances(model: LinearisedModel, tolerance_effects: ToleranceM
         if p < ALPHA:
             out.append(SignificantTolerance(site, own, np.sqrt(np.diag(block)), p))
     return sorted(out, key=lambda s: s.p_value)
+
+
+MOST = 2.0  # of what is tolerated, that a kind of it is taken to vary by
+
+
+ROUNDS, SETTLED = 100, 1e-3  # of the fixed point; the part of what is tolerated by which it may still change
+
+
+def tolerance_sigmas_from_residuals(projection: Projection, tolerances: ToleranceModel) -> Floats:
+    """Tolerance sigmas (q,) estimated from residuals, kind by kind, at the most MOST times the stated ones
+
+    Source: MacKay, Bayesian interpolation, Neural Computation 4, 1992, sec. 4
+    """
+    share = np.ones(tolerances.kinds.max() + 1)
+    for _ in range(ROUNDS):
+        sigma = tolerances.sigma * share[tolerances.kinds]
+        on = np.flatnonzero(sigma)
+        width = sigma[on]
+        inverse = np.linalg.inv(np.eye(len(on)) + width[:, None] * projection.gram[np.ix_(on, on)] * width)
+        sizes, known = share[tolerances.kinds[on]] * (inverse @ (width * projection.right[on])), 1 - np.diag(inverse)
+        new = share.copy()
+        for kind in np.unique(tolerances.kinds[on]):
+            own = tolerances.kinds[on] == kind
+            if kind != TOGETHER:
+                new[kind] = min(np.sqrt((sizes[own] ** 2).sum() / max(known[own].sum(), 1e-9)), MOST)
+        new[new < SETTLED] = 0.0
+        if np.abs(new - share).max() < SETTLED:
+            break
+        share = new
+    return tolerances.sigma * share[tolerances.kinds]

@@ -10,7 +10,7 @@ from calib.diagnosis.engine.finding_confirmation_against_alternatives import Fin
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import NotAsked, Outliers, StatedTerms
-from calib.diagnosis.problems.evidence_interface import (
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     ASSUMED_NOISE,
     RESIDUALS,
     STATED,
@@ -19,21 +19,14 @@ from calib.diagnosis.problems.evidence_interface import (
     MeasuredFinding,
     Misfit,
     Noise,
-    Repeats,
+    RequestedEffects,
     Tolerable,
     Value,
     bounded_value,
     onset_time_value,
+    require_assumed_effects_testable,
 )
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, platform_candidates
-from calib.diagnosis.problems.platform.findings_attributable_to_tolerances import (
-    separate_tolerable_findings,
-    widen_intervals_by_temperature_logs_and_tolerances,
-)
-from calib.diagnosis.problems.platform.held_out_validation import (
-    cross_validate_effect_by_regions,
-    cross_validate_effects_by_residual_block,
-)
 from calib.diagnosis.problems.platform.lack_of_fit import closure_residuals, excess_scatter, ranked_covariates
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     OperatingPoint,
@@ -41,27 +34,36 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import (
     without_distant_corners,
 )
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS
-from calib.diagnosis.problems.platform.misplaced_markers_and_frames import (
+from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
     _find_outliers,
     _without_outliers,
     correct_marker_swaps,
+    cross_validate_effect_by_regions,
+    cross_validate_effects_by_residual_block,
     find_marker_swaps,
 )
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
-from calib.diagnosis.problems.platform.temperature_alternatives_of_findings import add_temperature_alternatives
-from calib.diagnosis.problems.platform.unlisted_strut_effects import suggest_strut_formulas
-from calib.diagnosis.problems.remainder_covariates_and_formulas import Suggestion
-from calib.diagnosis.problems.repeated_commands import repeatability_of_pairs, repeated_pairs
-from calib.diagnosis.problems.requested_effects import RequestedEffects, require_assumed_effects_testable
-from calib.samples.recording_samples import Sampled
+from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import (
+    add_temperature_alternatives,
+    separate_tolerable_findings,
+    widen_intervals_by_temperature_logs_and_tolerances,
+)
+from calib.diagnosis.problems.platform.unlisted_strut_effects import FORMULA_PLACES, suggest_strut_formulas
+from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
+    Repeats,
+    Suggestion,
+    repeatability_of_pairs,
+    repeated_pairs,
+)
+from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect import AT_REST, Effect
+from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model.design import Design
 from rig.model.places_and_tolerances import PLACES
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording
-from rig.recording.time_origin import TimeOrigin
 from vision.bundle.marker_displacements import Move, marker_displacements
 
 FACE_MOTION = effect_of_tolerance(PLACES)  # what a face is off by, however small
@@ -113,6 +115,8 @@ class PlatformEvidence:
     def suggestions(
         self, selection: PlatformSelection, left: list[LackOfFit], progress: Progress | None
     ) -> list[Suggestion]:
+        if not any(one.place.kind in FORMULA_PLACES for one in left):
+            return []
         return suggest_strut_formulas(_problem(selection), selection.fit, left, progress)
 
     def with_widened_intervals(self, selection: PlatformSelection) -> PlatformSelection:

@@ -30,8 +30,7 @@ from calib.diagnosis.problems.platform.linearised_residuals import (
     split_by_frames,
 )
 from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
-from calib.identify.least_squares import bounded_least_squares_step
-from calib.models.platform.identification import geometric_parameters, mechanism_with_parameters
+from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
@@ -41,6 +40,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import (
     cost_of_priors,
     prior_precision,
 )
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, mechanism_with_parameters
 from rig.model.pose import exp
 
 MAX_ITERATIONS = 20  # few need more than eight; a large effect is not linear in its numbers

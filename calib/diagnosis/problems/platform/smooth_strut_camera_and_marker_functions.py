@@ -7,16 +7,17 @@ from scipy.linalg import null_space
 
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
+from calib.diagnosis.problems.platform.linearised_corners import edge_pixels
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.scores_of_all_candidates import camera_mount_pixel_derivatives
-from calib.diagnosis.problems.remainder_covariates_and_formulas import (
+from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
     axis_speeds,
     scaled_powers,
     scaled_to_plus_minus_one,
     time_cosines,
 )
 from rig.array_and_json_types import Floats, Integers
-from rig.model.chebyshev_warp_and_printed_edge_shift import warp_columns
+from rig.model.design import warp_columns
 from rig.model.places_and_tolerances import Place
 from rig.model.pose import pose_difference
 
@@ -107,16 +108,6 @@ def _marker_pixels(k: OperatingPoint, ids: Integers) -> Floats:
     return out
 
 
-def edge_pixels(point: OperatingPoint) -> Floats:
-    """Derivatives (n, 2, 2) of corner pixels by shifts along the two edges of their marker, per side."""
-    seen, quads = point.observed, point.pixels(rows=np.arange(len(point.observed.sightings.frame)))
-    depth = _depths(quads)
-    edges = np.stack(
-        [(np.roll(depth, s, axis=1) / depth)[..., None] * (np.roll(quads, s, axis=1) - quads) for s in (-1, 1)], axis=-1
-    )  # (s, 4, 2, 2)
-    return edges[seen.row, seen.observations.corner]
-
-
 def corner_shift_pixel_derivatives(point: OperatingPoint, edges: Floats, marker: int) -> tuple[Integers, Floats]:
     """Derivatives (h, 2, 8), with rows (h,), of one marker's corner pixels by shifts along the marker's edges, as
     `edge_pixels` has them.
@@ -137,16 +128,6 @@ def _distortions() -> Floats:
     edges = np.stack([np.roll(corners, s, axis=0) - corners for s in (-1, 1)], axis=1)
     rigid = np.stack([np.tile([1.0, 0.0], (4, 1)), np.tile([0.0, 1.0], (4, 1)), corners[:, ::-1] * [-1, 1]], axis=-1)
     return null_space(np.einsum("csd,cdr->csr", edges, rigid).reshape(8, 3).T)
-
-
-def _depths(quads: Floats) -> Floats:
-    """(s, 4) depths of the corners of squares seen as quads (s, 4, 2), the first one's 1. Source: Heckbert,
-    Fundamentals of texture mapping and image warping, 1989, 2.2.3"""
-    a, b = quads[:, 1] - quads[:, 2], quads[:, 3] - quads[:, 2]
-    skew = quads[:, 0] - quads[:, 1] + quads[:, 2] - quads[:, 3]
-    area = a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1]
-    g, h = (skew[:, 0] * b[:, 1] - b[:, 0] * skew[:, 1]) / area, (a[:, 0] * skew[:, 1] - skew[:, 0] * a[:, 1]) / area
-    return np.stack([np.ones(len(g)), 1 + g, 1 + g + h, 1 + h], axis=1)
 
 
 def smooth_function_columns(

@@ -12,19 +12,18 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
     summed_gain_in_standard_errors,
 )
 from calib.diagnosis.engine.formula_search import Formula, Library, Search
-from calib.diagnosis.engine.frame_inner_products import FrameProducts
+from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import FrameProducts, Reduced
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import LinearModel
 from calib.diagnosis.engine.problem_interface import Progress
-from calib.diagnosis.engine.reduced_least_squares import Reduced
 from calib.diagnosis.problems.platform.effect_sensitivities import effect_parameter_directions
-from calib.diagnosis.problems.platform.held_out_validation import residual_change_column
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, LinearisedModel, linearise
+from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import residual_change_column
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
 from calib.diagnosis.problems.platform.scores_of_all_candidates import axis_products
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
-from calib.diagnosis.problems.remainder_covariates_and_formulas import (
+from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
     AGREE,
     GAIN,
     NAME,
@@ -77,6 +76,9 @@ class Site:
         return formula_text(formula, self.library, "strut", self.place == "rig" and not self.library.apart)
 
 
+FORMULA_PLACES = ("strut", "rig")  # kinds of place for whose remainder formulas are suggested
+
+
 def suggest_strut_formulas(
     problem: PlatformProblem, fit: PlatformFit, unexplained: list[LackOfFit], progress: Progress | None = None
 ) -> list[Suggestion]:
@@ -85,7 +87,7 @@ def suggest_strut_formulas(
     progress : called with (label, done, of), or None
     """
     k = fit.refined.point
-    places = list(dict.fromkeys(u.place for u in unexplained if u.place.kind in ("strut", "rig")))
+    places = list(dict.fromkeys(u.place for u in unexplained if u.place.kind in FORMULA_PLACES))
     model = problem.residual(fit)
     if not k.axes or not places:
         return []

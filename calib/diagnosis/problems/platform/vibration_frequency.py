@@ -7,7 +7,7 @@ import scipy
 
 from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion
-from calib.diagnosis.engine.frame_inner_products import (
+from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import (
     FrameProducts,
     Normal,
     normal_equations_by_direction_weights,

@@ -19,7 +19,7 @@ from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import sample_observations
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, Prior, fit_geometry_and_effects
 from calib.models.wanted_pose_commands import commands_along_route
-from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_and_dict import parse_effect

@@ -11,8 +11,7 @@ import pytest
 from calib.models.arm import error_model_and_observations, instrument_placement
 from calib.models.arm.error_model_and_observations import orientation_observations
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
-from calib.samples.pose_samples import Samples
-from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import Samples, sample_recording
 from rig.errors import FileError, RigError
 from rig.model.pose import exp, pose, pose_difference
 from rig.recording import recording_folder

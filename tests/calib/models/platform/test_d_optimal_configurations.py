@@ -5,7 +5,7 @@ given.
 import numpy as np
 import pytest
 
-from calib.models.platform.identification import geometric_parameters, identify_platform
+from calib.models.platform.identification import identify_platform
 from calib.models.platform.optimal_configurations import (
     CANDIDATES,
     CRITERIA,
@@ -16,6 +16,7 @@ from calib.models.platform.optimal_configurations import (
 from calib.models.platform.parameter_accuracy import PLAUSIBLE, parameter_combinations
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.planning import configuration_sets
 from tests.calib.noisy_samples import sampled
 

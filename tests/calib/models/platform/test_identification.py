@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.platform.identification import (
-    PRIOR,
-    geometric_parameters,
-    identify_platform,
-    loop_closure_jacobian,
-    mechanism_with_parameters,
-    pose_parameter_jacobian,
-)
+from calib.models.platform.identification import PRIOR, identify_platform, pose_parameter_jacobian
 from rig.errors import NotEnoughData, RigError
 from rig.model.mechanisms import hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    geometric_parameters,
+    loop_closure_jacobian,
+    mechanism_with_parameters,
+)
 from rig.model.pose import exp, pose_difference
 from tests.calib.noisy_samples import sampled
 from tests.calib.random_hexapods import worst_jacobian

@@ -7,9 +7,10 @@ import pytest
 
 from calib.correction import joint_camera_fit
 from calib.correction.joint_camera_fit import refine_correction_with_cameras
-from calib.models.platform.identification import geometric_parameters, identify_platform
-from calib.samples.recording_samples import sample_recording
+from calib.models.platform.identification import identify_platform
+from calib.samples.pose_samples import sample_recording
 from rig.errors import RigError
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.recording import recording_folder
 from tests.conftest import make_recording
 

@@ -3,15 +3,10 @@
 import numpy as np
 import pytest
 
-from calib.models.platform.identification import (
-    NAMES,
-    geometric_parameters,
-    identify_platform,
-    mechanism_with_parameters,
-    pose_parameter_jacobian,
-)
+from calib.models.platform.identification import identify_platform, pose_parameter_jacobian
 from calib.models.platform.parameter_accuracy import frame_motion_columns, parameter_combinations
 from rig.model.mechanisms import hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import NAMES, geometric_parameters, mechanism_with_parameters
 from rig.model.pose import exp, pose_difference, transform_points
 from tests.calib.noisy_samples import sampled, workspace
 

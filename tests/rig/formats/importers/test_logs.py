@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.errors import FileError, MissingLibrary
-from rig.formats import csv_and_parquet_tables
+from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.importers import csv_dialect
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.recording import recording_folder
@@ -162,13 +162,13 @@ def test_tables_go_out_as_parquet(good, tmp_path):
 
 
 def test_what_is_no_parquet_is_refused_and_a_missing_library_says_what_installs_it(good, tmp_path, monkeypatch):
-    whole = csv_and_parquet_tables.parquet_bytes({"t": [0.0, 1.0], "l1": [1.0, 2.0]})
+    whole = csv_and_parquet_tables_and_time_origin.parquet_bytes({"t": [0.0, 1.0], "l1": [1.0, 2.0]})
     bad = {
         "text": b"t,l1\n",
         "half": whole[: len(whole) // 2],
-        "empty": csv_and_parquet_tables.parquet_bytes({"t": [], "l1": []}),
-        "none": csv_and_parquet_tables.parquet_bytes({"t": [0.0, None], "l1": [1.0, 2.0]}),
-        "lists": csv_and_parquet_tables.parquet_bytes({"t": [[0.0]], "l1": [1.0]}),
+        "empty": csv_and_parquet_tables_and_time_origin.parquet_bytes({"t": [], "l1": []}),
+        "none": csv_and_parquet_tables_and_time_origin.parquet_bytes({"t": [0.0, None], "l1": [1.0, 2.0]}),
+        "lists": csv_and_parquet_tables_and_time_origin.parquet_bytes({"t": [[0.0]], "l1": [1.0]}),
     }
     for name, data in bad.items():
         (tmp_path / f"{name}.parquet").write_bytes(data)
@@ -187,4 +187,4 @@ def test_what_is_no_parquet_is_refused_and_a_missing_library_says_what_installs_
 
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(MissingLibrary, match=r"pip install 'rig\[parquet\]'"):
-        csv_and_parquet_tables.read_parquet_cells(tmp_path / "half.parquet")
+        csv_and_parquet_tables_and_time_origin.read_parquet_cells(tmp_path / "half.parquet")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rig.errors import FileError
+from rig.formats.json_toml_and_yaml_loading import value_positions
 from rig.formats.rig_toml import camera_instrument_and_cube_entries, design_file
-from rig.formats.toml_positions import value_positions
 from rig.model import mechanisms
 from rig.model.pose import exp, pose_difference
 from tests.conftest import SHARED

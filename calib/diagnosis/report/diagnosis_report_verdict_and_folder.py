@@ -1,0 +1,391 @@
+"""Report of a Diagnosis: its data, summary, doubts and actions; the verdict on the recording's model; and the diagnosis
+folder: diagnosis.json, and files to simulate by.
+"""
+
+import json
+from collections.abc import Collection
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+
+from calib.certification.calibration_evidence import ALONE, OfCalibrations
+from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Crowd, LeftOut
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
+    ASSUMED_NOISE,
+    RESIDUALS,
+    STATED,
+    NestedSelection,
+    RegionValidation,
+    RepeatedCommands,
+    ScatterSize,
+    WeighedPoses,
+)
+from calib.diagnosis.recording_diagnosis import Diagnosis
+from calib.diagnosis.report import report_sentences, residual_figures_and_contributions
+from calib.diagnosis.report.diagnosis_json_entries import (
+    SCHEMA,
+    UNKNOWN,
+    CovariateEntry,
+    EffectsFile,
+    FindingEntry,
+    FitEntry,
+    NotAskedEntry,
+    RecordingEntry,
+    RemarkEntry,
+    SuggestionEntry,
+    Unexplained,
+    covariate_entries,
+    effect_file_entries,
+    finding_entry,
+    fit_entry,
+    json_tree,
+    largest_unexplained,
+    measured_finding_entry,
+    recording_entries,
+    remark_entries,
+    suggested_formula_entries,
+    unnamed_finding_entries,
+)
+from calib.diagnosis.report.report_sentences import (
+    as_sentence,
+    finding_size_text,
+    finding_title,
+    outliers_not_excluded_sentence,
+    stated_beforehand_text,
+    value_text,
+)
+from calib.diagnosis.report.residual_figures_and_contributions import (
+    errors_at_and_beyond_fitted_angles,
+    position_error_statistics,
+)
+from calib.samples.confounded_conditions import Confounds, confound_sentences
+from rig.array_and_json_types import Json
+from rig.formats import local_and_remote_input_files, machine_json
+from rig.formats.local_and_remote_input_files import read_text
+from rig.formats.output_files import write_text
+from rig.model import mechanisms
+from rig.recording.recording_folder import Recording
+from rig.report.pages.page_templates_and_elements import result_html
+from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
+
+ROWS = "Examine the excluded rows below: record those configurations again"
+TAKE_IN = "Include it in the calibration: `rig calibrate REC --diagnosis DIR --out calibration.json`"
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Of one recording, or of several. start_s : s, the recording's start by the owner's clock; noise : {corner_px,
+    pose_m, pose_rad, strut_m}
+    findings : biggest first; unexplained : the largest of what has no name; not_asked : what the recording cannot show
+    fits : {"corners" | "closures" | "poses": FitEntry}; fit : that of the first finding; remarks : what is there and is
+        nobody's fault
+    covariates : what is left goes with, the one that explained most before first; said : what the operator said
+        beforehand, as options
+    recordings : where it is several, which; own_effects : files of effects that were asked for besides the catalogue
+    suggestions : formulas for what has no name
+    more : what one kind of machine has to say besides; confounds : of the recording, None where nothing was commanded
+    left_out : rows that agree with no others, left out before anything was searched; crowd : what is far off in too
+        many to be left out, or None
+    noise_from : "stated"; "residuals" where nobody states a corner's noise and the residuals determine it; "assumed"
+    where nobody states the poses' noise
+    calibrations : OfCalibrations, of those made from the recording that are beside it
+    asked : how many hypotheses, an effect at a place each, were held against the recording"""
+
+    recording: str
+    start_s: float
+    noise: dict[str, float | None]
+    findings: tuple[FindingEntry, ...]
+    unexplained: Unexplained | None
+    fits: dict[str, FitEntry]
+    fit: FitEntry
+    not_asked: tuple[NotAskedEntry, ...]
+    remarks: tuple[RemarkEntry, ...] = ()
+    covariates: tuple[CovariateEntry, ...] = ()
+    said: tuple[str, ...] = ()
+    recordings: tuple[RecordingEntry, ...] = ()
+    own_effects: tuple[EffectsFile, ...] = ()
+    suggestions: tuple[SuggestionEntry, ...] = ()
+    more: Json = field(default_factory=dict)
+    confounds: Confounds | None = None
+    noise_from: str = STATED
+    left_out: tuple[LeftOut, ...] = ()
+    crowd: Crowd | None = None
+    calibrations: OfCalibrations = ALONE
+    asked: int = 0
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        rows = [(finding_title(f), finding_size_text(f).removeprefix(", "), f.action or "") for f in self.findings]
+        return result_html(summary_sentence(self), [], [("what", "size", "what to do"), *rows] if rows else [])
+
+    @property
+    def named(self) -> list[FindingEntry]:
+        """The findings that have a name."""
+        return [f for f in self.findings if f.effect != UNKNOWN]
+
+    @property
+    def mattering(self) -> list[FindingEntry]:
+        """Of those, the ones that change what was held out."""
+        return [f for f in self.named if f.matters]
+
+    @property
+    def unknown(self) -> list[FindingEntry]:
+        """The findings that have none."""
+        return [f for f in self.findings if f.effect == UNKNOWN]
+
+    def tree(self) -> Json:
+        """The tree of diagnosis.json, without the verdict."""
+        apart = ("more", "confounds", "calibrations", "asked", *(() if self.recordings else ("recordings",)))
+        own = {f.name: json_tree(getattr(self, f.name)) for f in fields(self) if f.name not in apart}
+        return {
+            "schema": SCHEMA,
+            **own,
+            "unexplained": json_tree(self.unexplained),
+            **self.more,
+            "crowd": json_tree(self.crowd),
+            "confounds": self.confounds and self.confounds.tree(),
+        }
+
+
+def summary_sentence(report: Report) -> str:
+    """Summary sentence of a Report: the findings, the biggest first, and what is unexplained."""
+    worst, left = report.unexplained, ""
+    if worst is not None:
+        left = (
+            f"something at {worst.place} that no catalogued effect explains, {value_text(worst.magnitude, worst.unit)}"
+        )
+        left += f", correlated with {' and '.join(worst.depends_on)}" if worst.depends_on else ""
+    if not report.named:
+        return f"There is {left}." if left else _all_clear_sentence(report)
+    main = report.mattering or report.named
+    said = [f"{finding_title(f)}{finding_size_text(f)}{stated_beforehand_text(f)}" for f in main]
+    fewer = len(report.named) - len(main)
+    slight = "1 more is significant but changes" if fewer == 1 else f"{fewer} more are significant but change"
+    said += [f"{slight} held-out errors negligibly"] if fewer else []
+    text = "; ".join([*said, *([f"besides, {left}"] if left else [])])
+    doubtful = [f.effect.replace("_", " ") for f in main if f.cannot_be_told_from]
+    text += (
+        f". This recording alone cannot distinguish the {' and the '.join(doubtful)} from alternatives: see its entry"
+        if doubtful
+        else ""
+    )
+    return as_sentence(text)
+
+
+def _all_clear_sentence(report: Report) -> str:
+    """What it is worth that nothing was found: nothing, where the noise is not stated."""
+    if report.crowd is not None:
+        return f"No catalogued effect was found, and {outliers_not_excluded_sentence(report.crowd)}."
+    if report.noise_from == ASSUMED_NOISE:
+        return (
+            "Nothing was found, which is inconclusive: the noise is not stated, and the residual of the poses "
+            "was used instead. State it: "
+            "position_sigma and rotation_sigma in [instrument] of rig.toml."
+        )
+    whence = ", estimated from the residuals of the corners: not stated" if report.noise_from == RESIDUALS else ""
+    return f"Nothing is unmodelled: the recording and the model of the rig agree within the noise{whence}."
+
+
+def diagnosis_verdict(report: Report) -> Verdict:
+    """The verdict of a Report: check where something that matters is left out of the model or has no name, or where a
+    calibration made from the recording leaves something unexplained; bad where the recording refutes such a
+    calibration."""
+    left, rest, steps = unexplained_sentences(report), doubts_of_report(report), recommended_actions(report)
+    besides = tuple(
+        MissingEvidence(text, TAKE_IN)
+        for text in report.calibrations.unexplained
+        if text not in (*left, *(one.text for one in rest))
+    )
+    said = summary_sentence(report).removesuffix(".")
+    return judge_evidence(
+        Evidence(
+            said[0].lower() + said[1:],
+            tuple(steps),
+            unexplained=left,
+            confounds=confound_sentences(report.confounds),
+            missing=(*rest, *besides),
+            refuted=report.calibrations.refuted,
+            look=TAKE_IN if report.mattering else steps[0],
+            named=True,
+        )
+    )
+
+
+def unexplained_sentences(report: Report, known_physics: Collection[tuple[str, str]] = ()) -> tuple[str, ...]:
+    """Sentences on what a Report leaves unexplained by the model. known_physics : (effect, place) already modelled"""
+    named = [
+        f"the model omits {report_sentences.finding_title(f)}"
+        for f in report.mattering
+        if (f.effect, f.place) not in known_physics
+    ]
+    unknown = [
+        f"no catalogued effect explains the residual at {f.place}"
+        for f in report.unknown
+        if (f.effect, f.place) not in known_physics
+    ]
+    if (
+        not report.unknown
+        and report.unexplained is not None
+        and (UNKNOWN, report.unexplained.place) not in known_physics
+    ):
+        unknown = [f"no catalogued effect explains the residual at {report.unexplained.place}"]
+    if report.crowd is not None:
+        unknown.append("too many rows agree with no others for any to be excluded")
+    return tuple(dict.fromkeys([*named, *unknown]))
+
+
+def doubts_of_report(report: Report) -> tuple[MissingEvidence, ...]:
+    """Doubts of a Report: what it assumes and nobody has shown."""
+    missing = []
+    if report.noise_from == ASSUMED_NOISE:
+        missing.append(MissingEvidence("the noise is not stated, so unmodelled effects cannot be tested"))
+    if report.left_out:
+        count = len(report.left_out)
+        agreeing = f"{count} rows agree with no others and were" if count > 1 else "1 row agrees with no others and was"
+        missing.append(MissingEvidence(f"{agreeing} left out", ROWS))
+    return tuple(missing)
+
+
+def write_diagnosis_json(folder: Path, report: Report) -> None:
+    """Write diagnosis.json into a folder: the Report's tree, its verdict after its schema."""
+    tree = report.tree()
+    write_text(
+        folder / "diagnosis.json",
+        json.dumps({"schema": tree["schema"], "verdict": diagnosis_verdict(report).tree(), **tree}, indent=1) + "\n",
+    )
+
+
+def recommended_actions(report: Report) -> list[str]:
+    """Recommended actions of a Report: what an owner does next."""
+    actions = [
+        f"{report_sentences.finding_title(f)[0].upper()}{report_sentences.finding_title(f)[1:]}: "
+        f"{f.action}".removesuffix(".")
+        for f in report.mattering or report.named
+        if f.action
+    ]
+    if report.named:
+        return [*actions, TAKE_IN]
+    if report.suggestions:
+        return [
+            "Generate its formula and edit it: `rig effects --new NAME --from DIR`, then `rig "
+            "diagnose --effects NAME.py`"
+        ]
+    if report.findings or report.crowd is not None:
+        return ["See the correlated covariates below, and record possible causes: temperature, load, time"]
+    if report.noise_from == ASSUMED_NOISE:
+        return [
+            "State the noise of the poses, position_sigma and rotation_sigma in [instrument] of rig.toml, "
+            "and diagnose again"
+        ]
+    return ["Nothing: calibrate from this recording, `rig calibrate REC --out calibration.json`"]
+
+
+def diagnosis_report(diagnosis: Diagnosis) -> Report:
+    """Report of a Diagnosis."""
+    found = [measured_finding_entry(one) for one in diagnosis.measured_findings]
+    found += [finding_entry(diagnosis, f, proof) for f, proof in zip(diagnosis.findings, diagnosis.cross_validations)]
+    fits = {name: fit_entry(fit) for name, fit in diagnosis.misfits.items()}
+    noise = asdict(diagnosis.noise)
+    noise_from = noise.pop("source")
+    return Report(
+        diagnosis.recording,
+        diagnosis.origin.shown(0.0),
+        noise,
+        (*found, *unnamed_finding_entries(diagnosis.left)),
+        largest_unexplained(diagnosis),
+        fits,
+        fits[diagnosis.shown_in],
+        tuple(NotAskedEntry(s.effect, s.reason) for s in diagnosis.not_asked),
+        tuple(remark_entries(diagnosis)),
+        covariate_entries(diagnosis.covariates),
+        diagnosis.options.said,
+        recording_entries(diagnosis.parts),
+        effect_file_entries(diagnosis.options.own),
+        suggested_formula_entries(diagnosis.suggestions),
+        more=held_out_entries(diagnosis),
+        confounds=diagnosis.confounds,
+        noise_from=noise_from,
+        left_out=diagnosis.outliers.left_out,
+        crowd=diagnosis.outliers.crowd,
+        asked=diagnosis.selection.asked,
+    )
+
+
+def write_diagnosis_folder(folder: Path, diagnosis: Diagnosis, recording: Recording, report: Report) -> None:
+    """Write the folder of a diagnosis: diagnosis.json and, where a machine was commanded, what to simulate it by:
+    machine.json, the recording's own rig.toml, commands, frames and sensors, and what each finding does to each pose
+    where that is known.
+    report : Report of d"""
+    write_diagnosis_json(folder, report)
+    if diagnosis.design is None:
+        return
+    tree = machine_json.machine_dict(diagnosis.design, diagnosis.machine_effects)
+    write_text(folder / "machine.json", json.dumps(tree) + "\n")
+    copy_recording(folder, recording)
+    residual_figures_and_contributions.write_contributions(folder / "contributions.csv", diagnosis)
+
+
+def copy_recording(folder: Path, recording: Recording) -> None:
+    """Copy a recording's own rig.toml, commands, frames and sensors into a folder; of several, the first one's."""
+    recording = recording.apart[0].recording
+    for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
+        if local_and_remote_input_files.exists(recording.folder / name):
+            write_text(folder / name, read_text(recording.folder / name))
+
+
+def held_out_entries(diagnosis: Diagnosis) -> Json:
+    """Entries of diagnosis.json {key: tree} on held-out data: time stretches, travel regions and repeats."""
+    out: Json = {}
+    if isinstance(diagnosis.evidence, ScatterSize):
+        out["scatter_beyond_stated_m"] = diagnosis.evidence.scatter_beyond_stated(diagnosis.selection)[0]
+    if isinstance(diagnosis.evidence, NestedSelection):
+        out["held_out"] = [
+            {
+                "stretches": h.stretches,
+                "before": position_error_statistics(h.before),
+                "after": position_error_statistics(h.after),
+                **errors_at_and_beyond_fitted_angles(h),
+                "chosen": [list(n) for n in h.names],
+            }
+            for h in diagnosis.held
+        ]
+    if isinstance(diagnosis.evidence, RegionValidation):
+        out["held_out_by_region"] = held_out_region_gains(diagnosis)
+    if isinstance(diagnosis.evidence, RepeatedCommands):
+        out["repeats"] = repeatability_entry(diagnosis)
+    if isinstance(diagnosis.evidence, WeighedPoses):
+        out["set_aside"] = diagnosis.evidence.frames_set_aside(diagnosis.selection)
+    return out
+
+
+def repeatability_entry(diagnosis: Diagnosis) -> Json | None:
+    """Entry on how well poses repeat; None where too few commands were repeated."""
+    again = diagnosis.repeats
+    if again is None:
+        return None
+    return {
+        "pairs": again.pairs,
+        "mean_m": again.mean,
+        "rms_m": again.rms,
+        "mean_rad": again.mean_rad,
+        "remainder_that_repeats": again.recurring_share,
+    }
+
+
+def held_out_region_gains(diagnosis: Diagnosis) -> list[Json]:
+    """Gains by each finding where whole regions of an axis' travel are held out: misfit before and after,
+    m, and standard errors.
+    """
+    if diagnosis.design is None:
+        return []
+    places = mechanisms.axis_place_texts(diagnosis.design.mechanism)
+    return [
+        {
+            "joint": j + 1,
+            "place": places[j],
+            "findings": [
+                {"heldout_before": v.before, "heldout_after": v.after, "gain_sigma": v.gain, "unit": v.unit}
+                for v in row
+            ],
+        }
+        for j, row in enumerate(diagnosis.regions)
+    ]

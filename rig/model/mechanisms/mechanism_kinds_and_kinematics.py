@@ -1,0 +1,343 @@
+"""Mechanism kinds, as predicates and requirements; the kinematics module of each, their common interface, axis names
+and units; singularity of a hexapod's geometry, and its cardan twist.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.array_and_json_types import Floats
+from rig.errors import RigError
+from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2
+from rig.model.mechanisms import arm, hexapod, mechanism_chain, two_strut_plane
+from rig.model.places_and_tolerances import Place
+from rig.model.pose import exp
+
+if TYPE_CHECKING:
+    from typing_extensions import TypeIs
+
+Mechanism = Hexapod | Planar2 | Arm | Chain | Free
+Struts = Hexapod | Planar2  # what moves a platform, or a hinge, on struts
+Commanded = Hexapod | Planar2 | Arm | Chain  # what has axes
+
+
+def has_struts(mechanism: Mechanism) -> TypeIs[Struts]:
+    """Whether a mechanism is driven by struts as a whole."""
+    return mechanism.strut_joints is not None
+
+
+def has_plates(mechanism: Mechanism) -> TypeIs[Hexapod]:
+    """Whether a mechanism's struts stand between two plates, so that they hold all six coordinates of a pose."""
+    return mechanism.plates is not None
+
+
+def has_links(mechanism: Mechanism) -> TypeIs[Arm]:
+    """Whether a mechanism is made of links, one joint after the other."""
+    return mechanism.link_rows is not None
+
+
+def has_stages(mechanism: Mechanism) -> TypeIs[Chain]:
+    """Whether a mechanism is made of others, one upon the other."""
+    return len(mechanism.stages) > 1
+
+
+def has_axes(mechanism: Mechanism) -> TypeIs[Commanded]:
+    """Whether a mechanism has axes to command."""
+    return bool(mechanism.axes)
+
+
+def require_hexapod(
+    mechanism: Mechanism, refusal: str = "this requires a hexapod, not a mechanism of kind {kind!r}"
+) -> Hexapod:
+    """The mechanism, required to be a hexapod. Raises RigError for another kind."""
+    if not has_plates(mechanism):
+        raise RigError(refusal.format(kind=mechanism.kind))
+    return mechanism
+
+
+def require_struts(
+    mechanism: Mechanism, refusal: str = "this requires a platform on struts, not a mechanism of kind {kind!r}"
+) -> Struts:
+    """The mechanism, required to have struts (hexapod or planar). Raises RigError for another kind."""
+    if not has_struts(mechanism):
+        raise RigError(refusal.format(kind=mechanism.kind))
+    return mechanism
+
+
+def require_arm(mechanism: Mechanism, refusal: str = "this requires an arm, not a mechanism of kind {kind!r}") -> Arm:
+    """The mechanism, required to be an arm. Raises RigError for another kind."""
+    if not has_links(mechanism):
+        raise RigError(refusal.format(kind=mechanism.kind))
+    return mechanism
+
+
+def require_chain(mechanism: Mechanism) -> Chain:
+    """The mechanism, required to be a chain of mechanisms. Raises RigError for another kind."""
+    if not has_stages(mechanism):
+        raise RigError(f"this requires a chain of mechanisms, not a mechanism of kind {mechanism.kind!r}")
+    return mechanism
+
+
+def target_bodies(mechanism: Mechanism) -> tuple[str, ...]:
+    """Names of a mechanism's bodies that may carry targets: platform, base, and a chain's lower stages."""
+    return ("platform", "base", *mechanism.bodies)
+
+
+def require_axes(
+    mechanism: Mechanism, refusal: str = "this requires a machine with axes, not a body that is moved by hand"
+) -> Commanded:
+    """The mechanism, required to have axes that are commanded. Raises RigError for a free body."""
+    if not has_axes(mechanism):
+        raise RigError(refusal.format(kind=mechanism.kind))
+    return mechanism
+
+
+SINGULAR = 1e-6  # of the largest singular value of the Jacobian, rotations weighed by the platform's size
+MOVES = np.array(
+    [[0.1, 0, 0, 0, 0, 0], [0, 0.1, 0, 0.1, 0, 0], [0, 0, 0.1, 0, 0.1, 0], [0, 0, 0, 0, 0, 0.1]]
+)  # platform sizes, rad
+
+
+def singular_geometry_problem(hexapod: Hexapod) -> str | None:
+    """Problem of a hexapod that is singular at home or by its architecture, in words; None where it is not.
+
+    Joints on similar hexagons, one plate turned against the other or not, leave it loose wherever it stands.
+    Sources: Ma and Angeles, Architecture singularities of parallel manipulators, 1992; Merlet, Parallel Robots, 2nd
+    ed., ch. 6
+    """
+    size = max(
+        float(np.linalg.norm(hexapod.platform_joints - hexapod.platform_joints.mean(axis=0), axis=1).mean()), 1e-9
+    )
+    if _least(hexapod, np.zeros(6), size) > SINGULAR:
+        return None
+    if all(_least(hexapod, move, size) <= SINGULAR for move in MOVES * np.repeat([size, 1.0], 3)):
+        return (
+            "is singular by its architecture: whatever the strut lengths, the platform is loose at every "
+            "pose, since base and platform joints "
+            "lie on similar hexagons or the like (Ma and Angeles 1992); set the joints of one plate nearer in pairs"
+        )
+    return (
+        "is singular: there the strut lengths do not hold the platform, and no pose follows from them; another "
+        "home is needed, turned or tilted"
+    )
+
+
+def _least(hexapod: Hexapod, move: Floats, size: float) -> float:
+    """Least singular value of the Jacobian at home moved by a tangent (m, rad), as a share of the largest; 0 where a
+    strut has no length.
+    """
+    matrix = (hexapod.home * exp(move)).as_matrix()
+    R, a = matrix[:3, :3], hexapod.platform_joints
+    struts = (a @ R.T + matrix[:3, 3] - hexapod.base_joints) @ R
+    lengths = np.linalg.norm(struts, axis=1)
+    if lengths.min() <= 0:
+        return 0.0
+    u = struts / lengths[:, None]
+    values = np.linalg.svd(np.hstack([u, np.cross(a, u) / size]), compute_uv=False)
+    return float(values[-1] / values[0])
+
+
+def cardan_twist(T: RigidTransform, mechanism: Hexapod) -> Floats:
+    """(..., 6) rad twist of each strut's platform-side cardan against its base-side one, about the strut.
+
+    A cardan's first axis lies in its plate, tangential, (-y, x, 0) of the joint in the plate's frame; its second is
+    perpendicular to the first and to the strut. Right-handed about u, from base to platform.
+    """
+    R = T.rotation.as_matrix()[..., None, :, :]
+    u = T.as_matrix()[..., None, :3, 3] + (R @ mechanism.platform_joints[..., None])[..., 0] - mechanism.base_joints
+    u /= np.linalg.norm(u, axis=-1, keepdims=True)
+    base, moved = _tangential(mechanism.base_joints), (R @ _tangential(mechanism.platform_joints)[..., None])[..., 0]
+    a, b = np.cross(u, np.broadcast_to(base, u.shape)), np.cross(u, moved)
+    return np.arctan2(np.einsum("...i,...i->...", np.cross(a, b), u), np.einsum("...i,...i->...", a, b))
+
+
+def _tangential(joints: Floats) -> Floats:
+    return np.stack([-joints[:, 1], joints[:, 0], np.zeros(len(joints))], axis=1)
+
+
+K = TypeVar("K", bound=Hexapod | Planar2 | Arm | Chain | Free)
+M = TypeVar("M", contravariant=True)  # the geometry of rig.model.design that a kind moves
+
+
+class MechanismKinematics(Protocol[M]):
+    """A kind of machine: n axes that are commanded (m or rad) move one body, the platform.
+
+    AXIS : what an axis is called in a place ("strut", "joint"); UNIT : of its travel, "m" or "rad"
+    An arm's prismatic joint is a "slide", its travel in m and its load in N: `rig.model.mechanisms.axis_places` and
+    `axis_units` tell them axis by axis.
+    A wrench is (force, moment) in N and N m on the platform's origin, in its axes; a tangent stands on the right (m,
+    rad).
+    """
+
+    AXIS: str
+    UNIT: str
+
+    def forward(self, values: Floats, mechanism: M, guess: RigidTransform | None = None, /) -> RigidTransform:
+        """T_base_platform (...) of commanded values (..., axes)."""
+        ...
+
+    def inverse(self, T_base_platform: RigidTransform, mechanism: M, /) -> Floats:
+        """Commanded values (..., axes) that give poses T_base_platform (...)."""
+        ...
+
+    def limit_excess(self, values: Floats, mechanism: M, /) -> Floats:
+        """How far commanded values (..., axes) lie outside the travel: negative below, positive above, 0 inside."""
+        ...
+
+    def travel_ranges(self, mechanism: M, /) -> Floats:
+        """(axes, 2) least and greatest value that can be commanded."""
+        ...
+
+    def home_values(self, mechanism: M, /) -> Floats:
+        """(axes,) commanded values from which strokes count."""
+        ...
+
+    def axis_loads(self, T: RigidTransform, values: Floats, mechanism: M, wrench: Floats, /) -> Floats:
+        """(n, axes) force or torque that the axes exert, in the direction of growing values, to hold a wrench (n, 6) on
+        the platform.
+        """
+        ...
+
+    def link_weight_loads(self, T: RigidTransform, values: Floats, mechanism: M, gravity: Floats, /) -> Floats:
+        """(n, axes, c) the same per unit of what the machine's own moving members weigh, c numbers of mass (kg) and
+        mass moment (kg m); c = 0 where their weight is not borne by the axes."""
+        ...
+
+    def axis_deviation_and_sway_by_growth(
+        self, T: RigidTransform, values: Floats, mechanism: M, share: Floats, /
+    ) -> tuple[Floats, Floats]:
+        """(deviation (n, axes), sway (n, 6)) of the machine whose axes' members have grown by shares (n, axes) of their
+        length.
+        """
+        ...
+
+    def axis_changes_by_pose(self, T: RigidTransform, values: Floats, mechanism: M, /) -> Floats:
+        """(n, axes, 6) change of the axes (m or rad) with the pose's tangent (m, rad) at poses T (n,), values (n,
+        axes).
+        """
+        ...
+
+    def singularity_rows(self, T: RigidTransform, values: Floats, mechanism: M, /) -> Floats:
+        """(n, axes, 6) a row for each axis, that coincide where the machine is singular, at poses T (n,), values
+        (n, axes).
+        """
+        ...
+
+    def link_points(self, values: Floats, mechanism: M, /) -> Floats | None:
+        """(n, points, 3) m of the line along a machine's links, in the base frame; None for a machine without links."""
+        ...
+
+    def strut_ends(self, T: RigidTransform, mechanism: M, /) -> tuple[Floats, Floats] | None:
+        """(base joints (axes, 3), platform joints (n, axes, 3)) m in the base frame; None for a machine that has no
+        struts.
+        """
+        ...
+
+
+ALL: dict[str, MechanismKinematics[Any]] = {
+    "hexapod": hexapod,
+    "planar2": two_strut_plane,
+    "arm": arm,
+    "chain": mechanism_chain,
+}
+AXIS_UNITS = {"strut": "m", "slide": "m", "joint": "rad"}  # by what an axis is called
+
+
+def kinematics_of(mechanism: K) -> MechanismKinematics[K]:
+    """The kinematics module of a mechanism by its kind. Raises RigError for a kind without kinematics."""
+    if mechanism.kind not in ALL:
+        raise RigError(f"no kinematics for a mechanism of kind {mechanism.kind!r}; there are {', '.join(ALL)}")
+    return ALL[mechanism.kind]
+
+
+def axis_places(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> tuple[Place, ...]:
+    """Places of a mechanism's axes: strut 1 .., joint 1 .., slide 3, a chain's stage 2 strut 1."""
+    if mechanism.bodies:
+        return tuple(place for k, stage in enumerate(mechanism.stages) for place in _numbered(stage.axis_words, k + 1))
+    return _numbered(mechanism.axis_words)
+
+
+@cache
+def _numbered(words: tuple[str, ...], stage: int = 0) -> tuple[Place, ...]:
+    """The places of axes that are called so, counted from 1."""
+    return tuple(Place(word, str(i + 1), stage) for i, word in enumerate(words))
+
+
+def axis_place_texts(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> tuple[str, ...]:
+    """Texts of the places of a mechanism's axes: "strut 1" .., a chain's "stage 2 strut 1"."""
+    return _texts(axis_places(mechanism))
+
+
+@cache
+def _texts(places: tuple[Place, ...]) -> tuple[str, ...]:
+    return tuple(map(str, places))
+
+
+def travel_unit(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> str:
+    """Unit of the axes' travel, "m" or "rad"; "rad or m" for an arm with both."""
+    return " or ".join(dict.fromkeys(sorted(axis_units(mechanism), reverse=True)))
+
+
+def axis_units(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> tuple[str, ...]:
+    """Unit of each axis of a mechanism, "m" or "rad"; none for a free body."""
+    return tuple(AXIS_UNITS[word] for word in mechanism.axis_words)
+
+
+NAMES = {
+    "hexapod": (
+        *(f"{plate} joint {i + 1} {axis}" for plate in ("base", "platform") for i in range(6) for axis in "xyz"),
+        *(f"zero of strut {i + 1}" for i in range(6)),
+    ),
+    "planar2": (
+        *(f"base joint {i + 1} {axis}" for i in range(2) for axis in "xy"),
+        "zero of strut 1",
+        "zero of strut 2",
+    ),
+}
+
+
+S = TypeVar("S", Hexapod, Planar2, Hexapod | Planar2)
+
+
+def geometric_parameters(mechanism: Struts) -> Floats:
+    """Geometric parameters (p,) m: joints and zeros in the order of NAMES."""
+    platform = mechanism.platform_joints.ravel() if isinstance(mechanism, Hexapod) else np.zeros(0)
+    return np.concatenate([mechanism.base_joints.ravel(), platform, mechanism.strut_zeros])
+
+
+def mechanism_with_parameters(mechanism: S, p: Floats) -> S:
+    """The mechanism with parameters p (p,) m."""
+    if isinstance(mechanism, Hexapod):
+        return replace(
+            mechanism, base_joints=p[:18].reshape(6, 3), platform_joints=p[18:36].reshape(6, 3), strut_zeros=p[36:]
+        )
+    return replace(mechanism, base_joints=p[:4].reshape(2, 2), strut_zeros=p[4:])
+
+
+def strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:
+    """Strut length Jacobian (..., axes, 6), m/m and m/rad, by the poses' tangents on the right."""
+    if isinstance(mechanism, Hexapod):
+        return hexapod.jacobian(T_base_platform, mechanism)
+    return two_strut_plane.jacobian(T_base_platform, mechanism)
+
+
+def loop_closure_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:
+    """Loop closure Jacobian (..., axes, p): change of zero - length with the parameters, at poses (...)."""
+    if isinstance(mechanism, Planar2):
+        return two_strut_plane.two_strut_loop_jacobian(T_base_platform, mechanism)
+    matrix = T_base_platform.as_matrix()
+    R = matrix[..., :3, :3]
+    struts = mechanism.platform_joints @ np.swapaxes(R, -1, -2) + matrix[..., None, :3, 3] - mechanism.base_joints
+    u = struts / np.linalg.norm(struts, axis=-1, keepdims=True)
+    D = np.zeros((*u.shape[:-2], 6, 42))
+    turned = u @ R
+    for i in range(6):
+        D[..., i, 3 * i : 3 * i + 3] = u[..., i, :]
+        D[..., i, 18 + 3 * i : 21 + 3 * i] = -turned[..., i, :]
+        D[..., i, 36 + i] = 1
+    return D

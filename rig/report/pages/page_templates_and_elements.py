@@ -1,0 +1,409 @@
+"""Templates of HTML pages and standalone SVG files; HTML elements of pages (headings, lists, tables, notes) and SVG
+elements of figures (text, tooltip, ticks); the index page of all pages below a folder, with verdicts.
+"""
+
+import html
+import math
+import os
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import quote
+
+from rig.errors import RigError
+from rig.formats.output_files import CommandOutputs, write_text
+from rig.report import verdict_and_refutations_of_results
+from rig.report.verdict_and_refutations_of_results import WORST, State, Verdict, worst_state
+
+NARROW = {
+    ".": 0.32,
+    ",": 0.32,
+    ":": 0.34,
+    " ": 0.32,
+    "-": 0.37,
+    "i": 0.28,
+    "l": 0.28,
+    "t": 0.4,
+    "r": 0.42,
+    "f": 0.36,
+    "(": 0.4,
+    ")": 0.4,
+}
+LETTER = (
+    0.645  # of a letter's height, the width of a digit and the most of a usual letter in the widest of common typefaces
+)
+
+
+def escape_html(text: str) -> str:
+    """Escape text for HTML; um and urad become µm and µrad."""
+    return html.escape(re.sub(r"\bu(m|rad)\b", r"µ\1", text))
+
+
+def text_width(text: str, size: float) -> float:
+    """Width of text on a figure, an upper bound, in the unit of `size`, its letters' height."""
+    return size * sum(NARROW.get(letter, LETTER) for letter in text)
+
+
+def wrap_text(text: str, size: float, room: float) -> list[str]:
+    """Wrap text into lines no wider than room, a single longer word excepted. size, room : as in `text_width`."""
+    lines = [""]
+    for word in text.split():
+        longer = f"{lines[-1]} {word}".lstrip()
+        if lines[-1] and text_width(longer, size) > room:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines
+
+
+WIDTH = 400
+TEXT = 14  # units of a letter's height; a phone shows a unit as a pixel
+SMALL = 12.5  # of small ones
+
+
+def svg_figure(height: int, title: str, parts: Sequence[str], values: str = "") -> str:
+    """SVG figure of parts, WIDTH wide. title : for screen readers; values : attributes with a point's values"""
+    return (
+        f'<svg class="figure" role="img" viewBox="0 0 {WIDTH} {height}" aria-label="{escape_html(title)}"{values}>'
+        + "".join(parts)
+        + "</svg>"
+    )
+
+
+def svg_text(x: float, y: float, words: str, anchor: str = "start", style: str = "") -> str:
+    """SVG text at a position. anchor : start, middle or end; style : a class of figure.css"""
+    named = f' class="{style}"' if style else ""
+    return f'<text{named} x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape_html(words)}</text>'
+
+
+def svg_text_within_box(box: tuple[float, float, float, float], words: str, style: str = "") -> str:
+    r"""SVG text within a box, centred; \"\" where it does not fit. box : (left, top, width, height)"""
+    x, y, across, up = box
+    size = TEXT if not style else SMALL
+    return (
+        svg_text(x + across / 2, y + up / 2 + 0.36 * size, words, "middle", style)
+        if text_width(words, size) < across - 2 and size < up
+        else ""
+    )
+
+
+def svg_tooltip(words: str) -> str:
+    """SVG tooltip, to stand within a shape."""
+    return f"<title>{escape_html(words)}</title>"
+
+
+def round_ticks(low: float, high: float, most: int = 5) -> list[float]:
+    """Ticks at round numbers within low .. high, `most` at the most. Raises ValueError for an empty range."""
+    if not high > low:
+        raise ValueError(f"expected a range, got {low:g} .. {high:g}")
+    step = 10 ** math.floor(math.log10((high - low) / most))
+    step = next(
+        step * k for k in (1, 2, 5, 10, 20) if math.floor(high / (step * k)) - math.ceil(low / (step * k)) < most
+    )
+    return [round(k * step, 12) for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
+
+
+def result_html(heading: str, lines: Iterable[str] = (), table: Sequence[Sequence[str]] = ()) -> str:
+    """HTML of a result for notebooks: heading, sentences, a table whose first row is its header; text is escaped."""
+    parts = [f"<strong>{escape(heading)}</strong>", *(f"<p style='margin:.2em 0'>{escape(line)}</p>" for line in lines)]
+    if table:
+        head, *rows = table
+        body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+        top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
+        parts.append(
+            f"<div style='overflow-x:auto'><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>"
+        )
+    return f"<div>{''.join(parts)}</div>"
+
+
+LONG = 30  # letters, beyond which a cell breaks its lines
+WORDY = 12  # letters, beyond which a heading of a column does
+
+
+def inline_html(line: str) -> str:
+    """Inline HTML of a line of text; text between backticks becomes <code>."""
+    parts = enumerate(re.split("`([^`]+)`", line))
+    return "".join(f"<code>{html.escape(part)}</code>" if k % 2 else escape_html(part) for k, part in parts)
+
+
+def capitalise(line: str) -> str:
+    """Line with its first letter capitalised, unless its first word is a name, a sign or already capitalised."""
+    first, *rest = line.split(" ", 1)
+    return line[:1].upper() + line[1:] if rest and first.isalpha() and first.islower() else line
+
+
+def heading_html(line: str, level: int = 2) -> str:
+    """HTML of a heading. level : 2 of a section, 3 within one"""
+    return f"<h{level}>{inline_html(line)}</h{level}>"
+
+
+def paragraph_html(line: str) -> str:
+    """HTML of a paragraph."""
+    return f"<p>{inline_html(line)}</p>"
+
+
+def note_html(line: str) -> str:
+    """HTML of a note in smaller type, which explains a figure or table."""
+    return f'<p class="note">{inline_html(line)}</p>'
+
+
+def list_html(lines: Iterable[str], ordered: bool = False) -> str:
+    """HTML of a list of lines, numbered where ordered."""
+    tag = "ol" if ordered else "ul"
+    return f"<{tag}>" + "".join(f"<li>{inline_html(line)}</li>" for line in lines) + f"</{tag}>"
+
+
+def table_html(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    r"""HTML of a scrolling table. header : of its columns, \"\" for one without; rows : of text and numbers"""
+    lines = [[str(cell) for cell in row] for row in rows]
+    said = [_of_text(column) for column in zip(*lines)] or [False] * len(header)
+    head = "".join(
+        f'<th scope="col"{_style(cell, text, WORDY)}>{escape_html(cell)}</th>' if cell else "<td></td>"
+        for cell, text in zip(header, said)
+    )
+    cells = [
+        [f"<td{_style(cell, text, LONG)}>{escape_html(cell)}</td>" for cell, text in zip(line, said)] for line in lines
+    ]
+    body = "".join(f"<tr>{''.join(row)}</tr>" for row in cells)
+    name = escape_html(", ".join(filter(None, header)))
+    return (
+        '<div class="scroll" tabindex="0" role="group" aria-label="table of '
+        f'{name}"><table><tr>{head}</tr>{body}</table></div>'
+    )
+
+
+def _of_text(column: Sequence[str]) -> bool:
+    """Whether a column is of text, which begins at its left; of numbers, which end at its right, it is when half of its
+    cells begin with one.
+    """
+    said = [cell for cell in column if cell]
+    return 2 * sum(re.match(r"[-+±]?[\d.]", cell) is not None for cell in said) < len(said)
+
+
+def _style(cell: str, text: bool, long: int) -> str:
+    classes = ["text"] * text + ["long"] * (len(cell) > long) + ["wraps"] * (text and WORDY < len(cell) <= long)
+    return f' class="{" ".join(classes)}"' if classes else ""
+
+
+def folding_section_html(summary: str, *parts: str) -> str:
+    """HTML of a folding section: a summary line, and parts shown when it is opened."""
+    return f"<details><summary>{inline_html(summary)}</summary>" + "".join(parts) + "</details>"
+
+
+# nothing is fetched from anywhere
+SHUT = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
+
+
+class Link(NamedTuple):
+    """Another page. label : what it is; path : relative to the page that has the link, with /"""
+
+    label: str
+    path: str
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """Content of a page. kind : of page, "measure"; title : what it is of; verdict; parts : HTML as
+    rig.report.pages.page_templates_and_elements and its figures make it
+    next_steps : what to do next, commands between backticks; links : to other pages; scripts : of this page's own,
+        JavaScript"""
+
+    kind: str
+    title: str
+    verdict: Verdict
+    parts: Sequence[str]
+    next_steps: Sequence[str] = ()
+    links: Sequence[Link] = ()
+    scripts: Sequence[str] = ()
+
+
+def write_page(path: Path | str, page: Page) -> None:
+    """Write a Page as a self-contained HTML file."""
+    write_text(path, page_html(page))
+
+
+def page_html(page: Page) -> str:
+    """HTML of a Page."""
+    state, why = page.verdict.state, page.verdict.why
+    links = "".join(f'<a href="{html.escape(link.path)}">{html.escape(link.label)}</a>' for link in page.links)
+    steps = list_html(map(capitalise, page.next_steps), ordered=len(page.next_steps) > 1)
+    style, script = (
+        read_page_asset("theme.css") + read_page_asset("document.css") + read_page_asset("figure.css"),
+        read_page_asset("document.js"),
+    )
+    described = html.escape(f"{state}: {why}")
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" '
+        'content="width=device-width, initial-scale=1">'
+        f'<meta http-equiv="Content-Security-Policy" content="{SHUT}"><meta name="color-scheme" content="light dark">'
+        f'<meta name="generator" content="rig {html.escape(page.kind)}"><meta name="description" content="{described}">'
+        f"<title>{html.escape(page.title)}</title><style>{style}</style></head>\n<body>\n"
+        f'<header class="{state}"><p class="verdict"><strong>{state}</strong> '
+        f"{inline_html(capitalise(why))}.</p><h1>{html.escape(page.title)}</h1>"
+        + (f'<nav aria-label="other pages">{links}</nav>' if links else "")
+        + "</header>\n<main>\n"
+        + (f'<section class="next"><h2>What to do next</h2>{steps}</section>\n' if page.next_steps else "")
+        + "\n".join(page.parts)
+        + "\n</main>\n"
+        + "".join(f'<script type="module">{code}</script>\n' for code in (script, *page.scripts))
+        + "</body></html>\n"
+    )
+
+
+def read_page_asset(name: str) -> str:
+    """Read an asset of pages: the text of a stylesheet or script."""
+    return resources.files("rig.report.pages").joinpath(name).read_text(encoding="utf-8")
+
+
+BETWEEN, EDGE, LINE = 10, 6, 18  # units between figures, around them, and of a line of words
+
+
+def standalone_svg(title: str, words: str, figures: Sequence[str]) -> str:
+    """Standalone SVG text of figures, one below the other. title : for those who cannot see it; words :
+    above them
+    Raises ValueError for what is no figure
+    """
+    lines = wrap_text(words, TEXT, WIDTH)
+    parts = [
+        f'<svg class="figure">{svg_text(EDGE + 4, EDGE + 14 + LINE * k, line, style="soft")}</svg>'
+        for k, line in enumerate(lines)
+    ]
+    below = EDGE + LINE * len(lines) + BETWEEN
+    for figure in figures:
+        found = re.match(rf'<svg class="figure" role="img" viewBox="0 0 {WIDTH} (\d+)"', figure)
+        if found is None:
+            raise ValueError(
+                f"expected a figure as rig.report.pages.page_templates_and_elements makes it, got {figure[:60]!r}"
+            )
+        high = int(found[1])
+        parts.append(figure.replace("<svg ", f'<svg x="{EDGE}" y="{below}" width="{WIDTH}" height="{high}" ', 1))
+        below += high + BETWEEN
+    across, down = WIDTH + 2 * EDGE, below - BETWEEN + EDGE
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" role="img" width="{across}" height="{down}" viewBox="0 0 '
+        f'{across} {down}">'
+        f"<title>{escape_html(title)}</title><style>{read_page_asset('theme.css')}{read_page_asset('figure.css')}</style>"
+        '<rect width="100%" height="100%" rx="8" style="fill:var(--card)"/>' + "\n".join(parts) + "</svg>\n"
+    )
+
+
+NAME = "index.html"
+KIND = "index"
+DEPTH = 3  # folders down to which pages are looked for, and up to which an index is
+HEAD = 8192  # characters in which a page says what it is
+SAID = re.compile(
+    '<meta name="generator" content="rig ([a-z]+)"><meta name="description" content="([^:"]*): '
+    '([^"]*)"><title>([^<]*)</title>'
+)
+
+
+@dataclass(frozen=True, slots=True)
+class PageSummary:
+    """A page. path; kind, title, state, why : as it states them, and as later recordings have it; changed : s, when it
+    was written
+    """
+
+    path: Path
+    kind: str
+    title: str
+    state: State
+    why: str
+    changed: float
+
+
+def read_page_summary(path: Path) -> PageSummary | None:
+    """Summary of a page: kind, title, verdict, later refutations; None for a file that is no page of rig.
+
+    Raises FileError for a list of refuted results that is none
+    """
+    try:
+        with path.open(encoding="utf-8") as file:
+            said = SAID.search(file.read(HEAD))
+        changed = path.stat().st_mtime
+    except (OSError, UnicodeDecodeError):
+        return None
+    if said is None or said[2] not in list(State):
+        return None
+    later = verdict_and_refutations_of_results.refutations_of_file(path.with_suffix(".json"))
+    state, why = (
+        worst_state([State(said[2]), *(one.state for one in later)]),
+        "; ".join([*(one.line for one in later), html.unescape(said[3])]),
+    )
+    return PageSummary(path, said[1], html.unescape(said[4]), state, why, changed)
+
+
+def list_pages_below_folder(folder: Path) -> list[PageSummary]:
+    """List the pages in a folder and below it, the latest first, indices excluded."""
+    places = [path for depth in range(DEPTH) for path in sorted(folder.glob("*/" * depth + "*.html"))]
+    known = [found for path in places if (found := read_page_summary(path)) is not None and found.kind != KIND]
+    return sorted(known, key=lambda found: -found.changed)
+
+
+def write_index_page(path: Path, folder: Path) -> None:
+    """Write the index page of all pages of a folder. path : where it is written before it moves into that folder"""
+    known = list_pages_below_folder(folder)
+    count = {state: sum(found.state == state for found in known) for state in WORST}
+    state = worst_state([found.state for found in known])
+    why = ", ".join(f"{count[state]} {state}" for state in WORST if count[state]) or "there is no page yet"
+    items = "".join(
+        f'<li><span class="badge {found.state}">{found.state}</span> <a '
+        f'href="{_relative_link(found.path, folder)}">{html.escape(found.title)}</a>'
+        f'<br><span class="note">{inline_html(capitalise(found.why))}</span></li>'
+        for found in known
+    )
+    parts = [heading_html("Pages"), f'<ul class="pages">{items}</ul>'] if known else []
+    steps = [] if known else ["Begin with a recording: `rig measure REC --out measured`"]
+    write_page(path, Page(KIND, folder.resolve().name, Verdict(state, why), parts, steps))
+
+
+def _index_above(place: Path) -> Path | None:
+    """The index in the folder of a page or in one above it, None where there is none."""
+    folders = (place.resolve().parent, *place.resolve().parents[1:DEPTH])
+    return next(
+        (
+            folder / NAME
+            for folder in folders
+            if (found := read_page_summary(folder / NAME)) is not None and found.kind == KIND
+        ),
+        None,
+    )
+
+
+def refresh_indices(written_pages: Iterable[Path]) -> None:
+    """Refresh the index pages above pages that were written; one that a user changed is left."""
+    for index in {
+        index
+        for place in written_pages
+        if place.suffix == ".html" and place.name != NAME and (index := _index_above(place)) is not None
+    }:
+        with CommandOutputs(KIND) as outputs:
+            try:
+                place = outputs.file(index)
+            except RigError:  # it is somebody else's by now, or the folder cannot be written
+                continue
+            write_index_page(place, index.parent)
+
+
+def index_and_source_links(page_file: Path, sources: Iterable[Path] = ()) -> list[Link]:
+    """Links of a page at a place: to the index above it, and to the pages of its sources, folders or files."""
+    index, own = _index_above(page_file), page_file.resolve()
+    near = [
+        path
+        for source in sources
+        for path in (sorted(source.glob("*.html")) if source.is_dir() else [source.with_suffix(".html")])
+    ]
+    known = [
+        found
+        for path in near
+        if path.resolve() != own and (found := read_page_summary(path)) is not None and found.kind != KIND
+    ]
+    first = [] if index is None else [Link("All pages", _relative_link(index, own.parent))]
+    return [*first, *(Link(found.title, _relative_link(found.path, own.parent)) for found in known)]
+
+
+def _relative_link(path: Path, folder: Path) -> str:
+    return quote(os.path.relpath(path.resolve(), folder.resolve()).replace(os.sep, "/"))
