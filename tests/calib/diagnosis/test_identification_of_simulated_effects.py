@@ -41,6 +41,8 @@ EFFECTS = {  # one of each, of a size that rigs show
     "marker_swap": "4:turn=1",
     "axis_coupling": "strut3:scale=2e-3,other=5",
     "settling_error": "strut3:fraction=2e-3",
+    "joint_offset": "strut3:offset=4e-3",
+    "travel_heating": "strut3:per_metre=5e-5,time_constant=600",
 }
 
 

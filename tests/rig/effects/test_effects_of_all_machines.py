@@ -26,6 +26,7 @@ MOVING = [kind for kind in ALL if kind.stage in MOTION_STAGES]
 ALONE = {
     "screw_coupling": {"hexapod"},
     "base_expansion": {"hexapod", "planar2"},
+    "joint_offset": {"hexapod"},
 }  # where not all mechanisms can have them
 
 

@@ -1,0 +1,36 @@
+"""The diagnosis names what another formula of the same law did to a recording, at its place and with its size."""
+
+import pytest
+
+from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report
+from tests.calib.diagnose_recording import diagnosis_of
+from tests.calib.effects_by_other_formulas import SwungCardan, WarmedScrew
+from tests.calib.recordings_with_effects import recorded
+
+CASES = {  # name: (what the recording holds, the effects asked for besides, {parameter: truth})
+    "joint_offset": (
+        SwungCardan("strut 3", 4e-3, 1.0),
+        ("screw_coupling", "scale_error", "base_expansion"),
+        {"offset": 4e-3, "end": 1.0},
+    ),
+    "travel_heating": (
+        WarmedScrew("strut 3", 5e-5, 600.0),
+        ("warm_up", "creep", "missed_steps"),
+        {"per_metre": 5e-5, "time_constant": 600.0},
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_what_another_formula_does_is_named(tmp_path, design, name):
+    twin, alike, truth = CASES[name]
+    report = diagnosis_report(diagnosis_of(recorded(tmp_path, design, [twin]), only=[name, *alike]))
+    assert [(f.effect, f.place) for f in report.findings] == [(name, twin.place)] and not report.unexplained
+    for parameter, value in truth.items():
+        found = report.findings[0].parameters[parameter]
+        if found.ci95 is None:
+            assert found.value == value
+            continue
+        sigma = (found.ci95[1] - found.ci95[0]) / 3.92
+        assert abs(found.value - value) < 3 * sigma and sigma < 0.1 * abs(value)

@@ -1,0 +1,47 @@
+"""Effects of the catalogue do what the same law does by another formula, pose by pose."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rig.effects.texts.effect_text_and_dict import parse_effect
+from rig.errors import RigError
+from rig.model import motion_simulation
+from rig.planning import plan
+from tests.calib.effects_by_other_formulas import SwungCardan, WarmedScrew
+
+TOLERANCE = 1e-10  # m
+TWINS = [
+    ("joint_offset:strut3:offset=4e-3", SwungCardan("strut 3", 4e-3), TOLERANCE),
+    ("joint_offset:strut6:offset=-15e-3,end=1", SwungCardan("strut 6", -15e-3, 1.0), TOLERANCE),
+    ("travel_heating:strut3:per_metre=1e-4,time_constant=300", WarmedScrew("strut 3", 1e-4, 300.0), 3e-8),
+]
+
+
+def deviations(design, effect):
+    route = plan.build_plan(design, "moving:10,sobol:30", 3)
+    return motion_simulation.simulate_machine_run(design, route.commands, route.t, [effect]).deviation
+
+
+@pytest.mark.parametrize("text, twin, atol_m", TWINS, ids=[text for text, *_ in TWINS])
+def test_another_formula_gives_the_same_deviation(design, text, twin, atol_m):
+    found, expected = (deviations(design, effect) for effect in (parse_effect(text), twin))
+    np.testing.assert_allclose(found, expected, atol=atol_m)
+    assert np.ptp(expected, axis=0).max() > 1e3 * atol_m
+
+
+def test_a_joint_without_a_second_axis_has_no_offset(design):
+    free = replace(design, actuator=replace(design.actuator, joints="cardan-ball"))
+    assert np.abs(deviations(free, parse_effect("joint_offset:strut3:offset=4e-3"))).max() > 1e-6
+    with pytest.raises(RigError, match="takes a cardan at end 0 of the strut"):
+        deviations(free, parse_effect("joint_offset:strut3:offset=4e-3,end=1"))
+
+
+def test_an_axis_that_rests_cools(design):
+    law = parse_effect("travel_heating:strut3:per_metre=1e-4,time_constant=300")
+    route = plan.build_plan(design, "sobol:5", 3)
+    end = float(route.t[-1])
+    t = end + np.array([0.0, 300.0, 600.0])
+    found = motion_simulation.simulate_machine_run(design, route.commands, t, [law]).deviation[:, 2]
+    np.testing.assert_allclose(found / found[0], np.exp([0, -1, -2]), rtol=1e-9)
