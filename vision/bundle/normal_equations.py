@@ -22,7 +22,6 @@ from vision.bundle.unknowns_and_estimate import (
 )
 from vision.corner_observations import Observations, Whitener
 from vision.predict import observed_points_body
-from vision.targets import SQUARE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +73,7 @@ def linearise(
     R_platform = state.platform.rotation.as_matrix()
     markers = observations.marker.max(initial=0) + 1
     if unknowns.markers or unknowns.prints.rows:
-        R_marker, in_marker = state.placed.T_body_marker.rotation.as_matrix(), state.placed.side[:, None, None] * SQUARE
+        R_marker, in_marker = state.placed.T_body_marker.rotation.as_matrix(), state.placed.in_marker
     if unknowns.targets:
         arms, turns = _about_targets(estimate, unknowns)
 

@@ -23,6 +23,7 @@ from rig.effects.catalogue.hysteresis import Hysteresis
 from rig.effects.catalogue.joint_clearance import JointClearance
 from rig.effects.catalogue.joint_offset import JointOffset
 from rig.effects.catalogue.lens_distortion import LensDistortion
+from rig.effects.catalogue.marker_flatness import MarkerFlatness
 from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.effects.catalogue.missed_steps import MissedSteps
 from rig.effects.catalogue.print_scale import PrintScale
@@ -76,6 +77,7 @@ ALL: tuple[type[Effect], ...] = (
     SettlingError,
     JointOffset,
     TravelHeating,
+    MarkerFlatness,
 )
 BY_NAME: dict[str, type[Effect]] = {effect.name: effect for effect in ALL}
 

@@ -5,7 +5,8 @@ import pytest
 from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.effects_by_other_formulas import SwungCardan, WarmedScrew
-from tests.calib.recordings_with_effects import recorded
+from tests.calib.lifted_corners import recording_with_lifted_corner
+from tests.calib.recordings_with_effects import PLAN, recorded
 
 CASES = {  # name: (what the recording holds, the effects asked for besides, {parameter: truth})
     "joint_offset": (
@@ -25,8 +26,21 @@ CASES = {  # name: (what the recording holds, the effects asked for besides, {pa
 @pytest.mark.parametrize("name", CASES)
 def test_what_another_formula_does_is_named(tmp_path, design, name):
     twin, alike, truth = CASES[name]
-    report = diagnosis_report(diagnosis_of(recorded(tmp_path, design, [twin]), only=[name, *alike]))
-    assert [(f.effect, f.place) for f in report.findings] == [(name, twin.place)] and not report.unexplained
+    found_alone(recorded(tmp_path, design, [twin]), name, twin.place, alike, truth)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number, corner", [(8, 2), (4, 1)])
+def test_a_lifted_corner_is_no_misplaced_face(tmp_path, design, number, corner):
+    rec = recording_with_lifted_corner(tmp_path, design, number, corner, 5e-4, PLAN)
+    alike = ("face_misplacement", "cube_misplacement", "print_scale", "edge_bias")
+    found_alone(rec, "marker_flatness", f"marker {number}", alike, {"height": 5e-4, "corner": float(corner)})
+
+
+def found_alone(rec, name, place, alike, truth):
+    """The diagnosis of a recording names an effect at a place alone, with its parameters; alike : asked for besides."""
+    report = diagnosis_report(diagnosis_of(rec, only=[name, *alike]))
+    assert [(f.effect, f.place) for f in report.findings] == [(name, place)] and not report.unexplained
     for parameter, value in truth.items():
         found = report.findings[0].parameters[parameter]
         if found.ci95 is None:

@@ -43,6 +43,7 @@ EFFECTS = {  # one of each, of a size that rigs show
     "settling_error": "strut3:fraction=2e-3",
     "joint_offset": "strut3:offset=4e-3",
     "travel_heating": "strut3:per_metre=5e-5,time_constant=600",
+    "marker_flatness": "4:height=8e-4,corner=2",
 }
 
 

@@ -9,7 +9,9 @@ from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.planning import plan
+from synthetic import recording_simulation, secret_machine
 from tests.calib.effects_by_other_formulas import SwungCardan, WarmedScrew
+from tests.calib.lifted_corners import lifted
 
 TOLERANCE = 1e-10  # m
 TWINS = [
@@ -45,3 +47,27 @@ def test_an_axis_that_rests_cools(design):
     t = end + np.array([0.0, 300.0, 600.0])
     found = motion_simulation.simulate_machine_run(design, route.commands, t, [law]).deviation[:, 2]
     np.testing.assert_allclose(found / found[0], np.exp([0, -1, -2]), rtol=1e-9)
+
+
+def test_a_lifted_corner_is_a_point_in_space(design):
+    law = parse_effect("marker_flatness:8:height=1e-3,corner=1")
+    route, rng = plan.build_plan(design, "sobol:6", 3), np.random.default_rng(2)
+    flat, bent = (
+        recording_simulation.simulate_world(
+            secret_machine.draw_machine(design, np.random.default_rng(1), 1.0, effects), route, np.random.default_rng(4)
+        )
+        for effects in ((), (law,))
+    )
+    found = recording_simulation.noisy_corners(bent, 0.0, rng)
+    expected = lifted(flat, recording_simulation.noisy_corners(flat, 0.0, rng), 8, 1, 1e-3)
+    np.testing.assert_allclose(found.uv, expected.uv, atol=1e-8)
+    own = (found.marker == 8) & (found.corner == 1)
+    moved = np.abs(found.uv - recording_simulation.noisy_corners(flat, 0.0, rng).uv).max(axis=1)
+    assert own.any() and not moved[~own].any() and np.median(moved[own]) > 0.1
+
+
+def test_a_corner_does_not_sink_into_its_face():
+    with pytest.raises(RigError, match="must lie in 0"):
+        parse_effect("marker_flatness:8:height=-1e-3,corner=1")
+    with pytest.raises(RigError, match="corner is a whole number"):
+        parse_effect("marker_flatness:8:height=1e-3,corner=1.5")
