@@ -85,3 +85,27 @@ class WarmedScrew(Effect):
         out = np.zeros(motion.lengths.shape)
         out[:, axis] = self.per_metre * np.interp(motion.t, t, course)
         return out
+
+
+@dataclass(frozen=True, slots=True)
+class OffsetSignals(Effect):
+    """A scale's sine and cosine are read with an offset (shares of their size) and turned into a place by their angle;
+    the strut stops where the place that is read is the one commanded."""
+
+    place: str
+    pitch: float
+    offset: tuple[float, float]
+    name: ClassVar = "offset_signals"
+    stage: ClassVar = "struts"
+    places: ClassVar = ("strut",)
+
+    def deviation(self, motion: Motion) -> Floats:
+        axis = motion.places.index(self.place)
+        wanted = 2 * np.pi * (motion.lengths - motion.home)[:, axis] / self.pitch
+        stands = wanted.copy()
+        for _ in range(60):
+            read = np.arctan2(np.sin(stands) + self.offset[1], np.cos(stands) + self.offset[0])
+            stands -= 0.8 * ((read - wanted + np.pi) % (2 * np.pi) - np.pi)
+        out = np.zeros(motion.lengths.shape)
+        out[:, axis] = (stands - wanted) * self.pitch / (2 * np.pi)
+        return out

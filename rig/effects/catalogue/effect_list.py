@@ -17,6 +17,7 @@ from rig.effects.catalogue.creep import Creep
 from rig.effects.catalogue.cube_misplacement import CubeMisplacement
 from rig.effects.catalogue.cyclic_error import CyclicError
 from rig.effects.catalogue.edge_bias import EdgeBias
+from rig.effects.catalogue.encoder_interpolation import EncoderInterpolation
 from rig.effects.catalogue.face_misplacement import FaceMisplacement
 from rig.effects.catalogue.focal_drift import FocalDrift
 from rig.effects.catalogue.hysteresis import Hysteresis
@@ -78,6 +79,7 @@ ALL: tuple[type[Effect], ...] = (
     JointOffset,
     TravelHeating,
     MarkerFlatness,
+    EncoderInterpolation,
 )
 BY_NAME: dict[str, type[Effect]] = {effect.name: effect for effect in ALL}
 

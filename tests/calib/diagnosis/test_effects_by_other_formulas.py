@@ -1,13 +1,15 @@
 """The diagnosis names what another formula of the same law did to a recording, at its place and with its size."""
 
+import numpy as np
 import pytest
 
 from calib.diagnosis.report.report_of_diagnosis_and_diagnosis_folder import diagnosis_report
 from tests.calib.diagnose_recording import diagnosis_of
-from tests.calib.effects_by_other_formulas import SwungCardan, WarmedScrew
+from tests.calib.effects_by_other_formulas import OffsetSignals, SwungCardan, WarmedScrew
 from tests.calib.lifted_corners import recording_with_lifted_corner
 from tests.calib.recordings_with_effects import PLAN, recorded
 
+PITCH = 3.1e-4  # m
 CASES = {  # name: (what the recording holds, the effects asked for besides, {parameter: truth})
     "joint_offset": (
         SwungCardan("strut 3", 4e-3, 1.0),
@@ -18,6 +20,11 @@ CASES = {  # name: (what the recording holds, the effects asked for besides, {pa
         WarmedScrew("strut 3", 5e-5, 600.0),
         ("warm_up", "creep", "missed_steps"),
         {"per_metre": 5e-5, "time_constant": 600.0},
+    ),
+    "encoder_interpolation": (
+        OffsetSignals("strut 3", PITCH, (0.06, 0.08)),
+        ("cyclic_error", "transmission_error"),
+        {"amplitude": 0.1 * PITCH / (2 * np.pi), "periods": 1 / PITCH},
     ),
 }
 

@@ -44,6 +44,7 @@ EFFECTS = {  # one of each, of a size that rigs show
     "joint_offset": "strut3:offset=4e-3",
     "travel_heating": "strut3:per_metre=5e-5,time_constant=600",
     "marker_flatness": "4:height=8e-4,corner=2",
+    "encoder_interpolation": "strut3:amplitude=4e-6,periods=3003,phase=0.4",
 }
 
 

@@ -27,6 +27,7 @@ ALONE = {
     "screw_coupling": {"hexapod"},
     "base_expansion": {"hexapod", "planar2"},
     "joint_offset": {"hexapod"},
+    "encoder_interpolation": {"hexapod", "planar2"},
 }  # where not all mechanisms can have them
 
 
