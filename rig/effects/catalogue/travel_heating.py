@@ -15,7 +15,7 @@ from rig.effects.framework.machine_motion_and_play import Motion
 @dataclass(frozen=True, slots=True)
 class TravelHeating(Effect):
     """Deviation per_metre * h, h the travel that still warms the axis: dh/dt = |dl/dt| - h / time_constant, 0 at the
-    first command, l the command, by Newton's law of cooling."""
+    first command, l the command, by Newton's law of cooling. A warm strut is longer; a joint may turn either way."""
 
     place: str
     per_metre: float = 0.0
@@ -24,7 +24,7 @@ class TravelHeating(Effect):
     stage: ClassVar = "struts"
     places: ClassVar = ("axis",)
     parameters: ClassVar = (
-        Parameter("per_metre", "", (-1e-2, 1e-2), (1e-5, 2e-4)),
+        Parameter("per_metre", "", (0, 1e-2), (1e-5, 2e-4), joint=((-1e-2, 1e-2), (1e-5, 2e-4))),
         Parameter("time_constant", "s", (10, 1e5), (100, 2000), role="log"),
     )
     experiment: ClassVar = "rest until all is cold, then work one {axis} to and fro for an hour, the others still"
