@@ -25,6 +25,7 @@ from vision import lens
 SQUARE = np.array(
     [[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]]
 )  # corners 0..3, clockwise from the top left
+NORMAL = np.array([0.0, 0.0, 1.0])  # out of the paper
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,8 +38,9 @@ class MarkerMap:
     dictionary, target : m names
     shift : (m,) added to an identity where the same print is another row, as that of a cube that was put back turned; 0
         for all by default
-    corners : (m, 4, 3) m, body frame, corner 0 the marker's own top left, then clockwise; they follow from pose and
-        side
+    heights : (m, 4) m by which the corners stand off the marker's plane, along its normal; (1, 4) zeros by default
+    corners : (m, 4, 3) m, body frame, corner 0 the marker's own top left, then clockwise; they follow from pose, side
+        and heights
     """
 
     id: Integers
@@ -50,10 +52,16 @@ class MarkerMap:
     target: list[str]
     stage: Floats
     shift: Floats = field(default_factory=lambda: np.zeros(1, int))
+    heights: Floats = field(default_factory=lambda: np.zeros((1, 4)))
     corners: Floats = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "corners", transform_points(self.T_body_marker, self.side[:, None, None] * SQUARE))
+        object.__setattr__(self, "corners", transform_points(self.T_body_marker, self.in_marker))
+
+    @property
+    def in_marker(self) -> Floats:
+        """(m, 4, 3) m, the corners in each marker's frame."""
+        return self.side[:, None, None] * SQUARE + self.heights[..., None] * NORMAL
 
     @property
     def key(self) -> Floats:

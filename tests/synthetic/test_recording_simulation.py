@@ -151,6 +151,8 @@ def test_a_picture_in_motion_is_the_mean_of_its_moments(design, tmp_path, opengl
 def test_effects_that_cannot_be_drawn_are_refused():
     with pytest.raises(RigError, match="edge_bias is not drawn"):
         image_simulation.require_renderable([parse_effect("edge_bias:cameras:bias=0.1")])
+    with pytest.raises(RigError, match="marker_flatness is not drawn"):
+        image_simulation.require_renderable([parse_effect("marker_flatness:4:height=1e-3")])
     image_simulation.require_renderable(
         [parse_effect("camera_bump:cam1:motion=1e-4/0/0/0/0/0,time=3"), parse_effect("backlash:1:gap=1e-5")]
     )

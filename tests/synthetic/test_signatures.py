@@ -59,6 +59,10 @@ EFFECTS = [
     "marker_swap:8:turn=1",
     "axis_coupling:strut3:scale=1e-3,other=5",
     "settling_error:strut3:fraction=1e-3",
+    "joint_offset:strut3:offset=3e-3,end=0",
+    "travel_heating:strut3:per_metre=5e-5,time_constant=600",
+    "marker_flatness:8:height=5e-4,corner=2",
+    "encoder_interpolation:strut3:amplitude=4e-6,periods=3003",
 ]
 PARALLEL = 0.99  # cosine from which signatures count as the same
 SEEN = 0.02  # share of the raw effect that calibration must leave for it to be visible at all

@@ -21,7 +21,6 @@ from vision.bundle.unknowns_estimate_and_printing_errors import (
 )
 from vision.corner_observations import Observations, Whitener
 from vision.predict import (
-    SQUARE,
     State,
     iterate_observed_cameras,
     observed_points_base,
@@ -234,7 +233,7 @@ def linearise(
     R_platform = state.platform.rotation.as_matrix()
     markers = observations.marker.max(initial=0) + 1
     if unknowns.markers or unknowns.prints.rows:
-        R_marker, in_marker = state.placed.T_body_marker.rotation.as_matrix(), state.placed.side[:, None, None] * SQUARE
+        R_marker, in_marker = state.placed.T_body_marker.rotation.as_matrix(), state.placed.in_marker
     if unknowns.targets:
         arms, turns = _about_targets(estimate, unknowns)
 

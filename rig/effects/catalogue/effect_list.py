@@ -17,11 +17,14 @@ from rig.effects.catalogue.creep import Creep
 from rig.effects.catalogue.cube_misplacement import CubeMisplacement
 from rig.effects.catalogue.cyclic_error import CyclicError
 from rig.effects.catalogue.edge_bias import EdgeBias
+from rig.effects.catalogue.encoder_interpolation import EncoderInterpolation
 from rig.effects.catalogue.face_misplacement import FaceMisplacement
 from rig.effects.catalogue.focal_drift import FocalDrift
 from rig.effects.catalogue.hysteresis import Hysteresis
 from rig.effects.catalogue.joint_clearance import JointClearance
+from rig.effects.catalogue.joint_offset import JointOffset
 from rig.effects.catalogue.lens_distortion import LensDistortion
+from rig.effects.catalogue.marker_flatness import MarkerFlatness
 from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.effects.catalogue.missed_steps import MissedSteps
 from rig.effects.catalogue.print_scale import PrintScale
@@ -34,6 +37,7 @@ from rig.effects.catalogue.settling_error import SettlingError
 from rig.effects.catalogue.thermal_expansion import ThermalExpansion
 from rig.effects.catalogue.time_offset import TimeOffset
 from rig.effects.catalogue.transmission_error import TransmissionError
+from rig.effects.catalogue.travel_heating import TravelHeating
 from rig.effects.catalogue.vibration import Vibration
 from rig.effects.catalogue.warm_up import WarmUp
 from rig.effects.framework.effect import Effect
@@ -72,6 +76,10 @@ ALL: tuple[type[Effect], ...] = (
     MarkerSwap,
     AxisCoupling,
     SettlingError,
+    JointOffset,
+    TravelHeating,
+    MarkerFlatness,
+    EncoderInterpolation,
 )
 BY_NAME: dict[str, type[Effect]] = {effect.name: effect for effect in ALL}
 

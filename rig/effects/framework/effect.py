@@ -94,6 +94,7 @@ class Effect:
     lasting : the machine does it again the next time, as found, so that commands can undo it; what happened at one
     moment, or swings with a phase of its own, it does not
     tolerance : manufacturing tolerance within which as much is nobody's fault
+    flat : markers stay flat with it, as drawn images have them
     warps : takes in every smooth displacement fixed in a camera's image
     view : how residuals in the image show it: "displacement", "map", "time", "scale", "outward", "markers" or "targets"
     """
@@ -116,6 +117,7 @@ class Effect:
     once: ClassVar[bool] = False
     lasting: ClassVar[bool] = True
     tolerance: ClassVar[Tolerance | tuple[float, float] | None] = None
+    flat: ClassVar[bool] = True
     warps: ClassVar[bool] = False
     view: ClassVar[str] = "displacement"
 

@@ -11,8 +11,8 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 class MarkerTable(Protocol):
     """A dataclass of markers, a row each, as vision.predict has it.
 
-    id : (m,); on_platform : (m,) bool; T_body_marker : RigidTransform (m,); side : (m,) m; target : m names; stage :
-        (m,) number
+    id : (m,); on_platform : (m,) bool; T_body_marker : RigidTransform (m,); side : (m,) m; heights : (m, 4) m
+        or (1, 4) for all alike; target : m names; stage : (m,) number
     """
 
     @property
@@ -30,6 +30,10 @@ class MarkerTable(Protocol):
     @property
     def side(self) -> Floats:
         """Sides, (m,) m."""
+
+    @property
+    def heights(self) -> Floats:
+        """How far their corners stand off their planes, (m, 4) m, or (1, 4) for all alike."""
 
     @property
     def target(self) -> list[str]:

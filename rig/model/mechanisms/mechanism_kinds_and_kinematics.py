@@ -151,12 +151,18 @@ def cardan_twist(T: RigidTransform, mechanism: Hexapod) -> Floats:
     R = T.rotation.as_matrix()[..., None, :, :]
     u = T.as_matrix()[..., None, :3, 3] + (R @ mechanism.platform_joints[..., None])[..., 0] - mechanism.base_joints
     u /= np.linalg.norm(u, axis=-1, keepdims=True)
-    base, moved = _tangential(mechanism.base_joints), (R @ _tangential(mechanism.platform_joints)[..., None])[..., 0]
+    base, moved = (
+        cardan_plate_axes(mechanism.base_joints),
+        (R @ cardan_plate_axes(mechanism.platform_joints)[..., None])[..., 0],
+    )
     a, b = np.cross(u, np.broadcast_to(base, u.shape)), np.cross(u, moved)
     return np.arctan2(np.einsum("...i,...i->...", np.cross(a, b), u), np.einsum("...i,...i->...", a, b))
 
 
-def _tangential(joints: Floats) -> Floats:
+def cardan_plate_axes(joints: Floats) -> Floats:
+    """(6, 3) first axes of the cardans at joints (6, 3) m of a plate, in its frame: tangential, as long as the joint is
+    off its middle.
+    """
     return np.stack([-joints[:, 1], joints[:, 0], np.zeros(len(joints))], axis=1)
 
 

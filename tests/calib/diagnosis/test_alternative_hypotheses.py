@@ -125,7 +125,7 @@ def test_a_step_soon_after_the_start_is_found(tmp_path, design):
 @pytest.mark.slow
 def test_what_fits_a_name_only_far_from_what_rigs_show_gets_none(tmp_path, design):
     rec = recorded(tmp_path, design, [unlisted_physics.SlippingClutch("strut 5", 1.2e-4)], route=PLAN)
-    found = diagnosis_of(rec, only=["warm_up", "missed_steps", "creep", "scale_error"])
+    found = diagnosis_of(rec, only=["warm_up", "missed_steps", "creep", "scale_error", "travel_heating"])
     assert not found.effects and found.left[0].place == Place("strut", "5")
 
 

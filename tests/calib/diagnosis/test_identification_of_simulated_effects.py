@@ -41,6 +41,10 @@ EFFECTS = {  # one of each, of a size that rigs show
     "marker_swap": "4:turn=1",
     "axis_coupling": "strut3:scale=2e-3,other=5",
     "settling_error": "strut3:fraction=2e-3",
+    "joint_offset": "strut3:offset=4e-3",
+    "travel_heating": "strut3:per_metre=5e-5,time_constant=600",
+    "marker_flatness": "4:height=8e-4,corner=2",
+    "encoder_interpolation": "strut3:amplitude=4e-6,periods=3003,phase=0.4",
 }
 
 

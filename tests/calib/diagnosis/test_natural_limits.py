@@ -33,6 +33,10 @@ AT_LIMITS = [  # what is not a size at both ends of what rigs show
     "joint_clearance:strut3:gap=1.2e-4",
     "rolling_shutter:cameras:row_time=3e-5",
     "settling_error:strut3:fraction=2e-3",
+    "encoder_interpolation:strut3:amplitude=4e-6,periods=1290.2",
+    "encoder_interpolation:strut3:amplitude=4e-6,periods=9890.6",
+    "travel_heating:strut3:per_metre=2e-4,time_constant=100",
+    "travel_heating:strut3:per_metre=1e-4,time_constant=2000",
 ]
 
 

@@ -56,6 +56,10 @@ SOME = {  # one instance of each, of a size that rigs show
     "marker_swap": "4:turn=1",
     "axis_coupling": "strut3:scale=1e-3,other=5",
     "settling_error": "strut3:fraction=2e-3",
+    "joint_offset": "strut3:offset=3e-3,end=1",
+    "travel_heating": "strut3:per_metre=1e-4,time_constant=400",
+    "marker_flatness": "4:height=5e-4,corner=2",
+    "encoder_interpolation": "strut3:amplitude=4e-6,periods=3003,phase=0.4",
 }
 
 

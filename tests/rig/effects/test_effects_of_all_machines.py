@@ -26,6 +26,8 @@ MOVING = [kind for kind in ALL if kind.stage in MOTION_STAGES]
 ALONE = {
     "screw_coupling": {"hexapod"},
     "base_expansion": {"hexapod", "planar2"},
+    "joint_offset": {"hexapod"},
+    "encoder_interpolation": {"hexapod", "planar2"},
 }  # where not all mechanisms can have them
 
 

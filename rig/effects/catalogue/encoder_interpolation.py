@@ -1,0 +1,95 @@
+"""Encoder interpolation: a scale's signals are interpolated wrongly, the same in each of its many periods."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+
+from rig.array_and_json_types import Booleans, Floats
+from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_parameters_and_covariates import (
+    Context,
+    Covariate,
+    Drawing,
+    Node,
+    Parameter,
+    draw_number,
+)
+from rig.effects.framework.machine_motion_and_play import Motion
+
+FINE = 0.3  # step of the periods, of what an axis' travel resolves
+OF_SCREW = 5.0  # periods in a screw's lead, up to which it is the screw's cyclic error
+SAME = 6  # digits of m, in which lengths that are visited again are the same
+SHORTEST = 1e-3  # m of travel; on less nothing fine is found
+ALIAS, SLOWEST = 0.25, 10  # share of lengths that stand alike within a period; periods in the travel of what is slow
+FEWEST, MOST = 500.0, 1e4  # 1/m; finer scales err by less than cameras see: a hundredth of their pitch
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderInterpolation(Effect):
+    """Deviation amplitude * sin(2 pi periods q + phase), q the commanded value less that at home, periods in a metre:
+    one over the pitch of the scale. What unbalanced signals err by has half that pitch and is an effect of its own.
+    Source: Heydemann, Determination and correction of quadrature fringe measurement errors, 1981."""
+
+    place: str
+    amplitude: float = 0.0
+    phase: float = 0.0
+    periods: float = 2000.0
+    name: ClassVar = "encoder_interpolation"
+    stage: ClassVar = "struts"
+    places: ClassVar = ("axis",)
+    parameters: ClassVar = (
+        Parameter("amplitude", "m", (0, 1e-4), (1e-7, 5e-6)),
+        Parameter("phase", "rad", (-7, 7), (-3.1416, 3.1416), role="phase"),
+        Parameter("periods", "1/m", (50, 2e5), (FEWEST, MOST), role="even"),
+    )
+    experiment: ClassVar = "fine steps that are no whole part of the scale's pitch, over some millimetres of one strut"
+    action: ClassVar = (
+        "Adjust the strut's reading head: its distance, its tilt, and the offset and gain of its signals."
+    )
+    form: ClassVar = "sinusoid"
+    own_axis: ClassVar = 2
+
+    def needs(self, motion: Motion) -> str | None:
+        return None if motion.kind.AXIS == "strut" else "takes struts: a joint's scale errs as its cyclic error"
+
+    def deviation(self, motion: Motion) -> Floats:
+        angle = 2 * np.pi * self.periods * motion.stroke + self.phase
+        return self.axes(motion.places) * self.amplitude * np.sin(angle)
+
+    def covariate(self, motion: Motion) -> Covariate:
+        return Covariate(self.periods * motion.stroke % 1, "period of the scale, share of a turn")
+
+    @classmethod
+    def columns(cls, candidate: Candidate, node: Node, motion: Motion) -> Floats:
+        effect = cls(candidate.place, **node)
+        angle = 2 * np.pi * effect.periods * motion.stroke + effect.phase
+        return effect.axes(motion.places)[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1)
+
+    @classmethod
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
+        amplitude, phase = (draw_number(p, drawing, rng) for p in cls.parameters[:2])
+        return cls(place, amplitude, phase, float(rng.uniform(fewest_periods(drawing.motion), MOST)))
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        motion = context.moved()
+        lengths = motion.lengths[:, motion.places.index(place)]
+        spacing = FINE / max(np.ptp(lengths), SHORTEST)
+        periods = np.arange(fewest_periods(motion) + spacing, MOST, spacing)
+        grid = [{"periods": float(w)} for w in periods[~aliased(np.unique(lengths.round(SAME)), periods)]]
+        return [Candidate(cls, place, grid, cls.linear(place), extra=1)] if grid else []
+
+
+def fewest_periods(motion: Motion) -> float:
+    """Periods in a metre up to which it would be the cyclic error of the screw, where its lead is stated."""
+    return max(FEWEST, OF_SCREW / (motion.actuator.screw_lead or np.inf))
+
+
+def aliased(lengths: Floats, periods: Floats) -> Booleans:
+    """(k,) bool, which of evenly spaced periods (k,) 1/m look like a slow function at lengths (n,) m: steps that are
+    whole multiples of a pitch show nothing of what is within it.
+    """
+    window = np.abs(np.exp(2j * np.pi * periods[:, None] * lengths).mean(axis=1))
+    return binary_dilation(window > ALIAS, iterations=round(SLOWEST / FINE))

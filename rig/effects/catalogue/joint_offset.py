@@ -1,0 +1,99 @@
+"""Joint offset: the two axes of a cardan do not meet, so that the strut's end moves as the joint turns."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.array_and_json_types import Floats
+from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_parameters_and_covariates import (
+    Context,
+    Covariate,
+    Drawing,
+    Linear,
+    Parameter,
+    draw_number,
+)
+from rig.effects.framework.machine_motion_and_play import Motion
+from rig.errors import RigError
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_plate_axes, require_hexapod
+
+BALL = "cardan-ball"
+CARDANS = {"cardan-cardan": (0.0, 1.0), BALL: (0.0,)}  # ends that have one, by [actuator] joints
+STEP = 1e-7  # m, of the derivative: so small that the offset's square does not count
+
+
+@dataclass(frozen=True, slots=True)
+class JointOffset(Effect):
+    """Deviation L - sqrt(a^2 + (p - offset)^2), less that at home: L the distance of the joints, a and p its parts
+    along the cardan's first axis, which lies in the plate, and across it. The second axis stands off by offset along
+    the strut and turns about the first alone. end : 0 at the base, 1 at the platform. By Pythagoras' theorem."""
+
+    place: str
+    offset: float = 0.0
+    end: float = 0.0
+    name: ClassVar = "joint_offset"
+    stage: ClassVar = "struts"
+    places: ClassVar = ("axis",)
+    parameters: ClassVar = (
+        Parameter("offset", "m", (-5e-2, 5e-2), (1e-4, 1.5e-2), signed=True),
+        Parameter("end", "", (0, 1), (0, 1), role="choice"),
+    )
+    experiment: ClassVar = "tilt and turn the platform far out: the strut's cardan must swing about its second axis"
+    action: ClassVar = "Enter the offset in the kinematics, or exchange that cardan for one whose axes meet."
+    on_pose: ClassVar = True
+
+    def needs(self, motion: Motion) -> str | None:
+        if motion.mechanism.plates is None:
+            return "takes a hexapod, whose struts end in cardans"
+        if motion.actuator.joints is None:
+            return "needs [actuator] joints in rig.toml"
+        ends = CARDANS[motion.actuator.joints]
+        return None if self.end in ends else f"takes a cardan at end {' or '.join(f'{e:g}' for e in ends)} of the strut"
+
+    def deviation(self, motion: Motion) -> Floats:
+        excess, home = (self._excess(motion, T) for T in (motion.posed(), require_hexapod(motion.mechanism).home))
+        return self.axes(motion.places) * (excess - home)
+
+    def covariate(self, motion: Motion) -> Covariate:
+        along, across = self._along_and_across(motion, motion.posed())
+        return Covariate(np.degrees(np.arctan2(along, across)), "angle of the cardan about its second axis, degrees")
+
+    def _excess(self, motion: Motion, T: RigidTransform) -> Floats:
+        """(..., 6) m that the joints are farther apart than the strut is long."""
+        along, across = self._along_and_across(motion, T)
+        return np.hypot(along, across) - np.hypot(along, across - self.offset)
+
+    def _along_and_across(self, motion: Motion, T: RigidTransform) -> tuple[Floats, Floats]:
+        """((..., 6), (..., 6)) m, the strut along its cardan's first axis and across it, at poses T (...)."""
+        reason = self.needs(motion)
+        if reason:
+            raise RigError(f"{self.name} {reason}")
+        m = require_hexapod(motion.mechanism)
+        matrix = T.as_matrix()[..., None, :, :]
+        R = matrix[..., :3, :3]
+        strut = (R @ m.platform_joints[..., None])[..., 0] + matrix[..., :3, 3] - m.base_joints
+        axes = (
+            (R @ cardan_plate_axes(m.platform_joints)[..., None])[..., 0]
+            if self.end
+            else cardan_plate_axes(m.base_joints)
+        )
+        axes = axes / np.linalg.norm(axes, axis=-1, keepdims=True)
+        along = np.einsum("...i,...i->...", strut, np.broadcast_to(axes, strut.shape))
+        return along, np.linalg.norm(np.cross(strut, axes), axis=-1)
+
+    @classmethod
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
+        offset, ends = draw_number(cls.parameters[0], drawing, rng), CARDANS[drawing.motion.actuator.joints or BALL]
+        return cls(place, offset, float(rng.choice(ends)))
+
+    @classmethod
+    def linear(cls, place: str) -> list[Linear]:
+        return [Linear("offset", None, STEP)]
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        ends = CARDANS[context.moved().actuator.joints or BALL]
+        return [Candidate(cls, place, [{"end": end} for end in ends], cls.linear(place), extra=len(ends) - 1)]

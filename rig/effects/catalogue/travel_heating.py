@@ -1,0 +1,67 @@
+"""Travel heating: an axis is warmed by its own travel and cools at rest, so it grows by how much it has moved."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rig.array_and_json_types import Floats
+from rig.compute.numba_kernels_and_lazy_exports import njit
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter, travel_covariate
+from rig.effects.framework.machine_motion_and_play import Motion
+
+
+@dataclass(frozen=True, slots=True)
+class TravelHeating(Effect):
+    """Deviation per_metre * h, h the travel that still warms the axis: dh/dt = |dl/dt| - h / time_constant, 0 at the
+    first command, l the command, by Newton's law of cooling. A warm strut is longer; a joint may turn either way."""
+
+    place: str
+    per_metre: float = 0.0
+    time_constant: float = 600.0
+    name: ClassVar = "travel_heating"
+    stage: ClassVar = "struts"
+    places: ClassVar = ("axis",)
+    parameters: ClassVar = (
+        Parameter("per_metre", "", (0, 1e-2), (1e-5, 2e-4), joint=((-1e-2, 1e-2), (1e-5, 2e-4))),
+        Parameter("time_constant", "s", (10, 1e5), (100, 2000), role="log"),
+    )
+    experiment: ClassVar = "rest until all is cold, then work one {axis} to and fro for an hour, the others still"
+    action: ClassVar = (
+        "Rest between moves or run the {axis} warm before use; log its temperature so that it can be corrected."
+    )
+
+    def deviation(self, motion: Motion) -> Floats:
+        return self.axes(motion.places) * self.per_metre * self._warming(motion)
+
+    def covariate(self, motion: Motion) -> Covariate:
+        return travel_covariate(self._warming(motion), motion, "recent travel, whichever way")
+
+    def _warming(self, motion: Motion) -> Floats:
+        """(n, axes) m or rad of travel that still warms the axes at the exposures."""
+        path = motion.path
+        return motion.once(
+            ("warming", self.time_constant),
+            lambda: path.walked(lambda t, lengths: fading_travel(t, lengths, self.time_constant))[path.at],
+        )
+
+
+def fading_travel(t: Floats, lengths: Floats, time_constant: float) -> Floats:
+    """Travel (m, axes) along lengths (m, axes) m or rad, linear between knots t (m,) s, that fades by a time constant.
+
+    Exact: at a steady speed v it nears v * time_constant exponentially. It starts from none.
+    """
+    return _fade(np.ascontiguousarray(t, dtype=float), np.ascontiguousarray(lengths, dtype=float), float(time_constant))
+
+
+@njit(cache=True)
+def _fade(t: Floats, lengths: Floats, time_constant: float) -> Floats:
+    out = np.zeros_like(lengths)
+    for k in range(1, len(t)):
+        dt = t[k] - t[k - 1]
+        fade = np.exp(-dt / time_constant)
+        gain = -np.expm1(-dt / time_constant) * time_constant / dt if dt > 0 else 1.0
+        for i in range(lengths.shape[1]):
+            out[k, i] = out[k - 1, i] * fade + abs(lengths[k, i] - lengths[k - 1, i]) * gain
+    return out
