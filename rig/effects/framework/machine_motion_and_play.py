@@ -222,11 +222,15 @@ class Motion:
         now = self.channel(*names)
         if lag <= 0 or self.sensors is None:
             return now
-        log = next(self.sensors.channels[name] for name in names if name in self.sensors.channels)
-        edges = [0, *np.searchsorted(self.sensors.t, self.sensors.starts).tolist(), len(log)]
-        parts = [first_order_lag(self.sensors.t[a:b], log[a:b, None], lag)[:, 0] for a, b in zip(edges[:-1], edges[1:])]
-        late = np.concatenate(parts) - log
-        return now + np.interp(self.t, self.sensors.t, late)
+        log, t = next(self.sensors.channels[name] for name in names if name in self.sensors.channels), self.sensors.t
+        edges = [0, *np.searchsorted(t, self.sensors.starts).tolist(), len(t)]
+        part, out = np.searchsorted(self.sensors.starts, self.t, side="right"), now.copy()
+        for k, (a, b) in enumerate(zip(edges[:-1], edges[1:])):
+            own = np.flatnonzero(part == k)
+            knots = np.union1d(t[a:b], self.t[own])
+            late = first_order_lag(knots, np.interp(knots, t[a:b], log[a:b])[:, None], lag)[:, 0]
+            out[own] = late[np.searchsorted(knots, self.t[own])]
+        return out
 
     def no_channel(self, *names: str) -> str | None:
         """Why none of these sensor channels can be had, or None."""
