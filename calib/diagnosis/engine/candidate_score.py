@@ -19,6 +19,7 @@ from rig.array_and_json_types import Floats
 
 BEYOND = 0.3  # standard deviation of the logarithm of a parameter above what rigs show
 WRONG_SIGN = 12.0  # minus twice the logarithm of the chance that a parameter has the sign that rigs do not show
+SEVERAL = 3  # axes that show a name, from which it is asked whether all together explain more than any other
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +99,29 @@ def score_raised_to_likelihood_ratio(score: Score[C], likelihood_ratio: float, f
     if delta <= score.delta_chi2:
         return score
     return replace(score, delta_chi2=delta, p_value=float(score.p_value * np.exp(-(delta - score.delta_chi2) / 2)))
+
+
+def best_scores_at_axes(promising: list[Score[C]], name: str, size: int) -> list[Score[C]]:
+    """The likeliest Score of a name at each axis, the most convincing first."""
+    best: dict[str, Score[C]] = {}
+    for s in promising:
+        if s.candidate.name == name and s.candidate.site.is_axis:
+            known = best.get(s.candidate.place)
+            if known is None or s.evidence(size) > known.evidence(size):
+                best[s.candidate.place] = s
+    return sorted(best.values(), key=lambda s: -s.raw_delta_bic(size))
+
+
+def scores_with_likelier_name_of_several_axes_first(promising: list[Score[C]], size: int) -> list[Score[C]]:
+    """The promising Scores, first those of a name that explains more at several axes than the first does by itself:
+    axes that are built alike fail alike, and what one hypothesis explains of all is less than what each does of its
+    own."""
+    groups = [best_scores_at_axes(promising, name, size) for name in dict.fromkeys(s.candidate.name for s in promising)]
+    several = [group for group in groups if len(group) >= SEVERAL]
+    best = max(several, key=lambda group: sum(s.raw_delta_bic(size) for s in group), default=[])
+    if sum(s.raw_delta_bic(size) for s in best) <= promising[0].raw_delta_bic(size):
+        return promising
+    return best + [s for s in promising if not any(s is other for other in best)]
 
 
 def best_node_score(

@@ -5,7 +5,13 @@ from typing import Any, Generic
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_score import Score, score_raised_to_likelihood_ratio
+from calib.diagnosis.engine.candidate_score import (
+    SEVERAL,
+    Score,
+    best_scores_at_axes,
+    score_raised_to_likelihood_ratio,
+    scores_with_likelier_name_of_several_axes_first,
+)
 from calib.diagnosis.engine.finding_confirmation_against_alternatives import (
     Finding,
     confirm_terms,
@@ -29,7 +35,6 @@ from calib.diagnosis.engine.problem_interface import (
 )
 from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C
 
-SEVERAL = 3  # axes that show a name, from which it is asked whether all together explain more than any other
 DIGITS = 3  # of a node's values, by which hypotheses are told apart
 
 
@@ -135,7 +140,7 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
             return fit
         if admitted and _smooth_beyond(problem, model, promising[0]):
             break
-        promising = _with_likelier_name_of_several_places(promising, model_size)
+        promising = scores_with_likelier_name_of_several_axes_first(promising, model_size)
         step = _step(problem, fit, promising, scores, refused)
         if step is None:
             break
@@ -228,29 +233,6 @@ def _exchanged(
     return found, chosen
 
 
-def _best_at_axes(promising: list[Score[C]], name: str, size: int) -> list[Score[C]]:
-    """The likeliest Score of a name at each axis, the most convincing first."""
-    best: dict[str, Score[C]] = {}
-    for s in promising:
-        if s.candidate.name == name and s.candidate.site.is_axis:
-            known = best.get(s.candidate.place)
-            if known is None or s.evidence(size) > known.evidence(size):
-                best[s.candidate.place] = s
-    return sorted(best.values(), key=lambda s: -s.raw_delta_bic(size))
-
-
-def _with_likelier_name_of_several_places(promising: list[Score[C]], size: int) -> list[Score[C]]:
-    """The promising Scores, first those of a name that explains more at several axes than the first does by itself:
-    axes that are built alike fail alike, and what one hypothesis explains of all is less than what each does of its
-    own."""
-    groups = [_best_at_axes(promising, name, size) for name in dict.fromkeys(s.candidate.name for s in promising)]
-    several = [group for group in groups if len(group) >= SEVERAL]
-    best = max(several, key=lambda group: sum(s.raw_delta_bic(size) for s in group), default=[])
-    if sum(s.raw_delta_bic(size) for s in best) <= promising[0].raw_delta_bic(size):
-        return promising
-    return best + [s for s in promising if not any(s is other for other in best)]
-
-
 def _same_name_elsewhere(
     problem: Problem[Fit, Model, C],
     fit: Fit,
@@ -261,7 +243,7 @@ def _same_name_elsewhere(
     """The Fit with a name that was admitted at one of several axes admitted at the others too, each where it convinces
     beside those before it."""
     policy, size = problem.policy, problem.size(fit)
-    group = _best_at_axes(promising, admitted.candidate.name, size)
+    group = best_scores_at_axes(promising, admitted.candidate.name, size)
     if len(group) < SEVERAL or not admitted.candidate.site.is_axis or isinstance(problem, Companions):
         return fit
     for score in group:
