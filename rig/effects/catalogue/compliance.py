@@ -28,14 +28,13 @@ HEAVIEST, LIGHTER, OFF_CENTRE = (
     0.7,
     0.1,
 )  # kg of a first link, each next one's share of it, m: of links that are drawn
-STIFFENINGS = 8  # that a search tries
 GIVES = 1e-3  # rad RMS; real joints give a tenth of it under an arm's own weight
 
 
 @dataclass(frozen=True, slots=True)
 class Compliance(Effect):
-    """Deviation -f / stiffness / (1 + stiffening |f|): a strut that pushes is compressed and shorter, a joint gives way
-    to what it holds, and what rolls or is screwed together gives less and less. Infinite stiffness gives nothing.
+    """Deviation -f / stiffness: a strut that pushes is compressed and shorter, a joint gives way to what it holds.
+    Infinite stiffness gives nothing.
 
     moments : where the weight of an arm's links is not stated, their masses and mass moments (kg and kg m, four for
     each link, along its frame) over the stiffness, in place of f / stiffness: 1/(m/s^2), as far as they are not stated
@@ -45,14 +44,12 @@ class Compliance(Effect):
     place: str
     stiffness: float = np.inf
     moments: tuple[float, ...] = ()
-    stiffening: float = 0.0
     name: ClassVar = "compliance"
     stage: ClassVar = "struts"
     places: ClassVar = ("rig", "axis")
     parameters: ClassVar = (
         Parameter("stiffness", "N/m", (1e4, np.inf), (1e6, 1e8), role="inverse", joint=((1.0, np.inf), (1e3, 1e7))),
         Parameter("moments", "kg/(N m/rad), kg m/(N m/rad)", (-1.0, 1.0), (1e-7, 1e-3), 0),
-        Parameter("stiffening", "1/N", (0, 10), (2e-3, 0.2), role="form", joint=((0, 10), (2e-3, 0.2))),
     )
     experiment: ClassVar = "change the payload: at constant load most of the sag hides in the joint geometry"
     action: ClassVar = (
@@ -77,7 +74,7 @@ class Compliance(Effect):
         out = (
             np.zeros(motion.lengths.shape)
             if self.moments and np.isinf(self.stiffness)
-            else -mask * motion.loads() / self.stiffness / (1 + self.stiffening * np.abs(motion.loads()))
+            else -mask * motion.loads() / self.stiffness
         )
         if self.moments:
             reason = self.needs(motion)
@@ -94,7 +91,7 @@ class Compliance(Effect):
     def fitted(self, parameter: Parameter) -> tuple[int | None, ...]:
         if self.moments:
             return tuple(i for i, v in enumerate(self.moments) if v) if parameter.name == "moments" else ()
-        return () if parameter.name == "moments" else super(Compliance, self).fitted(parameter)
+        return (None,) if parameter.name == "stiffness" else ()
 
     @classmethod
     def unusual(cls, place: str, values: Mapping[str, object]) -> str | None:
@@ -119,9 +116,7 @@ class Compliance(Effect):
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         motion = context.moved()
         if not motion.no_loads():
-            stiff = [{"stiffening": value} for value in np.geomspace(*cls.parameters[2].usual, STIFFENINGS).tolist()]
-            columns = cls.linear(place)[:1]
-            return [Candidate(cls, place, [{}], columns), Candidate(cls, place, stiff, columns, "stiffening", extra=1)]
+            return [Candidate(cls, place, [{}], cls.linear(place)[:1])]
         table = motion.links()[:, motion.places.index(place)]
         kept = independent_load_columns(table)
         if not len(kept):

@@ -10,7 +10,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
 from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.model import motion_simulation
 from rig.recording.recording_folder import Commands, Sensors
-from tests.rig.effects.test_effect_formulas import home, loaded, moved, out_and_back
+from tests.rig.effects.test_effect_formulas import home, moved, out_and_back
 
 __all__ = ["home"]  # a fixture of that module, used here too
 SHARED = (
@@ -65,13 +65,6 @@ def test_a_strut_follows_its_thermometer_late(design, home):
         design, commands, np.array([500.0]), [parse_effect("thermal_expansion:rig:coefficient=1e-5,lag=500")], log
     ).deviation
     np.testing.assert_allclose(found[0], home * 1e-4 * (1 - 1 / np.e), rtol=1e-6)
-
-
-def test_springs_that_stiffen_give_less(design, home):
-    rig, still = loaded(design), np.tile(home, (2, 1))
-    plain = moved(rig, still, [1], parse_effect("compliance:rig:stiffness=5e6"))
-    stiff = moved(rig, still, [1], parse_effect("compliance:rig:stiffness=5e6,stiffening=0.1"))
-    np.testing.assert_allclose(stiff, plain / (1 + 0.1 * np.abs(plain) * 5e6), rtol=1e-4)
 
 
 @pytest.mark.parametrize("effect", SHARED, ids=lambda effect: effect.name)
