@@ -12,6 +12,9 @@ os.environ.setdefault(
     "OPENBLAS_NUM_THREADS", "1"
 )  # as rig.cli.command_line.run_script has it; read when NumPy is loaded
 
+if "PYTEST_XDIST_WORKER" in os.environ:  # processes of tests share the cores already; --workers still starts others
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 import numpy as np
 import pytest
 
