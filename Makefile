@@ -26,9 +26,10 @@ docs: .venv/.runs
 	$(BIN)/rig catalogue --force --out docs/effects.md
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
 
+test: export PYTHONDONTWRITEBYTECODE =  # empty is unset: the tests start many processes, which would each compile every module
 test: setup
 	$(BIN)/python -m tests.compile_kernels
-	$(BIN)/python -m pytest -q -n auto
+	$(BIN)/python -m pytest -q -n auto --dist worksteal
 
 test-slow: setup
 	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[bucket]'

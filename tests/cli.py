@@ -1,7 +1,9 @@
 """The commands in a process of their own or in this one, and what their pages link to."""
 
+import io
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from html.parser import HTMLParser
 
 from rig.cli.command_line import main
@@ -10,8 +12,28 @@ RIG = [sys.executable, "-c", "import sys; from rig.cli.command_line import main;
 
 
 def run(*arguments, ok=True):
-    """A finished process of `rig` with arguments, whose end must be as expected and without a traceback."""
-    done = subprocess.run([*RIG, *map(str, arguments)], capture_output=True, text=True, timeout=300)
+    """A finished command `rig` with arguments in this process, which imports and loads compiled code once for all of
+    them; its end must be as expected and without a traceback.
+    """
+    words = [str(argument) for argument in arguments]
+    printed, complaint = (io.TextIOWrapper(io.BytesIO(), "utf-8") for _ in range(2))
+    with redirect_stdout(printed), redirect_stderr(complaint):
+        try:
+            status = main(words)
+        except SystemExit as end:
+            status = end.code
+    printed.flush(), complaint.flush()
+    out, said = (stream.buffer.getvalue().decode() for stream in (printed, complaint))
+    return _as_expected(subprocess.CompletedProcess(words, status, out, said), ok)
+
+
+def run_process(*arguments, ok=True):
+    """The same in a process of its own, as its user starts it."""
+    words = [*RIG, *map(str, arguments)]
+    return _as_expected(subprocess.run(words, capture_output=True, text=True, timeout=300), ok)
+
+
+def _as_expected(done, ok):
     assert "Traceback" not in done.stderr, done.stderr
     assert (done.returncode == 0) == ok, done.stdout + done.stderr
     return done

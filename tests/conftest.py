@@ -4,12 +4,16 @@ The packages are imported within the fixtures: where one cannot be imported, the
 no others.
 """
 
+import gc
 import os
 from pathlib import Path
 
 os.environ.setdefault(
     "OPENBLAS_NUM_THREADS", "1"
 )  # as rig.cli.command_line.run_script has it; read when NumPy is loaded
+
+if "PYTEST_XDIST_WORKER" in os.environ:  # processes of tests share the cores already; --workers still starts others
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pytest
@@ -19,6 +23,22 @@ from tests.missing_system_modules import missing_part
 ROOT = Path(__file__).parents[1]
 BENCH = ROOT / "tests" / "data" / "bench"
 SHARED = ROOT.parent / "shared"
+LONGEST = ("test_types_are_clean",)  # a process of tests begins with these, so that none is left over at the end
+
+gc.disable()  # until all tests are collected: modules stay, and each search for garbage would walk through them all
+
+
+def pytest_collection_modifyitems(items):
+    """The longest tests come first; all others stay in their order."""
+    items.sort(key=lambda item: item.name not in LONGEST)
+
+
+def pytest_collection_finish():
+    """Search for garbage from here on, though not among what importing the tests made, and more rarely."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
+    gc.enable()
 
 
 @pytest.hookimpl(wrapper=True)

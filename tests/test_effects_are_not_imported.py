@@ -7,6 +7,7 @@ import pytest
 
 from rig.effects.catalogue.effect_list import BY_NAME
 from tests.conftest import ROOT
+from tests.source_trees import nodes
 
 NAME = re.compile(rf"(?<![\w-])({'|'.join(BY_NAME)})(?![\w-])")
 ROOMS = ("rig", "vision", "calib", "synthetic")
@@ -15,17 +16,16 @@ CATALOGUE, LIST = "rig.effects.catalogue", "effect_list"  # the list of all effe
 
 def named(path):
     """[(line, text)] of the strings of a file, docstrings aside, that hold an effect's name."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
     documented = {
         id(node.body[0].value)
-        for node in ast.walk(tree)
+        for node in nodes(path)
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
         and node.body
         and isinstance(node.body[0], ast.Expr)
     }
     return [
         (node.lineno, node.value)
-        for node in ast.walk(tree)
+        for node in nodes(path)
         if isinstance(node, ast.Constant)
         and isinstance(node.value, str)
         and id(node) not in documented
@@ -53,7 +53,7 @@ def test_no_effect_is_named_outside_its_room(room):
 def imported(path):
     """[(line, module)] of a file's imports of single effects."""
     found = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.ImportFrom) and node.module is not None:
             whole = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
         elif isinstance(node, ast.Import):

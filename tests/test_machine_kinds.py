@@ -4,6 +4,7 @@ import ast
 from pathlib import Path
 
 from tests.conftest import ROOT
+from tests.source_trees import nodes
 
 MOST = 21  # tests of a kind elsewhere: this may only fall
 ROOMS = ("rig", "vision", "calib", "synthetic", "docs/make")
@@ -41,7 +42,7 @@ def asks_kind(node: ast.AST) -> bool:
 
 def kinds_asked(path: Path) -> list[int]:
     """Lines of a file that ask for a kind of machine."""
-    return sorted(n.lineno for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if asks_kind(n))
+    return sorted(n.lineno for n in nodes(path) if asks_kind(n))
 
 
 def test_every_way_to_ask_is_found(tmp_path):

@@ -17,6 +17,7 @@ from rig.cli.command_line import COMMANDS
 from rig.errors import RigError
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording.recording_tables import write_poses
+from tests import source_trees
 from tests.cli import run
 
 CLI = Path(rig.__file__).parent / "cli"
@@ -262,8 +263,8 @@ def test_options_are_typed_and_frozen():
 
 def functions(verb):
     """{name: its ast} of a command's functions, and the tree of the file."""
-    tree = ast.parse((CLI / f"{verb}.py").read_text(encoding="utf-8"))
-    return {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}, tree
+    whole = source_trees.tree(CLI / f"{verb}.py")
+    return {node.name: node for node in whole.body if isinstance(node, ast.FunctionDef)}, whole
 
 
 def call_of(command):
@@ -278,29 +279,31 @@ def test_every_command_has_its_call():
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_is_arguments_one_call_print_and_write(command):
-    found, tree = functions(command.replace("-", "_"))
+    found, whole = functions(command.replace("-", "_"))
     statements = [node for node in ast.walk(found["run"]) if isinstance(node, ast.stmt)]
     assert len(statements) <= STATEMENTS, f"{command}: {len(statements)} statements"
     home, function = call_of(command)
-    called = [node.func.id for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)]
+    called = [
+        node.func.id for node in ast.walk(whole) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    ]
     assert called.count(function) == 1, f"{function} is called {called.count(function)} times"
-    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    imports = [node for node in ast.walk(whole) if isinstance(node, ast.ImportFrom)]
     assert any(node.module == home and function in [name.name for name in node.names] for node in imports)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_imports_nothing_that_computes(command):
-    _, tree = functions(command.replace("-", "_"))
+    _, whole = functions(command.replace("-", "_"))
     for_types = {
         inner
-        for node in tree.body
+        for node in whole.body
         if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
         for inner in ast.walk(node)
     }
     home = call_of(command)[0]
     computing = [
         f"{node.module}: {name.name}"
-        for node in ast.walk(tree)
+        for node in ast.walk(whole)
         if isinstance(node, ast.ImportFrom) and node not in for_types and (node.module or "").startswith(COMPUTING)
         for name in node.names
         if node.module != home

@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import get_args
@@ -24,7 +25,6 @@ from rig.recording.recording_folder import load_recording
 from tests.docs import told
 
 ROOT = told.ROOT
-SAID = [m for m in messages.messages() if m.kind == "FileError" and len(m.words) > 20]
 READERS = ("text", "number", "whole", "array", "pose", "each", "identifier", "get", "flag")
 
 
@@ -74,6 +74,12 @@ def test_every_file_of_a_recording_is_on_the_page():
     } == set(tables.asked())
 
 
+@cache
+def said_of_files() -> list[messages.Message]:
+    """The longer messages of the readers of files."""
+    return [m for m in messages.messages() if m.kind == "FileError" and len(m.words) > 20]
+
+
 def refusal(folder: Path) -> str:
     with pytest.raises(FileError) as refused:
         load_recording(folder)
@@ -95,7 +101,7 @@ def test_a_message_that_is_met_is_found_on_the_page(tmp_path, file, header, row)
     shutil.copytree(ROOT / "tests" / "data" / "bench" / "check", folder)
     (folder / file).write_text(f"{header}\n{row}\n")
     met = refusal(folder)
-    on_the_page = [m.words for m in SAID if all(part in met for part in m.words.split(".."))]
+    on_the_page = [m.words for m in said_of_files() if all(part in met for part in m.words.split(".."))]
     assert on_the_page, met
 
 

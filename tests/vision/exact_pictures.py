@@ -1,8 +1,10 @@
 """Exact pictures of markers by brute force: many samples to the pixel, no renderer and no code of ours in between."""
 
+from functools import cache
+
 import cv2
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter1d
 
 from rig.model.design import Camera
 from rig.model.pose import pose
@@ -51,7 +53,9 @@ def picture(
         A[2 * i], A[2 * i + 1] = (x, y, 1, 0, 0, 0, -X * x, -X * y), (0, 0, 0, x, y, 1, -Y * x, -Y * y)
     H = np.append(np.linalg.solve(A, square.astype(float).ravel()), 1).reshape(3, 3)
     grid = (np.arange(size * samples) + 0.5) / samples - 0.5
-    u, v = np.meshgrid(grid, grid)
+    ends = n + 1 + margin, -1 - margin
+    columns, rows = _reach(H, np.array([(a, b, 1) for a in ends for b in ends]), size, samples)
+    u, v = np.meshgrid(grid[columns], grid[rows])
     w = H[2, 0] * u + H[2, 1] * v + H[2, 2]
     X, Y = (H[0, 0] * u + H[0, 1] * v + H[0, 2]) / w, (H[1, 0] * u + H[1, 1] * v + H[1, 2]) / w
     gx, gy = (
@@ -72,8 +76,29 @@ def picture(
     share = (1 - below) * ((1 - right) * cells[top, left] + right * cells[top, past]) + below * (
         (1 - right) * cells[under, left] + right * cells[under, past]
     )
-    grey = beyond + paper * (black + (white - black) * share - beyond)
-    return gaussian_filter(grey, blur * samples, truncate=6).reshape(size, samples, size, samples).mean(axis=(1, 3))
+    grey = np.full((size * samples, size * samples), beyond)
+    grey[rows, columns] += paper * (black + (white - black) * share - beyond)
+    pixels = _blurred_means(blur, samples, size)
+    return pixels @ grey @ pixels.T
+
+
+def _reach(H, paper, size, samples):
+    """Slices of the samples, of columns and of rows, beyond which there is no paper; all of them where its corners
+    (4, 3) are not all before the camera.
+    """
+    at = paper @ np.linalg.inv(H).T
+    if (at[:, 2] <= 0).any():
+        return slice(None), slice(None)
+    at = at[:, :2] / at[:, 2:]
+    low, high = np.floor(at.min(axis=0)) - 1, np.ceil(at.max(axis=0)) + 2
+    return tuple(slice(*(samples * np.clip([a, b], 0, size).astype(int))) for a, b in zip(low, high))
+
+
+@cache
+def _blurred_means(blur, samples, size):
+    """(size, size * samples) what blurs samples along an axis and takes the mean of those of each pixel."""
+    one = gaussian_filter1d(np.eye(size * samples), blur * samples, axis=0, truncate=6)
+    return one.reshape(size, samples, -1).mean(axis=1)
 
 
 def _beyond(distance, width):

@@ -31,6 +31,7 @@ from rig.model.mechanisms import hexapod
 from rig.recording import recording_folder
 from rig.report import verdict_and_refutations_of_results
 from tests.conftest import ROOT
+from tests.source_trees import nodes
 
 DATA = ROOT / "tests" / "data"
 ELSEWHERE = {
@@ -136,12 +137,7 @@ def test_a_newer_file_of_toml_and_a_newer_investigation_are_refused_with_their_p
 
 def test_every_schema_that_the_code_knows_is_held_here():
     files = [path for package in ("rig", "calib", "vision", "synthetic") for path in (ROOT / package).rglob("*.py")]
-    values = [
-        node.value
-        for path in files
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Assign)
-    ]
+    values = [node.value for path in files for node in nodes(path) if isinstance(node, ast.Assign)]
     named = {
         node.value
         for node in values

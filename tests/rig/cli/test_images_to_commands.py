@@ -1,4 +1,4 @@
-"""The commands as a user gives them, in a process of their own: from images to corrected commands."""
+"""The commands as a user gives them: from images to corrected commands."""
 
 import json
 import os
@@ -15,7 +15,7 @@ from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder, recording_tables
-from tests.cli import RIG, Links, run
+from tests.cli import RIG, Links, run, run_process
 from tests.conftest import BENCH, make_recording
 
 
@@ -184,8 +184,8 @@ def test_poses_from_outside_are_calibrated_too(worked, tmp_path):
 
 
 def test_images_go_all_the_way(tmp_path):
-    run("calibrate", BENCH / "fit", "--out", tmp_path / "c.json")
-    tree = json.loads(run("verify", tmp_path / "c.json", BENCH / "check", "--json").stdout)
+    run_process("calibrate", BENCH / "fit", "--out", tmp_path / "c.json")
+    tree = json.loads(run_process("verify", tmp_path / "c.json", BENCH / "check", "--json").stdout)
     assert tree["n"] == 6 and tree["ratio"]["position"] > 8
     assert tree["after"]["position"]["rms"] < tree["measurement_uncertainty"]["position"]
     assert any(
