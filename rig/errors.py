@@ -14,7 +14,7 @@ SCHEME = r"(?:[a-z][a-z0-9+.-]*::)*[a-z][a-z0-9+.-]+:"  # of a URL, as fsspec ch
 FOLDED = re.compile(rf"^({SCHEME})/(?=[^/])")  # what pathlib makes of SCHEME//
 
 
-def user_path_text(path: str | PathLike[str]) -> str:
+def path_text_with_url_slashes(path: str | PathLike[str]) -> str:
     """Text of a path as its user wrote it: with both slashes after the scheme where it is a URL."""
     return FOLDED.sub(r"\1//", str(path))
 
@@ -42,7 +42,7 @@ class FileError(RigError):
         column: int | None = None,
         value: object = None,
     ) -> None:
-        self.path, self.line, self.column, self.value = user_path_text(path), line, column, value
+        self.path, self.line, self.column, self.value = path_text_with_url_slashes(path), line, column, value
         place = ":".join(str(part) for part in (self.path, line, column) if part is not None)
         super().__init__(f"{place}: {message}")
 

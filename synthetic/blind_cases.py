@@ -16,8 +16,8 @@ from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
-from rig.model.places_and_tolerances import Place
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
 from rig.planning.plan_construction_and_table import Plan

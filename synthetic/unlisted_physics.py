@@ -17,9 +17,9 @@ from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.marker_table import Markers, replace_marker_columns
 from rig.errors import RigError
 from rig.model.design import Camera, Design
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
-from rig.model.places_and_tolerances import Place
 from rig.model.pose import exp, transform_points
 from rig.recording.recording_tables import Corners
 

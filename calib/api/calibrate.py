@@ -14,7 +14,7 @@ from calib.api.correction_over_configuration_or_pose_space import (
 )
 from calib.api.recording_check_and_preparation import prepare_recordings
 from calib.certification import platform_certification
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.calibration_evidence import calibration_verdict
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.certification.workspace_claim import Claim

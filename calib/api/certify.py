@@ -6,11 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certificate import certificate_json_and_si_values, certificate_page, certificate_pdf, digital_certificate_xml
+from calib.certificate import (
+    certificate_json_and_digital_si_xml,
+    certificate_page,
+    certificate_pdf,
+    digital_certificate_xml,
+)
 from calib.certificate.certificate import Certificate, calibration_certificate, certificate_verdict
 from calib.certificate.certificate_contents import CertifyOptions
 from calib.certificate.digital_certificate_xml import Issuer
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration, refutation_sentence
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration, refutation_sentence
 from calib.certification.calibration_evidence import (
     AgainstClaim,
     calibration_evidence,
@@ -63,7 +68,7 @@ class CertificationResult:
 
     def tree(self) -> Json:
         """What certificate.json holds."""
-        return certificate_json_and_si_values.certificate_dict(self.certificate)
+        return certificate_json_and_digital_si_xml.certificate_dict(self.certificate)
 
     def write(self, path: Path, links: Sequence[Link] = (), issuer: Issuer = UNSTATED) -> None:
         """Write the certificate, in the form that the path's suffix names, one of KINDS.
@@ -77,7 +82,7 @@ class CertificationResult:
         elif path.suffix == ".xml":
             write_text(path, digital_certificate_xml.digital_certificate_xml(self.certificate, issuer))
         else:
-            write_text(path, certificate_json_and_si_values.certificate_text(self.certificate))
+            write_text(path, certificate_json_and_digital_si_xml.certificate_text(self.certificate))
 
 
 def certify(

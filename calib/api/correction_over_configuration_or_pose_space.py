@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.extended_correction_certification import (
     ExtensionBasis,
     ExtensionRequest,

@@ -6,16 +6,16 @@ from pathlib import Path
 
 from calib.api.next_experiment import NextExperiment, available_plans, choose_experiment
 from calib.api.recording_check_and_preparation import prepare_recordings
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.calibration_evidence import OfCalibrations
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.diagnosis import recording_diagnosis
 from calib.diagnosis.calibration_left_out_physics import (
     Refutation,
     refuted_calibrations,
-    unexplained_and_refuted_calibrations,
+    unexplained_findings_and_refutations,
 )
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import StatedTerms
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import StatedTerms
 from calib.diagnosis.recording_diagnosis import Diagnosis, DiagnosisOptions
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from calib.diagnosis.report.diagnosis_page import arm_or_platform_page_view, diagnosis_page
@@ -222,7 +222,7 @@ def diagnose(
     marks = content_hashes_of_frames(recording)
     against = refuted_calibrations(report, marks, options.calibrations, None if sampled is None else sampled.samples)
     refuted = tuple(f"{one.path.name} is refuted: {one.finding}" for one in against if one.state == State.BAD)
-    left = unexplained_and_refuted_calibrations(marks, options.calibrations, False).unexplained
+    left = unexplained_findings_and_refutations(marks, options.calibrations, False).unexplained
     return DiagnosisResult(
         recording, replace(report, calibrations=OfCalibrations(refuted, left)), found, tuple(against)
     )

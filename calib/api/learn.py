@@ -6,9 +6,9 @@ from functools import partial
 from pathlib import Path
 
 from calib.api.recording_check_and_preparation import refuse_unfit_recording
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.calibration_evidence import OfCalibrations, calibration_evidence
-from calib.diagnosis.calibration_left_out_physics import unexplained_and_refuted_calibrations
+from calib.diagnosis.calibration_left_out_physics import unexplained_findings_and_refutations
 from calib.online.information_filter import Online
 from calib.online.learners import save_learner
 from calib.online.platform_poses_from_measuring_limbs import LimbSource, sample_by_limbs
@@ -169,7 +169,7 @@ def _calibration_evidence(
     """OfCalibrations made from a recording that are in its folder's parent; and what the one that learning starts from
     leaves unexplained.
     """
-    beside = unexplained_and_refuted_calibrations(
+    beside = unexplained_findings_and_refutations(
         content_hashes_of_frames(recording), json_files_in_same_folders(recording.folder), True
     )
     if calibration is None:

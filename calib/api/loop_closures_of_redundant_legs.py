@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification import measuring_limb_calibration_and_slips, redundant_measuring_limb_checks
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.online.measuring_limbs_file import Accepted
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError

@@ -10,7 +10,7 @@ from threading import Thread
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.correction.correction import require_reachable
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.online.observer_of_run_frames import RunDisplay, RunObserver, RunStop

@@ -9,7 +9,7 @@ import numpy as np
 from calib.api.learn import LearningResult, learn_from_samples
 from calib.api.recording_check_and_preparation import refuse_unfit_recording
 from calib.certification import measuring_limb_calibration_and_slips, redundant_measuring_limb_checks
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.measuring_limb_calibration_and_slips import Agreement
 from calib.files.calibration_provenance_and_used_frames import calibration_provenance
 from calib.models.machine_models import corrected_pose_covariance

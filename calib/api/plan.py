@@ -43,7 +43,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_axes, has_pl
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan, sensors_with_payload
 from rig.planning.plan_construction_and_table import Plan
-from rig.planning.visiting_order_and_approach_balance import time_balanced_order
+from rig.planning.visiting_order_and_approach_decorrelated_from_position import time_balanced_order
 from rig.recording.recording_folder import Sensors
 from vision.predict import marker_map, visible_marker_counts_of_poses
 

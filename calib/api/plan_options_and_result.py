@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.models.platform.optimal_configurations import ConfigurationExclusion
 from calib.report.recording_and_plan_pages import write_plan_page
 from calib.samples.confounded_conditions import Confounds, confound_sentences

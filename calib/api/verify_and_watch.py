@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration, refutation_sentence
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration, refutation_sentence
 from calib.certification.calibration_evidence import calibration_evidence, verify_claim_on_samples
 from calib.certification.claim_verification import Verification
 from calib.certification.held_out_errors import (
@@ -24,7 +24,7 @@ from calib.drift.visit_history import History, add_visit
 from calib.files import calibration_provenance_and_used_frames
 from calib.files.calibration_provenance_and_used_frames import SEED
 from calib.models.machine_models import corrected_pose_covariance
-from calib.report.verification_and_visit_pages import (
+from calib.report.verification_and_repeated_visit_pages import (
     Verified,
     Visit,
     change_alarm_sentence,

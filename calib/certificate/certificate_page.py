@@ -21,7 +21,7 @@ from rig.report.pages.page_templates_and_elements import (
     round_ticks,
     svg_figure,
     svg_text,
-    svg_text_within_box,
+    svg_text_or_empty_if_too_large,
     svg_tooltip,
     table_html,
     write_page,
@@ -91,7 +91,7 @@ def _cell_bound_figures(certificate: Certificate) -> str:
                 f'y="{up:.1f}" width="{wide:.1f}" '
                 f'height="{tall:.1f}">{svg_tooltip(f"{bound * 1e6:.1f} um")}</rect>'
             )
-            parts.append(svg_text_within_box((at, up, wide, tall), f"{bound * 1e6:.0f}"))
+            parts.append(svg_text_or_empty_if_too_large((at, up, wide, tall), f"{bound * 1e6:.0f}"))
         parts += [
             svg_text(left, height + 14, f"{'xyz'[b]} up, {low[1] * 1e3:.0f} to {high[1] * 1e3:.0f} mm"),
             svg_text(left, base + 16, f"{'xyz'[a]} to the right, {low[0] * 1e3:.0f} to {high[0] * 1e3:.0f} mm"),

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate import Certificate
-from calib.certificate.certificate_json_and_si_values import (
+from calib.certificate.certificate_json_and_digital_si_xml import (
     METRE,
     ONE,
     RADIAN,

@@ -243,7 +243,7 @@ def held_out_error_statistics(
     )
 
 
-def standardised_residuals(
+def leverage_corrected_residuals(
     residuals: Floats, jacobian: Floats, covariance: Floats, noise: Floats, label: Integers
 ) -> Floats:
     """Standardised residuals (n, 6) of a linear fit: corrected for the noise that the fit absorbed, m and rad.

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaincinv
 
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.calibration_evidence import OfCalibrations, calibration_evidence, verify_claim_on_samples
 from calib.certification.held_out_errors import pose_errors
 from calib.certification.workspace_claim import Claim
@@ -170,7 +170,7 @@ def refuted_calibrations(
     return out
 
 
-def unexplained_and_refuted_calibrations(
+def unexplained_findings_and_refutations(
     marks: Marks, paths: Iterable[Path], include_later_refutations: bool
 ) -> OfCalibrations:
     """What calibrations of a recording leave unexplained, and which of them are refuted, by its marks.

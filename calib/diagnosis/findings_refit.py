@@ -26,7 +26,7 @@ from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm
 from calib.models.arm.error_model_and_observations import parameter_names, sample_observations
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, JointFit, Prior, fit_geometry_and_effects
 from calib.models.platform.identification import Loops
-from calib.samples.pose_samples import Sampled, Samples, samples_within_freedoms
+from calib.samples.pose_samples import Sampled, Samples, planar_samples_of_two_struts
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import MOTION_STAGES, Effect
@@ -37,8 +37,8 @@ from rig.formats import json_toml_and_yaml_loading, machine_json
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files.atomic_file_and_manifest import load_manifest as manifest
 from rig.model import mechanisms
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, require_arm, require_struts
-from rig.model.places_and_tolerances import Place
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
 
@@ -194,7 +194,7 @@ def refit_platform_with_findings(
     said("refining physics and geometry jointly", 1, 1)
     k, samples = refined.point.with_effects(_motion(effects)), sampled.samples
     if any(e.stage not in MOTION_STAGES for e in findings.effects):  # what cameras left out moved every pose
-        samples = samples_within_freedoms(recording, replace(samples, T_base_platform=k.T))
+        samples = planar_samples_of_two_struts(recording, replace(samples, T_base_platform=k.T))
     known = replace(k, T=samples.T_base_platform).effective() - samples.commanded
     design = recording.design
     physics = Physics(

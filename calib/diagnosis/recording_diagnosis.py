@@ -6,18 +6,18 @@ from typing import Any, NamedTuple
 
 from threadpoolctl import threadpool_limits
 
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
-from calib.diagnosis.engine.problem_interface import Fit, Progress
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import (
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import (
     NO_STATED_TERMS,
     C,
     NotAsked,
     Outliers,
     StatedTerms,
 )
+from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
+from calib.diagnosis.engine.problem_interface import Fit, Progress
 from calib.diagnosis.engine.term_selection import (
     Selection,
     remove_findings_insignificant_with_smooth_functions,

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.drift.change_evidence import ALARM, SOMETHING, Suspect, Verdict
 from calib.drift.visit_equations_and_reference import Reference
-from rig.model.places_and_tolerances import Place
+from rig.model.effect_places_and_part_tolerances import Place
 
 SHOWN = 3  # suspects that are listed
 LEAST = 0.01  # odds below which none but the first is

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.models.platform.identification import inverse_strut_length_jacobian, pose_parameter_jacobian
 from calib.samples.pose_samples import Samples, sample_recording
 from rig.array_and_json_types import Floats, Integers
@@ -20,9 +20,9 @@ from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Camera, Design, Platform
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
-from rig.model.places_and_tolerances import Place
 from rig.model.pose import log, skew
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.bundle.normal_equations_and_corner_jacobians import linearise, normal_equations

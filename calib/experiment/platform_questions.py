@@ -48,7 +48,7 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.places_and_tolerances import SEAT
+from rig.model.effect_places_and_part_tolerances import SEAT
 from rig.planning.plan_construction_and_table import Plan
 
 WEAK = 1e-12  # of the greatest eigenvalue; directions below are none

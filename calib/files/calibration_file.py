@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.certification.workspace_claim import Claim
 from calib.correction.correction_tables_and_pose_space_map_json import pose_map_dict

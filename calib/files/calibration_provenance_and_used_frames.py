@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.platform_certification import Certified
 from calib.certification.workspace_claim import Claim
 from calib.correction.physics_compensation import Physics

@@ -16,9 +16,9 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.machine_json import effects_from_entries
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, has_links, has_stages, has_struts
-from rig.model.places_and_tolerances import Place
 
 
 def require_text(tree: Entries, key: str, known_texts: Sequence[str]) -> None:

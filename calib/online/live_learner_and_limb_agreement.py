@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification import measuring_limb_calibration_and_slips, redundant_measuring_limb_checks
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.online.filter_kernels_and_change_detection import Change
 from calib.online.information_filter import Online

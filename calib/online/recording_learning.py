@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.online.filter_kernels_and_change_detection import Change, change_sentence
 from calib.online.information_filter import Online, Update
 from calib.online.learners import LEARNERS, Learner, load_learner

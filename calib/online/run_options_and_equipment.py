@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification import measuring_limb_calibration_and_slips
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.online import measuring_limbs_file
 from calib.online.live_learner_and_limb_agreement import Learner
 from calib.online.measuring_limbs_file import Accepted

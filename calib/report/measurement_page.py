@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.report.pose_and_effect_figures import pose_coverage_figures
 from rig.array_and_json_types import Floats
-from rig.model.places_and_tolerances import Place
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, patch_means

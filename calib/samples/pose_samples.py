@@ -292,7 +292,7 @@ def sample_recording(
     ):
         stated = poses.covariance is not None or recording.design.instrument is not None
         return Sampled(
-            samples_within_freedoms(recording, _from_poses(recording, poses)),
+            planar_samples_of_two_struts(recording, _from_poses(recording, poses)),
             "poses.csv",
             None,
             None,
@@ -315,7 +315,7 @@ def sample_recording(
         alone = below.covariance - below.common @ np.swapaxes(below.common, 1, 2)
         found = add_stage_measurements(found, stage, below.frames, below.T_base_platform, alone, below.common)
     return Sampled(
-        samples_within_freedoms(recording, found),
+        planar_samples_of_two_struts(recording, found),
         source,
         measured,
         collected,
@@ -323,7 +323,7 @@ def sample_recording(
     )
 
 
-def samples_within_freedoms(recording: Recording, samples: Samples) -> Samples:
+def planar_samples_of_two_struts(recording: Recording, samples: Samples) -> Samples:
     """Samples restricted to the freedoms of a recording's machine: planar ones of two struts."""
     return planar_samples(samples) if recording.design.mechanism.pose_coordinates == (0, 1) else samples
 

@@ -232,7 +232,7 @@ def _singular(correction: AnyCorrection, real: MachineReach) -> Floats:
     like moves on the whole.
     """
     fitted, kinematics = correction.fitted, mechanisms.kinematics_of(correction.fitted)
-    J = kinematics.singularity_rows(real.T_base_platform, real.commands - correction.rho(real.commands), fitted)
+    J = kinematics.transposed_jacobians(real.T_base_platform, real.commands - correction.rho(real.commands), fitted)
     move, turn = (np.sqrt((J[..., part] ** 2).sum(axis=(1, 2)).mean()) for part in (slice(0, 3), slice(3, 6)))
     if turn:
         J = J * np.repeat([1.0, move / turn], 3)

@@ -18,7 +18,7 @@ from rig.report.pages.page_templates_and_elements import (
     paragraph_html,
     svg_figure,
     svg_text,
-    svg_text_within_box,
+    svg_text_or_empty_if_too_large,
     svg_tooltip,
     table_html,
     write_page,
@@ -185,7 +185,7 @@ def cell_views(workspace: Workspace, quantity: Quantity) -> tuple[str, str]:
                 f'y="{box[1]:.1f}" width="{scale:.1f}" '
                 f'height="{scale:.1f}">{svg_tooltip(f"{told} {unit}") if told else ""}</rect>'
             )
-            parts.append(svg_text_within_box(box, told, "small"))
+            parts.append(svg_text_or_empty_if_too_large(box, told, "small"))
         corner = [
             (workspace.origin[axis] * 1e3, (workspace.origin[axis] + span[axis] * workspace.size) * 1e3)
             for axis in (across, up)

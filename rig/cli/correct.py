@@ -18,7 +18,7 @@ from rig.formats.number_parsing_and_rounding import parse_numbers
 
 if TYPE_CHECKING:
     from calib.api.correct import CorrectionResult, CorrectOptions
-    from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+    from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
     from rig.array_and_json_types import Floats
     from rig.recording.recording_folder import WantedPoses
 

@@ -64,7 +64,7 @@ def run(arguments: Namespace) -> int:
     """Test the measuring limbs against vision, print whether they pass, save that, and learn from them if so."""
     from calib.api.measuring_limb_acceptance_and_platform_poses import AcceptLimbsOptions, accept_limbs
     from calib.online.measuring_limbs_file import is_limbs_file
-    from rig.cli.shared.measurement_and_calibration_summary import print_learning
+    from rig.cli.shared.measurement_and_calibration_summary import print_online_learning_result
 
     names = None if arguments.use is None else tuple(arguments.use.split(","))
     options = AcceptLimbsOptions(tuple(arguments.tolerance), names, tuple(arguments.argv))
@@ -86,7 +86,7 @@ def run(arguments: Namespace) -> int:
         progress = Progress()
         learnt = result.learn(arguments.state, progress, notice_printer(progress))
         learnt.save(state)
-        print_learning(learnt)
+        print_online_learning_result(learnt)
         print(f"written: {arguments.state}")
     return 0 if result.passed else 1
 

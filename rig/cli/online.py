@@ -104,12 +104,12 @@ def run(arguments: Namespace) -> None:
 
 def _print_result(arguments: Namespace, result: LearningResult) -> None:
     """Print what was learnt, and where the state is."""
-    from rig.cli.shared.measurement_and_calibration_summary import print_learning
+    from rig.cli.shared.measurement_and_calibration_summary import print_online_learning_result
 
     named = arguments.learner == FILTER
     written = [] if arguments.state is None else [f"written: {arguments.state}"]
     found = [result.verdict.line, result.confounds_line]
-    print_learning(result, named)
+    print_online_learning_result(result, named)
     print("\n".join([found[1], *written] if named else [*written, *found]))
 
 

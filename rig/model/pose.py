@@ -159,7 +159,7 @@ def displace_selected_poses(
 
 
 @njit(cache=True, nogil=True)
-def rotate_increment(R: Floats, w: NDArray[np.floating]) -> None:
+def rotate_in_place(R: Floats, w: NDArray[np.floating]) -> None:
     """Rotate R (3, 3) in place by the increment w (3,), a rotation vector: R becomes R exp(w)."""
     x, y, z = w[0], w[1], w[2]
     angle = np.sqrt(x * x + y * y + z * z)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.numba_kernels_and_lazy_exports import njit
-from rig.model.pose import rotate_increment
+from rig.model.pose import rotate_in_place
 
 FAR = 0.5  # s to the frame before or after, beyond which it says nothing
 AROUND = 20  # frames looked at on either side
@@ -190,7 +190,7 @@ def refine_pose(
         for i in range(3):
             for k in range(3):
                 matrix[i, 3] += matrix[i, k] * step[k]
-        rotate_increment(matrix[:3, :3], step[3:])
+        rotate_in_place(matrix[:3, :3], step[3:])
         calm = np.abs(step).max() < CALM
     return scale
 

@@ -7,11 +7,11 @@ from typing import Generic
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import Alternative, Score, score_raised_to_likelihood_ratio
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import C, SelectionPolicy
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import column_cosine
 from calib.diagnosis.engine.problem_interface import AliasedNodes, Fit, Model, Problem, Progress
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C, SelectionPolicy
-from rig.model.places_and_tolerances import Place
+from rig.model.effect_places_and_part_tolerances import Place
 
 RESTARTS = 2  # times the most terms that there may be, after which terms are confirmed as they stand
 

@@ -12,6 +12,7 @@ from calib.diagnosis.engine.candidate_score import (
     score_raised_to_likelihood_ratio,
     scores_with_likelier_name_of_several_axes_first,
 )
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import C
 from calib.diagnosis.engine.finding_confirmation_against_alternatives import (
     Finding,
     confirm_terms,
@@ -33,7 +34,6 @@ from calib.diagnosis.engine.problem_interface import (
     TermSimplification,
     Tolerances,
 )
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C
 
 DIGITS = 3  # of a node's values, by which hypotheses are told apart
 

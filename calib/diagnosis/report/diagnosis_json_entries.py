@@ -5,9 +5,9 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import StatedTerms
 from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit, first_of_each_place
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import StatedTerms
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     MeasuredFinding,
     Misfit,

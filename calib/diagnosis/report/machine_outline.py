@@ -12,10 +12,10 @@ from calib.report.pose_and_effect_figures import closed_outline
 from rig.array_and_json_types import Floats
 from rig.model import mechanisms
 from rig.model.design import Camera
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import mechanism_chain as chains
-from rig.model.places_and_tolerances import Place
 from rig.model.pose import transform_points
 from rig.report.pages.page_templates_and_elements import WIDTH, list_html, svg_figure, svg_text, svg_tooltip
 from rig.report.pages.plots import panel_row_html

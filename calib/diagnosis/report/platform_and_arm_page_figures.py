@@ -25,8 +25,8 @@ from calib.diagnosis.report.residual_figures_and_contributions import (
 from calib.report.pose_and_effect_figures import FACTORS, effect_displacements, mechanism_scene, rig_scene
 from rig.array_and_json_types import Floats
 from rig.model import mechanisms
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
-from rig.model.places_and_tolerances import Place
 from rig.recording.recording_folder import Recording
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect, view_3d_html
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Shown

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Crowd, LeftOut
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import Crowd, LeftOut
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value
 from calib.diagnosis.report.diagnosis_json_entries import (
     ASSUMED,

@@ -7,8 +7,8 @@ from typing import cast
 
 import numpy as np
 
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import C
 from calib.diagnosis.engine.problem_interface import Fit
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import HeldOutPoses, PoseContributions
 from calib.diagnosis.problems.platform.effect_candidates import affects_images_only

@@ -13,7 +13,7 @@ from calib.certification.held_out_errors import (
     HeldErrors,
     held_out_error_statistics,
     held_out_parameter_error_squares,
-    standardised_residuals,
+    leverage_corrected_residuals,
 )
 from calib.correction.physics_compensation import samples_with_effects
 from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
@@ -297,7 +297,7 @@ def held_out_geometry_errors(
     """Held-out errors (HeldErrors) of an arm's geometry at each configuration. label : (m,) configuration of each
     fitted_samples : Samples that it was fitted to; label : (m,) configuration of each
     """
-    freed = standardised_residuals(
+    freed = leverage_corrected_residuals(
         identified.residuals[identified.inliers], *_fitted(identified, correction, fitted_samples), label
     )
     return held_out_error_statistics(freed, fitted_samples, label)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.calibration_evidence import calibration_verdict
 from calib.certification.held_out_errors import (
     HeldErrors,
@@ -14,7 +14,7 @@ from calib.certification.held_out_errors import (
     compare_errors,
     errors_before_and_after_correction,
     held_out_error_statistics,
-    standardised_residuals,
+    leverage_corrected_residuals,
 )
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
@@ -93,7 +93,7 @@ def certify_chain(
     agreed = samples.take(good)
     J = error_model.parameter_jacobian(agreed.commanded, found.chain)
     noise = agreed.covariance + np.diag(found.scatter**2)
-    freed = standardised_residuals(
+    freed = leverage_corrected_residuals(
         errors_before_and_after_correction(correction, agreed)[1], J, found.covariance, noise, label[good]
     )
     left = held_out_error_statistics(freed, agreed, label[good])

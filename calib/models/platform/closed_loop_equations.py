@@ -22,7 +22,7 @@ from rig.errors import NotConverged, RigError
 from rig.model.mechanism_geometry_classes import Planar2
 from rig.model.mechanisms import two_strut_plane
 from rig.model.mechanisms.two_strut_plane import two_strut_loop_jacobian
-from rig.model.pose import rotate_increment
+from rig.model.pose import rotate_in_place
 
 TOLERANCE = 1e-13  # m; what Newton leaves of a strut's length
 MAX_ITERATIONS = 40
@@ -141,7 +141,7 @@ def forward_kinematics_kernel(command: Floats, p: Floats, R: Floats, t: Floats) 
             t[i] += share * (R[i, 0] * right[0, 0] + R[i, 1] * right[1, 0] + R[i, 2] * right[2, 0])
         for i in range(3, 6):
             right[i, 0] *= share
-        rotate_increment(R, right[3:, 0])
+        rotate_in_place(R, right[3:, 0])
     return worst < 1e-11
 
 

@@ -18,7 +18,7 @@ from rig.formats.number_parsing_and_rounding import parse_whole_number
 from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable, file_digest
 
 if TYPE_CHECKING:
-    from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+    from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
     from calib.online.platform_poses_from_measuring_limbs import LimbSource
     from rig.effects.texts.effect_text_and_dict import Kinds
     from rig.effects.texts.user_effect_file_loading import Plugin

@@ -7,7 +7,7 @@ from calib.api.correction_over_configuration_or_pose_space import ExtendedCorrec
 from calib.api.learn import LearningResult
 from calib.api.measuring_limb_acceptance_and_platform_poses import MeasuredLimbPoses
 from calib.certification import platform_certification
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration, claim_lines
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration, claim_lines
 from calib.certification.workspace_claim import Claim
 from calib.correction.physics_compensation import Physics
 from calib.models.arm import certification as arm_certification
@@ -54,7 +54,7 @@ def print_uncertainty_of_poses_from_limbs(poses_from_limbs: MeasuredLimbPoses) -
     )
 
 
-def print_learning(result: LearningResult, verdict_first: bool = True) -> None:
+def print_online_learning_result(result: LearningResult, verdict_first: bool = True) -> None:
     """Print what poses taught. verdict_first : whether the verdict leads"""
     print("\n".join([*([result.verdict.line] if verdict_first else []), *result.found.lines]))
     print_frames_without_pose(result.sampled.measurement)

@@ -6,13 +6,13 @@ from typing import ClassVar
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect_parameters_and_covariates import Parameter
 from rig.effects.framework.machine_motion_and_play import Motion, lagged_path
-from rig.effects.framework.several_member_effects import SeveralMembers, shares_parameter
+from rig.effects.framework.weighted_sums_of_one_law import WeightedSum, shares_parameter
 
 SPREAD = 5.0  # times as long as the one before, each further time constant
 
 
 @dataclass(frozen=True, slots=True)
-class Creep(SeveralMembers):
+class Creep(WeightedSum):
     """Deviation -fraction * (command - its first-order lag of time_constant); or shares of the fraction lag with
     time_constant, 5 and 25 times that: slow processes have no single time, and the logarithm of time is many.
     """

@@ -43,7 +43,7 @@ from rig.effects.catalogue.warm_up import WarmUp
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Parameter, fill_axis_placeholder
 from rig.formats.number_parsing_and_rounding import range_text
-from rig.model.places_and_tolerances import AXES, Tolerance
+from rig.model.effect_places_and_part_tolerances import AXES, Tolerance
 
 ALL: tuple[type[Effect], ...] = (
     ScaleError,

@@ -14,15 +14,15 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     travel_covariate,
 )
 from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
-from rig.effects.framework.several_member_effects import SeveralMembers, shares_parameter
-from rig.model.places_and_tolerances import Place
+from rig.effects.framework.weighted_sums_of_one_law import WeightedSum, shares_parameter
+from rig.model.effect_places_and_part_tolerances import Place
 
 PLAYS = 8  # operators that stand for the continuum
 LOST, LOST_TURN = (2e-6, 5e-5), (1e-5, 1e-3)  # m, rad: what rigs lose between the two directions
 
 
 @dataclass(frozen=True, slots=True)
-class Hysteresis(SeveralMembers):
+class Hysteresis(WeightedSum):
     """Prandtl-Ishlinskii: weight times the lag of plays whose half widths are spread evenly up to range, all alike, or
     each with its own share of the weight: any loops of friction and springs that remember where they turned round.
     """

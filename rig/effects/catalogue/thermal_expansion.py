@@ -9,7 +9,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Candidate, Effect
 from rig.effects.framework.effect_parameters_and_covariates import Context, Covariate, Parameter, temperature_covariate
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.model.places_and_tolerances import Place
+from rig.model.effect_places_and_part_tolerances import Place
 
 AMBIENT = "ambient_temperature_C"
 LAGS = 8  # that a search tries

@@ -8,13 +8,13 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter, time_covariate
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.effects.framework.several_member_effects import SeveralMembers, shares_parameter
+from rig.effects.framework.weighted_sums_of_one_law import WeightedSum, shares_parameter
 
 SPREAD = 3.0  # times as long as the first, the second time constant
 
 
 @dataclass(frozen=True, slots=True)
-class WarmUp(SeveralMembers):
+class WarmUp(WeightedSum):
     """Deviation amplitude * (1 - exp(-t / time_constant)), t from the first command on; or shares of the amplitude with
     time_constant and 3 times that, one of them negative where one body is heated through another.
     """

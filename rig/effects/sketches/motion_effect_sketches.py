@@ -18,7 +18,7 @@ from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.design import Camera, Design
-from rig.model.places_and_tolerances import Place
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.pose import exp, pose_difference
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording.recording_folder import PAYLOAD, Commands, Sensors

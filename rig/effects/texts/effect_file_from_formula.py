@@ -14,7 +14,7 @@ from rig.effects.texts.user_effect_file_loading import effect_name_problem, effe
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
-from rig.model.places_and_tolerances import AXES
+from rig.model.effect_places_and_part_tolerances import AXES
 
 WIDTH = 145  # characters of a line
 MOST = {"m": 1e-2, "rad": 0.1}  # that a term may come to

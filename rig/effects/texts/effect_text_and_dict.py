@@ -16,7 +16,7 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.places_and_tolerances import AXES, Place, parse_stage_place
+from rig.model.effect_places_and_part_tolerances import AXES, Place, parse_stage_place
 
 Kinds = Mapping[str, type[Effect]]  # effects by their names
 

@@ -25,7 +25,7 @@ from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
 from rig.effects.framework.effect_parameters_and_covariates import Context, Parameter
 from rig.errors import FileError, RigError
-from rig.model.places_and_tolerances import AXES
+from rig.model.effect_places_and_part_tolerances import AXES
 
 KINDS = ("axis", *AXES, "rig", "clock", "camera", "cameras", "marker", "markers", "target")  # of place
 ROLES = ("linear", "inverse", "size", "phase", "log", "even", "moment", "direction", "form", "choice")  # of a parameter

@@ -162,7 +162,7 @@ def axis_changes_by_pose(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
     return np.asarray(np.linalg.pinv(jacobian(q, arm)))
 
 
-def singularity_rows(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
+def transposed_jacobians(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
     """(m, n, 6) the columns of the Jacobian at joint values q (m, n), which coincide where the arm is singular."""
     return np.swapaxes(jacobian(q, arm), 1, 2)
 

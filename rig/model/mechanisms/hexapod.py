@@ -125,7 +125,7 @@ def axis_changes_by_pose(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -
     return jacobian(T, hexapod)
 
 
-def singularity_rows(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
+def transposed_jacobians(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
     """(n, 6, 6) the rows of the Jacobian at poses T (n,), which coincide where the machine is singular."""
     return jacobian(T, hexapod)
 

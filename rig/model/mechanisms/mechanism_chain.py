@@ -180,7 +180,7 @@ def axis_changes_by_pose(T: RigidTransform, values: Floats, chain: Chain) -> Flo
     return np.asarray(np.linalg.pinv(jacobian(values, chain)))
 
 
-def singularity_rows(T: RigidTransform, values: Floats, chain: Chain) -> Floats:
+def transposed_jacobians(T: RigidTransform, values: Floats, chain: Chain) -> Floats:
     """(n, axes of all, 6) the columns of the Jacobian at values (n, axes of all)."""
     return np.swapaxes(jacobian(values, chain), 1, 2)
 

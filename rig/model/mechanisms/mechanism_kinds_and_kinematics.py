@@ -13,9 +13,9 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2
 from rig.model.mechanisms import arm, hexapod, mechanism_chain, two_strut_plane
-from rig.model.places_and_tolerances import Place
 from rig.model.pose import exp
 
 if TYPE_CHECKING:
@@ -228,7 +228,7 @@ class MechanismKinematics(Protocol[M]):
         """
         ...
 
-    def singularity_rows(self, T: RigidTransform, values: Floats, mechanism: M, /) -> Floats:
+    def transposed_jacobians(self, T: RigidTransform, values: Floats, mechanism: M, /) -> Floats:
         """(n, axes, 6) a row for each axis, that coincide where the machine is singular, at poses T (n,), values
         (n, axes).
         """

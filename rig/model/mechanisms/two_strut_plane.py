@@ -99,7 +99,7 @@ def axis_changes_by_pose(T: RigidTransform, lengths: Floats, planar: Planar2) ->
     return jacobian(T, planar)
 
 
-def singularity_rows(T: RigidTransform, lengths: Floats, planar: Planar2) -> Floats:
+def transposed_jacobians(T: RigidTransform, lengths: Floats, planar: Planar2) -> Floats:
     """(n, 2, 6) the rows of the Jacobian at poses T (n,), which coincide where the machine is singular."""
     return jacobian(T, planar)
 

@@ -80,7 +80,7 @@ def svg_text(x: float, y: float, words: str, anchor: str = "start", style: str =
     return f'<text{named} x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape_html(words)}</text>'
 
 
-def svg_text_within_box(box: tuple[float, float, float, float], words: str, style: str = "") -> str:
+def svg_text_or_empty_if_too_large(box: tuple[float, float, float, float], words: str, style: str = "") -> str:
     r"""SVG text within a box, centred; \"\" where it does not fit. box : (left, top, width, height)"""
     x, y, across, up = box
     size = TEXT if not style else SMALL

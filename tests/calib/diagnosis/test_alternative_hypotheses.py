@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine.candidate_score import Score
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import PLATFORM
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import PLATFORM
 from calib.diagnosis.engine.term_selection import _exchanged
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidate
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
@@ -20,7 +20,7 @@ from rig.cli import command_line
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Candidate, Linear
 from rig.formats.rig_toml import design_file
-from rig.model.places_and_tolerances import Place
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from synthetic import unlisted_physics

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import NO_STATED_TERMS
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import NO_STATED_TERMS
 from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidates

@@ -20,7 +20,7 @@ from calib.diagnosis.report.residual_figures_and_contributions import (
 )
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.texts.effect_text_and_dict import parse_effect
-from rig.model.places_and_tolerances import Place
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.planning import plan
 from rig.recording import recording_folder
 from rig.recording.recording_tables import write_poses

@@ -20,7 +20,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import Re
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
-from calib.diagnosis.problems.platform.unlisted_strut_effects import suggest_strut_formulas
+from calib.diagnosis.problems.platform.strut_formula_suggestions import suggest_strut_formulas
 from calib.diagnosis.report.diagnosis_json_entries import FitEntry, suggested_formula_entries
 from calib.diagnosis.report.diagnosis_page import _suggestions
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report, recommended_actions, write_diagnosis_json
@@ -31,7 +31,7 @@ from rig.effects.texts.user_effect_file_loading import load_effect_file
 from rig.errors import FileError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.rig_toml import design_file
-from rig.model.places_and_tolerances import Place
+from rig.model.effect_places_and_part_tolerances import Place
 from tests.calib import unlisted_laws
 from tests.calib.diagnosis.test_arm_diagnosis import recorded as arm_recorded
 from tests.calib.recordings_with_effects import recorded

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine import problem_interface as interface
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import ARM
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import ARM
 from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.finding_and_nonlinear_parameters import _under, term_errors_by_temperature_logs

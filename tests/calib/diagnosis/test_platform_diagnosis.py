@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.platform_certification import certify_platform
 from calib.diagnosis.engine.cross_validation_and_chance import scan_p_value
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
@@ -23,7 +23,7 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis
 from calib.samples.pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.texts.effect_text_and_dict import parse_effect
-from rig.model.places_and_tolerances import Place
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.planning import plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder

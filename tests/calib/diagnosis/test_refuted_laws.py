@@ -9,7 +9,7 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import oper
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.formats.rig_toml import design_file
-from rig.model.places_and_tolerances import Place
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.planning import plan
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine, unlisted_physics

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import NotAsked, StatedTerms
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import NotAsked, StatedTerms
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     RequestedEffects,
     require_assumed_effects_testable,

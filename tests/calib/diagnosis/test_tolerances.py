@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import NO_STATED_TERMS
 from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import normal_equations_by_common_weights
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import NO_STATED_TERMS
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
@@ -24,7 +24,7 @@ from calib.diagnosis.problems.platform.scores_of_all_candidates import (
 )
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from rig.effects.catalogue import effect_list
-from rig.model.places_and_tolerances import PLACES, SIDES, Place
+from rig.model.effect_places_and_part_tolerances import PLACES, SIDES, Place
 from synthetic import blind_image_settings
 from tests.calib.diagnose_recording import diagnosis_of, page_text
 from tests.calib.recordings_with_effects import recorded

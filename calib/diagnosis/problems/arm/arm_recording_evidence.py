@@ -6,12 +6,9 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
-from calib.diagnosis.engine.problem_interface import Progress
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import (
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import (
     NO_STATED_TERMS,
     Crowd,
     LeftOut,
@@ -19,6 +16,9 @@ from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import 
     Outliers,
     StatedTerms,
 )
+from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
+from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.arm.arm_problem import COARSE_PARTS, FINE_PARTS, ArmProblem, nested_held_out_poses
 from calib.diagnosis.problems.arm.finding_and_nonlinear_parameters import (

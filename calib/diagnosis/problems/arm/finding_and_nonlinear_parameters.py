@@ -12,12 +12,12 @@ import scipy
 from scipy.linalg import cho_solve
 
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import Node
 from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
 from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import (
     normal_equations_by_direction_weights,
     solve_with_prior,
 )
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Node
 from calib.diagnosis.problems.arm.joint_candidates import SPAN, Form, JointCandidate, joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term

@@ -7,7 +7,7 @@ from enum import Enum
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import Score
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Candidate, Node, NotAsked
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import Candidate, Node, NotAsked
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import EffectSites, RequestedEffects
 from rig.array_and_json_types import Floats

@@ -12,6 +12,7 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
     signed_rank_gain_in_standard_errors,
     time_stretch_folds,
 )
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import ARM
 from calib.diagnosis.engine.formula_search import Formula, Library, Search
 from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import Reduced
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
@@ -26,7 +27,6 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
     significant_lack_of_fit,
     test_lack_of_fit,
 )
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import ARM
 from calib.diagnosis.problems.arm.finding_and_nonlinear_parameters import (
     has_continuous_parameters,
     term_parameter_covariance,
@@ -50,8 +50,8 @@ from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats impo
 from rig.array_and_json_types import Floats
 from rig.effects.framework.machine_motion_and_play import independent_load_columns
 from rig.effects.texts.effect_file_from_formula import Written
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanisms import axis_places
-from rig.model.places_and_tolerances import Place
 
 # joints of which a formula is held out: something unnamed remains of every real arm, and the largest are worth a look
 SHOWN = 2

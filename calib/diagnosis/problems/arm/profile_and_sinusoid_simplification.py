@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import (
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import (
     NO_STATED_TERMS,
     SelectionPolicy,
     StatedTerms,

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import score_at_node
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import Node
 from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import (
     FrameProducts,
     Normal,
@@ -16,7 +17,6 @@ from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares impor
     solve_with_prior,
 )
 from calib.diagnosis.engine.linear_model import Column
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Node
 from calib.diagnosis.problems.arm.joint_candidates import Form, JointCandidate, JointScore
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
 from rig.array_and_json_types import Floats, Integers

@@ -5,8 +5,8 @@ from typing import cast
 
 import numpy as np
 
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import Node
 from calib.diagnosis.engine.linear_model import Column, join_columns
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Node
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, affects_images_only
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
@@ -15,7 +15,7 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
 from rig.effects.framework.effect_parameters_and_covariates import COUNT, Linear
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.model.places_and_tolerances import Place
+from rig.model.effect_places_and_part_tolerances import Place
 
 
 @dataclass(slots=True, eq=False)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import smooth_temperatures
 from calib.samples.pose_samples import Sampled, sample_recording
@@ -17,9 +17,9 @@ from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design
+from rig.model.effect_places_and_part_tolerances import FINDER, SEAT, Place
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
-from rig.model.places_and_tolerances import FINDER, SEAT, Place
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.corner_observations import Observations

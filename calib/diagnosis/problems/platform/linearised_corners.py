@@ -8,7 +8,7 @@ import numpy as np
 from calib.diagnosis.problems.platform.linearisation_operating_point import EDGE_SHIFT, OperatingPoint
 from rig.array_and_json_types import Floats, Integers
 from rig.model.design import Design
-from rig.model.places_and_tolerances import FINDER, SEAT, Place
+from rig.model.effect_places_and_part_tolerances import FINDER, SEAT, Place
 from vision import lens
 from vision.bundle.normal_equations_and_corner_jacobians import (
     corner_jacobians,

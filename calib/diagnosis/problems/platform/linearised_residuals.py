@@ -21,12 +21,12 @@ from calib.diagnosis.problems.platform.linearised_corners import (
 from calib.models.platform.identification import PRIOR
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import thread_map
+from rig.model.effect_places_and_part_tolerances import FINDER, SEAT
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     geometric_parameters,
     loop_closure_jacobian,
     strut_length_jacobian,
 )
-from rig.model.places_and_tolerances import FINDER, SEAT
 
 CORNERS, CLOSURES = 0, 1  # the blocks
 # standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does

@@ -18,8 +18,8 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
     held_out_residuals,
     summed_gain_in_standard_errors,
 )
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import Crowd, LeftOut, Outliers
 from calib.diagnosis.engine.linear_model import Column
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import Crowd, LeftOut, Outliers
 from calib.diagnosis.problems.platform.effect_candidates import affects_images_only
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, group_sightings
 from calib.diagnosis.problems.platform.linearised_corners import camera_edge_bias_freedoms
@@ -44,8 +44,8 @@ from calib.identify.least_squares_and_robust_fit import (
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.model import mechanisms
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import loop_closure_jacobian, strut_length_jacobian
-from rig.model.places_and_tolerances import Place
 from rig.recording.recording_folder import PAYLOAD
 from vision.corner_observations import observations_of_frames
 from vision.predict import predict_sightings

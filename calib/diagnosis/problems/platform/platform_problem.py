@@ -7,10 +7,14 @@ from typing import Self
 import numpy as np
 
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import (
+    PLATFORM,
+    SelectionPolicy,
+    StatedTerms,
+)
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Wald
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import PLATFORM, SelectionPolicy, StatedTerms
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.platform import lack_of_fit as remainder
 from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
@@ -31,7 +35,7 @@ from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions 
     model_with_smooth_functions,
     smooth_function_columns,
 )
-from rig.model.places_and_tolerances import Place
+from rig.model.effect_places_and_part_tolerances import Place
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import NotAsked, Outliers, StatedTerms
 from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Progress
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import NotAsked, Outliers, StatedTerms
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     ASSUMED_NOISE,
     RESIDUALS,
@@ -43,12 +43,12 @@ from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation
     find_marker_swaps,
 )
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
+from calib.diagnosis.problems.platform.strut_formula_suggestions import FORMULA_PLACES, suggest_strut_formulas
 from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import (
     add_temperature_alternatives,
     separate_tolerable_findings,
     widen_intervals_by_temperature_logs_and_tolerances,
 )
-from calib.diagnosis.problems.platform.unlisted_strut_effects import FORMULA_PLACES, suggest_strut_formulas
 from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
     Repeats,
     Suggestion,
@@ -61,7 +61,7 @@ from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect import AT_REST, Effect
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model.design import Design
-from rig.model.places_and_tolerances import PLACES
+from rig.model.effect_places_and_part_tolerances import PLACES
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording
 from vision.bundle.marker_displacements import Move, marker_displacements

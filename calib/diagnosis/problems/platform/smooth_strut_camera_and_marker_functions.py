@@ -18,7 +18,7 @@ from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats impo
 )
 from rig.array_and_json_types import Floats, Integers
 from rig.model.design import warp_columns
-from rig.model.places_and_tolerances import Place
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.pose import pose_difference
 
 SLOW, FAST = 8, 24  # cosines of a smooth function of time

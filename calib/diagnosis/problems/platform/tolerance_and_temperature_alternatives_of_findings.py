@@ -11,6 +11,7 @@ import scipy
 
 from calib.diagnosis.engine.candidate_score import Alternative, Score
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
+from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import C
 from calib.diagnosis.engine.finding_confirmation_against_alternatives import (
     Finding,
     is_finding_significant,
@@ -18,7 +19,6 @@ from calib.diagnosis.engine.finding_confirmation_against_alternatives import (
 )
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, Projection, column_cosine, join_columns
-from calib.diagnosis.engine.selection_candidates_thresholds_and_outliers import C
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Remark, Tolerable, Value
 from calib.diagnosis.problems.platform.effect_candidates import (
     PlatformCandidate,
@@ -48,7 +48,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
 from rig.effects.framework.effect import Candidate as EffectCandidate
-from rig.model.places_and_tolerances import AXES, STILL, Place
+from rig.model.effect_places_and_part_tolerances import AXES, STILL, Place
 from rig.recording.recording_folder import Sensors
 
 WARM = tuple(

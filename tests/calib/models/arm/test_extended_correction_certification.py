@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.extended_correction_certification import ExtensionRequest
 from calib.correction.interpolation_methods_and_correction_summand_fields import field_from_entries, field_to_dict
 from calib.files import calibration_file

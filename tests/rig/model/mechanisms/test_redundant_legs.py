@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.certification import measuring_limb_calibration_and_slips
-from calib.certification.calibration_data_type_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.redundant_measuring_limb_checks import Limbs
 from calib.correction.correction import Correction
 from calib.files import calibration_file

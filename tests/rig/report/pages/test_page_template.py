@@ -15,7 +15,7 @@ from rig.report.pages.page_templates_and_elements import (
     inline_html,
     page_html,
     round_ticks,
-    svg_text_within_box,
+    svg_text_or_empty_if_too_large,
     table_html,
     text_width,
     wrap_text,
@@ -74,8 +74,10 @@ def test_words_stay_within_their_figure():
     drawn = plot_panel_svg("t", (label, "y"), [Series(np.arange(3.0), np.arange(3.0))])
     assert all(f">{line}</text>" in drawn for line in lines) and text_width(lines[0], 14) < RIGHT
     assert (
-        "1234" in svg_text_within_box((0, 0, 60, 20), "1234")
-        and svg_text_within_box((0, 0, 20, 20), "1234") == svg_text_within_box((0, 0, 60, 9), "1234") == ""
+        "1234" in svg_text_or_empty_if_too_large((0, 0, 60, 20), "1234")
+        and svg_text_or_empty_if_too_large((0, 0, 20, 20), "1234")
+        == svg_text_or_empty_if_too_large((0, 0, 60, 9), "1234")
+        == ""
     )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_data_type_and_claim_sentences import (
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import (
     Calibration,
     refutation_sentence,
     verification_line,

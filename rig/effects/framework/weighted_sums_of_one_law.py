@@ -20,7 +20,7 @@ from rig.effects.framework.machine_motion_and_play import Motion
 LEAST = 1e-9  # of the sum of the members' sizes: below, what they are shares of is nothing
 
 
-class SeveralMembers(Effect):
+class WeightedSum(Effect):
     """Deviation: size * sum(shares * members), the shares' sum being one; without shares those of the standard law.
 
     whole : name of the parameter that is the size; scale : name of the parameter that the members spread from
