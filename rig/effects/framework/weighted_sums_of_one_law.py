@@ -17,6 +17,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
 )
 from rig.effects.framework.machine_motion_and_play import Motion
 
+ROUNDED = 1e-3  # by which the sum of shares that somebody writes may differ from 1
 LEAST = 1e-9  # of the sum of the members' sizes: below, what they are shares of is nothing
 
 
@@ -34,6 +35,12 @@ class WeightedSum(Effect):
     once: ClassVar[bool] = True
     if TYPE_CHECKING:  # a field of every such effect
         shares: tuple[float, ...]
+
+    def problem(self) -> str | None:
+        total = float(np.sum(self.shares))
+        if not self.shares or abs(total - 1) <= ROUNDED:
+            return None
+        return f"shares have the sum of 1, not {total:g}"
 
     def member(self, motion: Motion, scale: float, number: int, count: int) -> Floats:
         """(n, axes) m or rad that one of so many members does per unit of the size. scale : of the whole law"""

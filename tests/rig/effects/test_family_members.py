@@ -77,6 +77,12 @@ def test_shares_are_written_with_the_sum_of_one_and_do_the_same(design, home, ef
 
 
 @pytest.mark.parametrize("effect", SHARED, ids=lambda effect: effect.name)
+def test_shares_of_another_sum_are_refused(effect):
+    with pytest.raises(ValueError, match=f"{effect.name}: shares have the sum of 1, not"):
+        check_effect(effect)
+
+
+@pytest.mark.parametrize("effect", SHARED, ids=lambda effect: effect.name)
 def test_only_another_member_has_its_shares_fitted(effect):
     standard = type(effect)(effect.place)
     assert "shares" not in {c.name for c in coordinates_of_effects((standard,))}
