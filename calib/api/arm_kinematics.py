@@ -40,7 +40,7 @@ class ArmKinematics:
         """
         arm, correction = self.arm, self.correction
         T = mechanism.forward(q, arm)
-        beyond = mechanism.limit_excess(q, arm)
+        beyond = mechanism.signed_limit_excess(q, arm)
         out = []
         for i, frame in enumerate(frames.tolist()):
             entry: Json = {
@@ -153,7 +153,7 @@ def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[Json]]
 
 def _beyond(q: list[float], arm: Arm) -> list[str]:
     """Places of the joints that no whole turn brings within their limits."""
-    beyond = mechanism.limit_excess(mechanism.nearest_equivalent_angles(np.array(q), arm, np.zeros(len(q))), arm)
+    beyond = mechanism.signed_limit_excess(mechanism.nearest_equivalent_angles(np.array(q), arm, np.zeros(len(q))), arm)
     return [place for place, by in zip(mechanisms.axis_place_texts(arm), beyond) if by]
 
 

@@ -12,12 +12,12 @@ from calib.api.correction_over_configuration_or_pose_space import (
     ExtendOptions,
     certify_correction_extension,
 )
-from calib.api.recording_check_and_preparation import prepare_recordings
+from calib.api.recording_check_and_preparation import check_and_combine_recordings
 from calib.certification import platform_certification
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.calibration_evidence import calibration_verdict
+from calib.certification.error_claim_over_workspace import Claim
 from calib.certification.platform_certification import Progress, silent_progress
-from calib.certification.workspace_claim import Claim
 from calib.correction.correction_tables_and_pose_space_map_json import (
     correction_summand_column_names,
     correction_summand_table_rows,
@@ -26,7 +26,7 @@ from calib.correction.correction_tables_and_pose_space_map_json import (
 from calib.correction.joint_camera_fit import refine_correction_with_cameras
 from calib.correction.physics_compensation import Physics
 from calib.diagnosis import findings_refit
-from calib.diagnosis.calibration_left_out_physics import mark_as_not_searched, search_left_out_physics
+from calib.diagnosis.calibration_left_out_physics import calibration_with_left_out_physics, mark_as_not_searched
 from calib.diagnosis.findings_refit import Findings, findings_of_diagnosis, load_findings
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_provenance_and_used_frames import SEED, calibration_with_provenance
@@ -202,7 +202,7 @@ def calibrate(
     Raises RigError without commands and for a recording whose results would mean nothing, NotEnoughData without poses,
         NotConverged where no geometry agrees with them
     """
-    prepared = prepare_recordings(recordings, options.anyway, notice, progress)
+    prepared = check_and_combine_recordings(recordings, options.anyway, notice, progress)
     recording, call = prepared.recording, progress or silent_progress
     if prepared.joined and options.limbs is not None:
         raise RigError("--limbs reads the poses of one recording from measuring limbs; name one")
@@ -326,5 +326,5 @@ def _searched(
     return (
         mark_as_not_searched(calibration)
         if options.quick
-        else search_left_out_physics(calibration, recording, sampled, progress)
+        else calibration_with_left_out_physics(calibration, recording, sampled, progress)
     )

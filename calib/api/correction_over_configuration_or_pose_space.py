@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.error_claim_over_workspace import Claim, extension_error_squares, sample_workspace
 from calib.certification.extended_correction_certification import (
     ExtensionBasis,
     ExtensionRequest,
@@ -27,7 +28,6 @@ from calib.certification.platform_certification import (
     platform_workspace_claim,
     silent_progress,
 )
-from calib.certification.workspace_claim import Claim, extension_error_squares, sample_workspace
 from calib.correction.command_route_and_pose_space_map import NAMES, PoseMap, pose_coordinates
 from calib.correction.correction import AnyCorrection
 from calib.correction.interpolation.field_interface_and_combinations import (

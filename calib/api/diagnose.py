@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calib.api.next_experiment import NextExperiment, available_plans, choose_experiment
-from calib.api.recording_check_and_preparation import prepare_recordings
+from calib.api.recording_check_and_preparation import check_and_combine_recordings
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.calibration_evidence import OfCalibrations
 from calib.certification.platform_certification import Progress, silent_progress
@@ -209,7 +209,7 @@ def diagnose(
     Raises RigError for a name that there is not and for a recording whose results would mean nothing, NotEnoughData
         where the recording determines nothing
     """
-    prepared = prepare_recordings(recordings, options.anyway, notice, progress)
+    prepared = check_and_combine_recordings(recordings, options.anyway, notice, progress)
     recording = prepared.recording
     corners = recording.corners if prepared.joined else recorded_or_sampled_corners(recording)
     if corners is not None:

@@ -11,8 +11,7 @@ from calib.certification.calibration_dataclass_and_accuracy_claim_sentences impo
 from calib.online.measuring_limbs_file import Accepted
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
-from rig.model.mechanisms.redundant_leg_closures import (
+from rig.model.mechanisms.best_six_legs_and_closures_of_others import (
     LegClosures,
     RedundantLegs,
     best_six_legs,
@@ -20,6 +19,7 @@ from rig.model.mechanisms.redundant_leg_closures import (
     leg_closures,
     leg_length_jacobians,
 )
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import write_table
 from rig.report.pages.page_templates_and_elements import result_html

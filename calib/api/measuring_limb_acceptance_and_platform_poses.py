@@ -269,7 +269,9 @@ def poses_of_readings(calibration: Calibration, readings: Table) -> PosesOfReadi
     correction, nominal = calibration.correction, calibration.correction.nominal
     kinematics = mechanisms.kinematics_of(nominal)
     values, frames = readings.matrix(nominal.axes), readings.whole("frame")
-    far = np.abs(kinematics.limit_excess(values, nominal)) > BEYOND * np.ptp(kinematics.travel_ranges(nominal), axis=1)
+    far = np.abs(kinematics.signed_limit_excess(values, nominal)) > BEYOND * np.ptp(
+        kinematics.travel_ranges(nominal), axis=1
+    )
     if far.any():
         i, axis = np.argwhere(far)[0].tolist()
         readings.fail(f"{nominal.axes[axis]} is read beyond its range", i, nominal.axes[axis], values[i, axis])

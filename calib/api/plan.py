@@ -20,7 +20,7 @@ from calib.api.plan_options_and_result import (
 )
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.correction.correction import indices_and_poses_of_solvable_commands
-from calib.diagnosis.effect_signal import Separation, effect_separation
+from calib.diagnosis.effect_signal_and_separation import Separation, effect_separation
 from calib.models.machine_models import independent_geometric_parameters
 from calib.models.platform.optimal_configurations import (
     choose_d_optimal_configurations,

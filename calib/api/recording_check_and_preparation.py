@@ -25,7 +25,7 @@ from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Struts,
     geometric_parameters,
-    loop_closure_jacobian,
+    loop_closure_parameter_jacobian,
     mechanism_with_parameters,
     require_struts,
     strut_length_jacobian,
@@ -122,7 +122,7 @@ def _solved(
     moved = np.zeros((*A.shape[:2], later, 6))
     for k in range(later):
         moved[number == k + 1, :, k] = (A @ base_motion_columns(T))[number == k + 1]
-    J = np.concatenate([loop_closure_jacobian(T, m), moved.reshape(*A.shape[:2], -1)], axis=2)
+    J = np.concatenate([loop_closure_parameter_jacobian(T, m), moved.reshape(*A.shape[:2], -1)], axis=2)
     left = mechanisms.kinematics_of(m).inverse(T, m) - samples.commanded
     white, away = (
         (W @ J).reshape(-1, J.shape[2]),
@@ -174,7 +174,7 @@ class PreparedRecording:
     joined: bool
 
 
-def prepare_recordings(
+def check_and_combine_recordings(
     recordings: Recording | Sequence[Recording], ignore_mistakes: bool, notice: Notice, progress: Progress | None
 ) -> PreparedRecording:
     """Recordings prepared for use (PreparedRecording): each checked and refused if unfit, several combined.
@@ -210,7 +210,7 @@ def prepare_recordings(
 
 def refuse_unfit_recording(recording: Recording, anyway: bool, notice: Notice) -> Callable[[Corners], None]:
     """Refuse a recording with spoilt files or poses; returns the check that refuses its corners once read.
-    `prepare_recordings` does
+    `check_and_combine_recordings` does
     """
     refuse_spoilt_files(recording, anyway, notice)
     if recording.poses is not None and recording.corners is None and not recording.has_images:

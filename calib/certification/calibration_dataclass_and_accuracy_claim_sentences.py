@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass, replace
 
 from calib.certification.claim_verification import Verification
+from calib.certification.error_claim_over_workspace import Claim
 from calib.certification.held_out_errors import HeldOut
 from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
-from calib.certification.workspace_claim import Claim
 from calib.correction.correction import AnyCorrection
 from calib.correction.physics_compensation import Physics
 from calib.samples.confounded_conditions import Confounds

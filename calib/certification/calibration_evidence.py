@@ -14,9 +14,9 @@ from calib.certification.calibration_dataclass_and_accuracy_claim_sentences impo
     refutation_sentence,
 )
 from calib.certification.claim_verification import Part, Verification, verify_claim
+from calib.certification.error_claim_over_workspace import Claim
 from calib.certification.held_out_errors import HeldOut, pose_errors
 from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_ranges, configuration_numbers
-from calib.certification.workspace_claim import Claim
 from calib.samples.confounded_conditions import Confounds, confound_sentences
 from calib.samples.pose_samples import Samples
 from rig.report.verdict_and_refutations_of_results import (

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.certification.error_claim_over_workspace import Claim
 from calib.certification.held_out_errors import pose_errors
-from calib.certification.workspace_claim import Claim
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model.pose import adjoint, exp

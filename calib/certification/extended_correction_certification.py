@@ -6,6 +6,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from calib.certification.error_claim_over_workspace import (
+    DRAWS,
+    PLACES,
+    Claim,
+    ConfigurationInformation,
+    Workspace,
+    claim_of_drawn_machines,
+    empty_claim_of_too_few_configurations,
+    extension_error_squares,
+    sample_workspace,
+)
 from calib.certification.held_out_errors import (
     HeldOut,
     compare_errors,
@@ -31,17 +42,6 @@ from calib.certification.platform_certification import (
     silent_progress,
     strut_deviation_sizes_of_samples,
     uncertified_geometry,
-)
-from calib.certification.workspace_claim import (
-    DRAWS,
-    PLACES,
-    Claim,
-    ConfigurationInformation,
-    Workspace,
-    claim_of_drawn_machines,
-    empty_claim_of_too_few_configurations,
-    extension_error_squares,
-    sample_workspace,
 )
 from calib.correction import interpolation_methods_and_correction_summand_fields
 from calib.correction.correction import AnyCorrection, solvable_commands_and_poses

@@ -66,16 +66,16 @@ def count_beyond_upper_limit(n: int, coverage: float, confidence: float) -> floa
     Raises NotEnoughData for fewer than `least_sample_size`
     """
     require_sample_size(n, coverage, confidence)
-    return n - min(order_statistic_rank(n, coverage, 1 - confidence), float(n))
+    return n - min(rank_below_quantile(n, coverage, 1 - confidence), float(n))
 
 
 def count_beyond_lower_limit(n: int, coverage: float, confidence: float) -> float | None:
     """Count (real) of n values at the lower limit or beyond; None where n is too small."""
-    found = order_statistic_rank(n, coverage, confidence)
+    found = rank_below_quantile(n, coverage, confidence)
     return None if found < 1 else n + 1 - found
 
 
-def order_statistic_rank(n: int, coverage: float, chance: float) -> float:
+def rank_below_quantile(n: int, coverage: float, chance: float) -> float:
     """Rank (real) of the order statistic below the `coverage` quantile with `chance`; 0 where none is.
 
     Near the quantile the gaps to its neighbours X_r and X_(r+1) are as good as exponential, at the rates r / p and (n -
@@ -100,7 +100,7 @@ def upper_tolerance_limit(values: Floats, coverage: float = 0.95, confidence: fl
     return _at(np.sort(values), n - count_beyond_upper_limit(n, coverage, confidence))
 
 
-def lower_tolerance_limit(values: Floats, coverage: float = 0.95, confidence: float = 0.95) -> float:
+def lower_confidence_limit_of_quantile(values: Floats, coverage: float = 0.95, confidence: float = 0.95) -> float:
     """Lower tolerance limit: 1 - coverage of the population lies beyond it, with `confidence`. values : (n,) >= 0"""
     n = len(values)
     k = count_beyond_lower_limit(n, coverage, confidence)
@@ -282,7 +282,7 @@ def tolerance_limits_of_true_errors(
     lengths, sigma = lengths.reshape(n, -1), sigma.reshape(n, -1)
     measured = lengths.max(axis=1)
     plain = (
-        lower_tolerance_limit(measured, coverage, confidence),
+        lower_confidence_limit_of_quantile(measured, coverage, confidence),
         upper_tolerance_limit(measured, coverage, confidence),
     )
     most = np.sqrt(

@@ -7,6 +7,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.error_claim_over_workspace import (
+    Claim,
+    draw_fit_variance_ratio,
+    error_claim_over_workspace,
+    sample_workspace,
+)
 from calib.certification.held_out_errors import (
     HeldErrors,
     HeldOut,
@@ -28,7 +34,6 @@ from calib.certification.possible_machine_draws import (
     draw_strut_deviation_sizes,
 )
 from calib.certification.strut_deviation_sizes_and_possible_machines import Machines
-from calib.certification.workspace_claim import Claim, draw_fit_variance_ratio, sample_workspace, workspace_claim
 from calib.correction.correction import AnyCorrection, Correction, calibrate_correction, identify_geometry
 from calib.correction.interpolation.gaussian_process import Radial
 from calib.models.platform.identification import (
@@ -41,7 +46,11 @@ from calib.models.platform.parameter_accuracy import estimate_tolerance_of_state
 from calib.samples.pose_samples import Samples, inverse_covariance
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, geometric_parameters, loop_closure_jacobian
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Struts,
+    geometric_parameters,
+    loop_closure_parameter_jacobian,
+)
 
 Progress = Callable[[str, int, int], None]  # called with (label, done, of) as work goes on
 
@@ -207,7 +216,7 @@ def add_machine_draws(certified: Certified, machines: Machines) -> Certified:
     """Certified with machine draws about its correction added."""
     places, T = sample_workspace(certified.correction)
     covariance, struts = machines.second_moments(
-        loop_closure_jacobian(T, certified.correction.fitted), certified.correction.rho(places)
+        loop_closure_parameter_jacobian(T, certified.correction.fitted), certified.correction.rho(places)
     )
     return replace(certified, machines=machines, covariance=covariance, strut_covariance=struts)
 
@@ -239,7 +248,7 @@ def _each_configuration(samples: Samples, done: Certified) -> tuple[Samples, Ide
 def platform_workspace_claim(samples: Samples, certified: Certified, rng: np.random.Generator) -> Claim:
     """Claim of a certified platform over its workspace: each configuration counts once."""
     each, found = _each_configuration(samples, certified)
-    return workspace_claim(
+    return error_claim_over_workspace(
         found,
         estimate_tolerance_of_stated_geometry(found, certified.correction.nominal),
         certified.correction,

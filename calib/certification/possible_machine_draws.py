@@ -31,7 +31,7 @@ from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Struts,
     geometric_parameters,
-    loop_closure_jacobian,
+    loop_closure_parameter_jacobian,
     strut_length_jacobian,
 )
 
@@ -220,7 +220,7 @@ class _Closures:
     def __init__(self, found: Identified, samples: Samples) -> None:
         T, self.fitted = samples.T_base_platform, found.mechanism
         A = strut_length_jacobian(T, self.fitted)
-        self.D, self.common = loop_closure_jacobian(T, self.fitted), A @ samples.common
+        self.D, self.common = loop_closure_parameter_jacobian(T, self.fitted), A @ samples.common
         self.left = samples.effective - mechanisms.kinematics_of(self.fitted).inverse(T, self.fitted)
         self.own = A @ samples.covariance @ np.swapaxes(A, 1, 2)
 

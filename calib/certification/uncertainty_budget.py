@@ -69,7 +69,7 @@ class Budget:
     measuring: Expanded
 
 
-def expanded_uncertainty(covariance: Floats) -> Expanded:
+def expanded_uncertainty_over_poses(covariance: Floats) -> Expanded:
     """Expanded uncertainty of errors with covariances (n, 6, 6), every pose as likely."""
     u = rms_length_uncertainty(covariance)
     k = _coverage_factor(covariance[:, PARTS[0], PARTS[0]]), _coverage_factor(covariance[:, PARTS[1], PARTS[1]])
@@ -201,10 +201,10 @@ def uncertainty_budget(
     machine = model + physics + sum(part for part in (returns, datum) if part is not None)
     one = poses.own + shared
     totals = [
-        expanded_uncertainty(
+        expanded_uncertainty_over_poses(
             machine if thermometer_covariances is None else machine + thermometer_covariances.mean(axis=0)
         ),
-        expanded_uncertainty(one if datum is None else one + datum),
+        expanded_uncertainty_over_poses(one if datum is None else one + datum),
     ]
     if not poses.rotations:
         rows = [replace(row, rotation=None) for row in rows]
@@ -255,7 +255,7 @@ def thermometer_covariance(calibration: Calibration, poses: Sequence[tuple[Recor
 def _row(name: str, of: str, covariance: Floats | None, kind: str, source: str) -> Contribution:
     if covariance is None:
         return Contribution(name, of, None, None, None, kind, source)
-    U = expanded_uncertainty(covariance)
+    U = expanded_uncertainty_over_poses(covariance)
     return Contribution(name, of, U.position, U.rotation, U.k, kind, source)
 
 

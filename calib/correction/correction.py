@@ -281,7 +281,7 @@ def require_reachable(commands: Floats, mechanism: Struts | Arm | Chain, labels:
     """
     places = mechanisms.axis_place_texts(mechanism)
     shown = [PLOT_UNITS[unit] for unit in mechanisms.axis_units(mechanism)]
-    beyond = mechanisms.kinematics_of(mechanism).limit_excess(commands, mechanism)
+    beyond = mechanisms.kinematics_of(mechanism).signed_limit_excess(commands, mechanism)
     bad = np.flatnonzero((beyond != 0).any(axis=1))
     if not len(bad):
         return

@@ -18,8 +18,8 @@ from scipy.special import gammaincinv
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.calibration_evidence import OfCalibrations, calibration_evidence, verify_claim_on_samples
+from calib.certification.error_claim_over_workspace import Claim
 from calib.certification.held_out_errors import pose_errors
-from calib.certification.workspace_claim import Claim
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.diagnosis.report import report_sentences
@@ -55,7 +55,7 @@ class Refutation(NamedTuple):
     finding: str
 
 
-def search_left_out_physics(
+def calibration_with_left_out_physics(
     calibration: Calibration, recording: Recording, sampled: Sampled, progress: Progress | None = None
 ) -> Calibration:
     """The Calibration with the effects it omits, found by diagnosing its recording, stated in its claim.

@@ -19,7 +19,9 @@ from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, remounted_cube_seats
 from calib.diagnosis.problems.platform.linearised_corners import cube_seat_freedoms
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
-from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import residual_change_column
+from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
+    residual_change_with_only_effects,
+)
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import WARM
@@ -173,7 +175,7 @@ def _seen(question: PlatformQuestion, plan: Plan, warmer: float = 0.0) -> _Seen:
             here, T=T, design=fitted_design(fit, here.design), seats=remounted_cube_seats(here.design, fit.point.seats)
         ).with_effects(fit.point.effects)
         moved.append(_between(model, here, other))
-        shapes.append(residual_change_column(at, _without(fit.point.effects, h.number)))
+        shapes.append(residual_change_with_only_effects(at, _without(fit.point.effects, h.number)))
     return _Seen(fits, model, other, columns, moved, shapes)
 
 
@@ -247,7 +249,7 @@ def _cosines(
     own = join_columns(
         [
             Column(
-                residual_change_column(
+                residual_change_with_only_effects(
                     replace(model, point=model.point.with_effects(fit.point.effects)),
                     _without(fit.point.effects, h.number),
                 ).parts

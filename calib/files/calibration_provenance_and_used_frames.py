@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.error_claim_over_workspace import Claim
 from calib.certification.platform_certification import Certified
-from calib.certification.workspace_claim import Claim
 from calib.correction.physics_compensation import Physics
 from calib.models.arm.certification import CertifiedArm as ArmCertified
 from calib.models.chain.certification_and_page import CertifiedChain as ChainCertified

@@ -10,8 +10,8 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification import platform_certification
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.error_claim_over_workspace import Claim
 from calib.certification.platform_certification import Progress
-from calib.certification.workspace_claim import Claim
 from calib.correction.correction import AnyCorrection, Correction
 from calib.correction.correction_tables_and_pose_space_map_json import pose_map_from_entries
 from calib.correction.interpolation.field_interface_and_combinations import Field

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.redundant_measuring_limb_checks import has_six_measuring_limbs
 from calib.online.filter_kernels_and_change_detection import change_sentence
-from calib.online.live_learner_and_limb_agreement import Learner, Learnt, LimbWatch
+from calib.online.live_learner_and_limb_agreement_with_vision import Learner, Learnt, LimbWatch
 from calib.online.platform_poses_from_measuring_limbs import Disagreement, LiveLimbPoses
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock

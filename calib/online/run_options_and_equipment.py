@@ -10,7 +10,7 @@ import numpy as np
 from calib.certification import measuring_limb_calibration_and_slips
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.online import measuring_limbs_file
-from calib.online.live_learner_and_limb_agreement import Learner
+from calib.online.live_learner_and_limb_agreement_with_vision import Learner
 from calib.online.measuring_limbs_file import Accepted
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.platform_poses_from_measuring_limbs import LimbSource, LiveLimbPoses, write_withdrawal

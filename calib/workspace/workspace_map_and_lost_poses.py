@@ -76,9 +76,9 @@ def _reached(needed: Floats, T: RigidTransform, machine: AnyCorrection) -> Boole
     the machine stands.
     """
     known = cast(Booleans, np.isfinite(needed).all(axis=1))
-    known[known] = (mechanisms.kinematics_of(machine.nominal).limit_excess(needed[known], machine.nominal) == 0).all(
-        axis=1
-    )
+    known[known] = (
+        mechanisms.kinematics_of(machine.nominal).signed_limit_excess(needed[known], machine.nominal) == 0
+    ).all(axis=1)
     inside, reached = np.flatnonzero(known), np.zeros(len(needed), bool)
     if not len(inside):
         return reached
@@ -232,7 +232,7 @@ def _singular(correction: AnyCorrection, real: MachineReach) -> Floats:
     like moves on the whole.
     """
     fitted, kinematics = correction.fitted, mechanisms.kinematics_of(correction.fitted)
-    J = kinematics.transposed_jacobians(real.T_base_platform, real.commands - correction.rho(real.commands), fitted)
+    J = kinematics.jacobian_rows_by_axis(real.T_base_platform, real.commands - correction.rho(real.commands), fitted)
     move, turn = (np.sqrt((J[..., part] ** 2).sum(axis=(1, 2)).mean()) for part in (slice(0, 3), slice(3, 6)))
     if turn:
         J = J * np.repeat([1.0, move / turn], 3)

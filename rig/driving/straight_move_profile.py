@@ -72,7 +72,7 @@ def require_lengths_in_range(lengths: Floats, mechanism: Hexapod | Planar2) -> F
     lengths = np.array(lengths, float)
     if lengths.shape != (len(mechanism.axes),) or not np.isfinite(lengths).all():
         raise ValueError(f"expected {len(mechanism.axes)} finite lengths in m, got {lengths.tolist()}")
-    beyond = mechanisms.kinematics_of(mechanism).limit_excess(lengths, mechanism)
+    beyond = mechanisms.kinematics_of(mechanism).signed_limit_excess(lengths, mechanism)
     if beyond.any():
         low, high = mechanism.strut_range.T
         lines = [

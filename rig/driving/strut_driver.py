@@ -91,7 +91,7 @@ class Driver:
         self._say(self.link.greeting())
         state = self._state()
         self._left, self._homed = self._lengths(state), state.homed
-        within = not mechanisms.kinematics_of(self.mechanism).limit_excess(self._left, self.mechanism).any()
+        within = not mechanisms.kinematics_of(self.mechanism).signed_limit_excess(self._left, self.mechanism).any()
         self._known = bool(state.homed) or (not self.controller.homing and within and state.activity != "alarm")
         return self._status(state)
 

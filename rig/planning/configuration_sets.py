@@ -187,7 +187,7 @@ def _reach(mechanism: Hexapod, ways: Floats) -> Floats:
     for _ in range(40):
         half = (low + high) / 2
         lengths = module.inverse(_shifted(mechanism, half[:, None] * ways), mechanism)
-        inside = ~module.limit_excess(middle + (lengths - middle) / FILL, mechanism).any(axis=1)
+        inside = ~module.signed_limit_excess(middle + (lengths - middle) / FILL, mechanism).any(axis=1)
         low, high = np.where(inside, half, low), np.where(inside, high, half)
     return low
 

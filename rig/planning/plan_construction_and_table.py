@@ -192,7 +192,7 @@ def require_commands_in_range(table: csv_and_parquet_tables_and_time_origin.Tabl
     values = table.matrix(design.mechanism.axes)
     if len(table) > MOST * ROWS:
         raise FileError(table.path, f"has {len(table)} rows; a plan exposes at most {MOST} times")
-    beyond = mechanisms.kinematics_of(design.mechanism).limit_excess(values, design.mechanism)
+    beyond = mechanisms.kinematics_of(design.mechanism).signed_limit_excess(values, design.mechanism)
     for i in np.flatnonzero(beyond.any(axis=1)):
         axis = mechanisms.axis_place_texts(design.mechanism)[np.flatnonzero(beyond[i])[0]]
         table.fail(f"{axis} is commanded out of its range", i)

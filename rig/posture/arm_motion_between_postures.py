@@ -54,7 +54,7 @@ def _within(q: Floats, goal: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
         now = rows[-1][None]
         pull = (null_space_search.null_space_projectors(now, arm, fixed_hand_part)[0] @ (goal - now[0])) / (STEPS - k)
         new = null_space_search.return_hand_to_target(now + pull, target, arm, fixed_hand_part)
-        beyond = np.abs(mechanism.limit_excess(new[0], arm))
+        beyond = np.abs(mechanism.signed_limit_excess(new[0], arm))
         if (
             null_space_search.hand_deviation(new, target, arm, fixed_hand_part)[0] > 1e-9
             or beyond.any()
@@ -102,7 +102,7 @@ def motion_with_straight_hand(q: Floats, goal: Floats, arm: Arm, steps: int = ST
         now = rows[-1][None]
         pull = (null_space_search.null_space_projectors(now, arm, "pose")[0] @ (goal - now[0])) / (steps - k + 1)
         new = null_space_search.return_hand_to_target(now + pull, hands[k : k + 1], arm, "pose")
-        beyond = mechanism.limit_excess(new[0], arm)
+        beyond = mechanism.signed_limit_excess(new[0], arm)
         if (
             null_space_search.hand_deviation(new, hands[k : k + 1], arm, "pose")[0] > 1e-9
             or np.abs(new - now).max() > 0.5

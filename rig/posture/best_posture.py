@@ -211,7 +211,7 @@ def _joint_solutions(first: Floats, wanted: RigidTransform, arm: Arm) -> Floats:
     many = RigidTransform.from_matrix(np.tile(wanted.as_matrix(), (STARTS, 1, 1)))
     guess = np.random.default_rng(SEED).uniform(arm.limits[:, 0], arm.limits[:, 1], (STARTS, len(first)))
     q, remainder = mechanism.solve_inverse(many, arm, guess)
-    inside = (remainder <= mechanism.GOOD) & (mechanism.limit_excess(q, arm) == 0).all(axis=1)
+    inside = (remainder <= mechanism.GOOD) & (mechanism.signed_limit_excess(q, arm) == 0).all(axis=1)
     return np.vstack([first, q[inside]])
 
 

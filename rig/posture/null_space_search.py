@@ -85,7 +85,7 @@ def gradient_search(
         size = np.linalg.norm(way, axis=1)
         trial = q[todo] + way / np.maximum(size, 1e-300)[:, None] * step[todo, None]
         trial = return_hand_to_target(np.clip(trial, low, high), target[todo], arm, fixed_hand_part)
-        ok = (mechanism.limit_excess(trial, arm) == 0).all(axis=1) & (
+        ok = (mechanism.signed_limit_excess(trial, arm) == 0).all(axis=1) & (
             hand_deviation(trial, target[todo], arm, fixed_hand_part) < STILL
         )
         ok &= np.linalg.norm(trial - q[todo], axis=1) < 2 * step[todo] + SHORTEST  # no jump to another branch
@@ -126,7 +126,7 @@ def sampled_search(
             np.linalg.norm(way, axis=1, keepdims=True), 1e-300
         )
         trial = return_hand_to_target(trial, target, arm, fixed_hand_part)
-        ok = (mechanism.limit_excess(trial, arm) == 0).all(axis=1) & (
+        ok = (mechanism.signed_limit_excess(trial, arm) == 0).all(axis=1) & (
             hand_deviation(trial, target, arm, fixed_hand_part) < STILL
         )
         walker[ok] = trial[ok]
@@ -181,7 +181,7 @@ def _walk(q: Floats, arm: Arm, fixed_hand_part: str, side: float) -> Iterator[tu
             else np.where(np.einsum("mi,mi->m", way, before) < 0, -1.0, 1.0)
         )[:, None]
         trial = return_hand_to_target(walker + size[:, None] * way, target[index], arm, fixed_hand_part)
-        ok = (mechanism.limit_excess(trial, arm) == 0).all(axis=1) & (
+        ok = (mechanism.signed_limit_excess(trial, arm) == 0).all(axis=1) & (
             hand_deviation(trial, target[index], arm, fixed_hand_part) < STILL
         )
         ok &= np.linalg.norm(trial - walker, axis=1) < 2 * TRACE  # no jump to another branch
@@ -208,7 +208,7 @@ def _starts(q: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
             f"{q.shape[1]} joints hold the hand's {fixed_hand_part} without redundancy: "
             "there is no other posture nearby"
         )
-    outside = np.argwhere(mechanism.limit_excess(q, arm) != 0)
+    outside = np.argwhere(mechanism.signed_limit_excess(q, arm) != 0)
     if len(outside):
         i, j = outside[0]
         scale, unit = (1e3, "mm") if arm.slides[j] else (np.degrees(1), "degrees")

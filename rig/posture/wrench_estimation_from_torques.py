@@ -227,7 +227,7 @@ def load_torque_table(path: Path, arm: Arm, dynamics: ArmDynamics, source: Path)
         rows.fail("time must increase from row to row", back[0] + 1, "t")
     if len(t) < WINDOW:
         raise FileError(path, f"has {len(t)} readings; it requires at least {WINDOW}")
-    beyond = np.argwhere(np.abs(mechanism.limit_excess(q, arm)) > 0.01 * np.ptp(arm.limits, axis=1))
+    beyond = np.argwhere(np.abs(mechanism.signed_limit_excess(q, arm)) > 0.01 * np.ptp(arm.limits, axis=1))
     if len(beyond):
         i, j = beyond[0].tolist()
         rows.fail(

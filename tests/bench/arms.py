@@ -225,7 +225,7 @@ def _postures():
         )
         yield (
             f"{name}: joints beyond their limits",
-            f"{sum((mechanism.limit_excess(f.q, PANDA) != 0).sum() for f in (found, best, sampled))}",
+            f"{sum((mechanism.signed_limit_excess(f.q, PANDA) != 0).sum() for f in (found, best, sampled))}",
             "0",
         )
 

@@ -159,7 +159,7 @@ def all_camera_corner_corrections(sample: SampledRecording) -> Iterator[Candidat
             )
 
 
-def single_camera_corner_corrections(sample: SampledRecording) -> Iterator[Candidate]:
+def corner_correction_candidates_by_camera(sample: SampledRecording) -> Iterator[Candidate]:
     """Corrections of corner conventions to try, a single camera at a time: (mistake, advice, corrected sample)."""
     names = np.array(sample.corners.camera)
     if len(sample.design.cameras) > 1:

@@ -245,7 +245,7 @@ def _tried(first: Trial, most: int) -> tuple[list[tuple[str, str, Trial]], bool]
             cameras.exchanged_camera_trials,
             targets.exchanged_target_trials,
             conventions.alternative_lens_trials,
-            conventions.single_camera_corner_corrections,
+            conventions.corner_correction_candidates_by_camera,
             *([cameras.alternative_camera_pose_trials] if stated else []),
         ]
     wrong = targets.suspicious_targets(first) if first.misfit > GROSS else []

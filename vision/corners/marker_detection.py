@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.model.design import Camera
-from vision.corners import edge_pixels, local_lens, square_fit, square_gauss_newton, square_sides
+from vision.corners import edge_pixels, local_lens, square_fit, square_fit_start_and_bit_check, square_gauss_newton
 from vision.corners.edge_spread import LEVELS, NO_PROFILE, PLAIN_EDGE_SPREAD, EdgeSpread
 from vision.corners.whole_image_marker_reader import ExcludedMarker, ReadMarkers, opencv_detector, read_markers
 from vision.predict import MarkerMap, marker_cells, markers_expected_in_image
@@ -253,7 +253,7 @@ def _cut_out(
     boxes = np.concatenate([low, high], axis=1)
     starts = np.concatenate([[0], np.cumsum((high - low).prod(axis=1))])
     pixels = np.empty(starts[-1], np.float32)
-    square_sides.copy_image_boxes(full, boxes, starts, pixels)
+    square_fit_start_and_bit_check.copy_image_boxes(full, boxes, starts, pixels)
     along = quads[:, _NEXT] - quads
     axes = np.stack([along[:, 0] - along[:, 2], along[:, 1] - along[:, 3]], axis=1)  # the marker's X and Y in the image
     directions = spread.rows(

@@ -36,6 +36,7 @@ from vision.corners.occlusion_and_illumination_in_square_fit import (
 )
 from vision.corners.predicted_cell_white_share import STEPS, Tables, fill_edge_spread_table
 from vision.corners.predicted_strip_white_share import ROWS, STRIP
+from vision.corners.square_fit_start_and_bit_check import fit_sides, misread_cell_count, square_homography
 from vision.corners.square_gauss_newton import (
     LIGHT,
     NO_CONTRAST,
@@ -53,7 +54,6 @@ from vision.corners.square_gauss_newton import (
     corners_of_homography,
     gauss_newton_step,
 )
-from vision.corners.square_sides import fit_sides, misread_cell_count, square_homography
 
 SAMPLE = 300  # pixels that take part while the fit is still on its way
 FEWEST = 60  # pixels near edges, below which nothing is fitted

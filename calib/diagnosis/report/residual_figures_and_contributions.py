@@ -15,7 +15,9 @@ from calib.diagnosis.problems.platform.effect_candidates import affects_images_o
 from calib.diagnosis.problems.platform.lack_of_fit import closure_residuals, closures_in_metres
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
-from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import residual_change_column
+from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
+    residual_change_with_only_effects,
+)
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from rig.array_and_json_types import Floats, Integers, Json
@@ -158,7 +160,7 @@ def residuals_without_effects(refinement: Refinement, omitted_effects: tuple[int
     kept = [e for i, e in enumerate(k.effects) if i not in set(omitted_effects)]
     if len(kept) == len(k.effects):
         return model_residuals(model)
-    done = residual_change_column(model, kept)
+    done = residual_change_with_only_effects(model, kept)
     taken = model.linear.project(done).onto
     grown = [
         (0 if part is None else part[:, 0]) - (cast(Floats, basis) @ taken)[:, 0]

@@ -6,6 +6,17 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.error_claim_over_workspace import (
+    DRAWS,
+    PLACES,
+    Claim,
+    ConfigurationInformation,
+    Workspace,
+    claim_of_drawn_machines,
+    draw_variance_ratio,
+    empty_claim_of_too_few_configurations,
+    extension_error_squares,
+)
 from calib.certification.held_out_errors import (
     HeldErrors,
     HeldOut,
@@ -22,17 +33,6 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     mean_sample_per_configuration,
 )
 from calib.certification.platform_certification import Progress, silent_progress
-from calib.certification.workspace_claim import (
-    DRAWS,
-    PLACES,
-    Claim,
-    ConfigurationInformation,
-    Workspace,
-    claim_of_drawn_machines,
-    draw_variance_ratio,
-    empty_claim_of_too_few_configurations,
-    extension_error_squares,
-)
 from calib.identify.least_squares_and_robust_fit import CONSISTENT, MOST, isolated_outlier_rows
 from calib.models.arm import error_model_and_observations, identification_and_joint_profiles
 from calib.models.arm.correction import ArmCorrection

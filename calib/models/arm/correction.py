@@ -196,7 +196,7 @@ class ArmCorrection(Correction[Arm, Profile]):
         commands, left = np.full((len(T), starts.shape[2]), np.nan), np.full(len(T), np.inf)
         for k in range(starts.shape[1] + 1):
             todo = np.flatnonzero(
-                (left > TOLERANCE) | (mechanism.limit_excess(commands, self.nominal) != 0).any(axis=1)
+                (left > TOLERANCE) | (mechanism.signed_limit_excess(commands, self.nominal) != 0).any(axis=1)
             )
             if not len(todo):
                 break
@@ -233,7 +233,7 @@ class ArmCorrection(Correction[Arm, Profile]):
             np.stack(parts) for parts in zip(*(self._led(T, starts[:, k], arm, rho) for k in range(starts.shape[1])))
         )
         place, turn = (np.linalg.norm(rest[..., part], axis=2) for part in (slice(0, 3), slice(3, 6)))
-        inside = good & (mechanism.limit_excess(q, self.nominal) == 0).all(axis=2)
+        inside = good & (mechanism.signed_limit_excess(q, self.nominal) == 0).all(axis=2)
         size = np.maximum(place, turn)
         size = np.where(inside | ~inside.any(axis=0) & good, size, np.inf)
         pick = np.argmax(size <= 2 * size.min(axis=0) + LIKE, axis=0)

@@ -9,6 +9,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.certification.error_claim_over_workspace import (
+    DRAWS,
+    Claim,
+    ConfigurationInformation,
+    Workspace,
+    claim_of_drawn_machines,
+    empty_claim_of_too_few_configurations,
+    extension_error_squares,
+)
 from calib.certification.extended_correction_certification import (
     NONE,
     ExtensionBasis,
@@ -26,15 +35,6 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     mean_sample_per_configuration,
 )
 from calib.certification.platform_certification import FOLDS, Progress, silent_progress
-from calib.certification.workspace_claim import (
-    DRAWS,
-    Claim,
-    ConfigurationInformation,
-    Workspace,
-    claim_of_drawn_machines,
-    empty_claim_of_too_few_configurations,
-    extension_error_squares,
-)
 from calib.correction.correction_tables_and_pose_space_map_json import CorrectionSummands
 from calib.correction.interpolation.field_interface_and_combinations import Field, FieldSamples
 from calib.models.arm import error_model_and_observations

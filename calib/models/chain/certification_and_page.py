@@ -8,6 +8,15 @@ import numpy as np
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.calibration_evidence import calibration_verdict
+from calib.certification.error_claim_over_workspace import (
+    DRAWS,
+    PLACES,
+    Claim,
+    ConfigurationInformation,
+    Workspace,
+    claim_of_drawn_machines,
+    empty_claim_of_too_few_configurations,
+)
 from calib.certification.held_out_errors import (
     HeldErrors,
     HeldOut,
@@ -22,15 +31,6 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     mean_sample_per_configuration,
 )
 from calib.certification.platform_certification import Progress, held_out_errors_by_fold, silent_progress
-from calib.certification.workspace_claim import (
-    DRAWS,
-    PLACES,
-    Claim,
-    ConfigurationInformation,
-    Workspace,
-    claim_of_drawn_machines,
-    empty_claim_of_too_few_configurations,
-)
 from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import unexplained_scatter_sentences
 from calib.models.chain import error_model

@@ -26,7 +26,7 @@ from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Struts,
     geometric_parameters,
-    loop_closure_jacobian,
+    loop_closure_parameter_jacobian,
     mechanism_with_parameters,
     strut_length_jacobian,
 )
@@ -182,7 +182,7 @@ class Loops:
             np.ones(len(self.lengths), bool),
         )
         commanded = mechanisms.kinematics_of(geometry).forward(self.lengths, geometry)
-        A, loops = strut_length_jacobian(commanded, geometry), loop_closure_jacobian(commanded, geometry)
+        A, loops = strut_length_jacobian(commanded, geometry), loop_closure_parameter_jacobian(commanded, geometry)
         left = self.lengths - mechanisms.kinematics_of(geometry).inverse(T, geometry)
         sigma = np.sqrt(np.einsum("nij,njk,nik->ni", A, self.samples.covariance, A))
         own = [loops[:, i, loops[:, i].any(axis=0)] for i in range(left.shape[1])]
@@ -224,13 +224,13 @@ def pose_parameter_jacobian(T_base_platform: RigidTransform, mechanism: Struts) 
     [0024]
     """
     if isinstance(mechanism, Planar2):
-        return inverse_strut_length_jacobian(T_base_platform, mechanism) @ loop_closure_jacobian(
+        return inverse_strut_length_jacobian(T_base_platform, mechanism) @ loop_closure_parameter_jacobian(
             T_base_platform, mechanism
         )
     return cast(
         Floats,
         np.linalg.solve(
-            hexapod.jacobian(T_base_platform, mechanism), loop_closure_jacobian(T_base_platform, mechanism)
+            hexapod.jacobian(T_base_platform, mechanism), loop_closure_parameter_jacobian(T_base_platform, mechanism)
         ),
     )
 

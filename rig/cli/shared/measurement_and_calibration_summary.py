@@ -8,7 +8,7 @@ from calib.api.learn import LearningResult
 from calib.api.measuring_limb_acceptance_and_platform_poses import MeasuredLimbPoses
 from calib.certification import platform_certification
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration, claim_lines
-from calib.certification.workspace_claim import Claim
+from calib.certification.error_claim_over_workspace import Claim
 from calib.correction.physics_compensation import Physics
 from calib.models.arm import certification as arm_certification
 from calib.models.chain import certification_and_page as chain_certification

@@ -1,4 +1,4 @@
-"""Kinds of machine, one module each, all with inverse, forward, jacobian and limit_excess over a
+"""Kinds of machine, one module each, all with inverse, forward, jacobian and signed_limit_excess over a
 geometry of rig.model.mechanism_geometry_classes.
 """
 

@@ -105,7 +105,7 @@ def geometric_jacobian(matrices: Floats, output_axes: str = "platform", slides: 
     return np.swapaxes(J, -1, -2)
 
 
-def limit_excess(q: Floats, arm: Arm) -> Floats:
+def signed_limit_excess(q: Floats, arm: Arm) -> Floats:
     """Excess of joint values over their limits, (..., n) rad or m: negative below, positive above, 0 inside."""
     low, high = arm.limits.T
     return np.minimum(q - low, 0) + np.maximum(q - high, 0)
@@ -162,7 +162,7 @@ def axis_changes_by_pose(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
     return np.asarray(np.linalg.pinv(jacobian(q, arm)))
 
 
-def transposed_jacobians(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
+def jacobian_rows_by_axis(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
     """(m, n, 6) the columns of the Jacobian at joint values q (m, n), which coincide where the arm is singular."""
     return np.swapaxes(jacobian(q, arm), 1, 2)
 
@@ -216,7 +216,7 @@ def solve_inverse(
             break
         q, error = _descend(trying[todo], target[todo], arm)
         q = nearest_equivalent_angles(q, arm, guess[todo])
-        out = cast(Booleans, (np.abs(limit_excess(q, arm)) > 0).any(axis=1))
+        out = cast(Booleans, (np.abs(signed_limit_excess(q, arm)) > 0).any(axis=1))
         solved, had = error <= GOOD, left[todo] <= GOOD
         better = np.where(solved & had, outside[todo] & ~out, np.where(solved | had, solved, error < left[todo]))
         best[todo[better]], left[todo[better]], outside[todo[better]] = q[better], error[better], out[better]

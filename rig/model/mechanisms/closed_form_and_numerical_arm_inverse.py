@@ -206,7 +206,7 @@ def nearest_closed_form_solution(T_base_platform: RigidTransform, six_arm: SixJo
     found = closed_form_inverse(T_base_platform, six_arm)
     guess = np.broadcast_to(guess, found.q.shape[:-2] + (6,))
     q = mechanism.nearest_equivalent_angles(found.q, six_arm.arm, guess[..., None, :])
-    allowed = found.there & (mechanism.limit_excess(q, six_arm.arm) == 0).all(axis=-1)
+    allowed = found.there & (mechanism.signed_limit_excess(q, six_arm.arm) == 0).all(axis=-1)
     far = np.where(allowed, np.abs(q - guess[..., None, :]).max(axis=-1), np.inf)
     failed = np.flatnonzero(np.isinf(far.min(axis=-1)))
     if len(failed):
@@ -321,7 +321,7 @@ def numerical_inverse_solutions(T_base_platform: RigidTransform, arm: Arm, start
         q, left = mechanism.solve_inverse(many, arm, begin, starts=0)
         rest, place, turn, good = np.zeros((starts, 6)), left, left, left <= mechanism.GOOD
     q = mechanism.nearest_equivalent_angles(q, arm, np.zeros(q.shape))
-    order = np.argsort(np.abs(mechanism.limit_excess(q, arm)).max(axis=1) > 0, kind="stable")
+    order = np.argsort(np.abs(mechanism.signed_limit_excess(q, arm)).max(axis=1) > 0, kind="stable")
     kept = _once(q, [int(k) for k in order if good[k]], arm)
     nearest = int(np.argmin(np.maximum(place, turn)))
     return InverseSolutions(q[kept], rest[kept], (float(place[nearest]), float(turn[nearest])))

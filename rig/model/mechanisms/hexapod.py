@@ -84,7 +84,7 @@ def forward(lengths: Floats, hexapod: Hexapod, guess: RigidTransform | None = No
     )  # of unit quaternions, normal as it is
 
 
-def limit_excess(lengths: Floats, hexapod: Hexapod) -> Floats:
+def signed_limit_excess(lengths: Floats, hexapod: Hexapod) -> Floats:
     """Excess of commanded lengths over their limits, (..., 6) m: negative below, positive above, 0 inside."""
     low, high = hexapod.strut_range.T
     return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
@@ -125,7 +125,7 @@ def axis_changes_by_pose(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -
     return jacobian(T, hexapod)
 
 
-def transposed_jacobians(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
+def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
     """(n, 6, 6) the rows of the Jacobian at poses T (n,), which coincide where the machine is singular."""
     return jacobian(T, hexapod)
 

@@ -133,10 +133,10 @@ def _misses(x: Floats, target: RigidTransform, going: Integers, chain: Chain) ->
     return going, np.zeros((0, 6))
 
 
-def limit_excess(values: Floats, chain: Chain) -> Floats:
+def signed_limit_excess(values: Floats, chain: Chain) -> Floats:
     """Excess (..., axes) m or rad of commanded values over their limits: negative below, positive above, 0 inside."""
     return np.concatenate(
-        [KINDS[stage.kind].limit_excess(own, stage) for stage, own in stages_and_values(values, chain)], axis=-1
+        [KINDS[stage.kind].signed_limit_excess(own, stage) for stage, own in stages_and_values(values, chain)], axis=-1
     )
 
 
@@ -180,7 +180,7 @@ def axis_changes_by_pose(T: RigidTransform, values: Floats, chain: Chain) -> Flo
     return np.asarray(np.linalg.pinv(jacobian(values, chain)))
 
 
-def transposed_jacobians(T: RigidTransform, values: Floats, chain: Chain) -> Floats:
+def jacobian_rows_by_axis(T: RigidTransform, values: Floats, chain: Chain) -> Floats:
     """(n, axes of all, 6) the columns of the Jacobian at values (n, axes of all)."""
     return np.swapaxes(jacobian(values, chain), 1, 2)
 

@@ -191,7 +191,7 @@ class MechanismKinematics(Protocol[M]):
         """Commanded values (..., axes) that give poses T_base_platform (...)."""
         ...
 
-    def limit_excess(self, values: Floats, mechanism: M, /) -> Floats:
+    def signed_limit_excess(self, values: Floats, mechanism: M, /) -> Floats:
         """How far commanded values (..., axes) lie outside the travel: negative below, positive above, 0 inside."""
         ...
 
@@ -228,7 +228,7 @@ class MechanismKinematics(Protocol[M]):
         """
         ...
 
-    def transposed_jacobians(self, T: RigidTransform, values: Floats, mechanism: M, /) -> Floats:
+    def jacobian_rows_by_axis(self, T: RigidTransform, values: Floats, mechanism: M, /) -> Floats:
         """(n, axes, 6) a row for each axis, that coincide where the machine is singular, at poses T (n,), values
         (n, axes).
         """
@@ -332,7 +332,7 @@ def strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Struts) ->
     return two_strut_plane.jacobian(T_base_platform, mechanism)
 
 
-def loop_closure_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:
+def loop_closure_parameter_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:
     """Loop closure Jacobian (..., axes, p): change of zero - length with the parameters, at poses (...)."""
     if isinstance(mechanism, Planar2):
         return two_strut_plane.two_strut_loop_jacobian(T_base_platform, mechanism)

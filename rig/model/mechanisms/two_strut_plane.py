@@ -59,7 +59,7 @@ def forward(lengths: Floats, planar: Planar2, guess: RigidTransform | None = Non
     return RigidTransform.from_translation(position)
 
 
-def limit_excess(lengths: Floats, planar: Planar2) -> Floats:
+def signed_limit_excess(lengths: Floats, planar: Planar2) -> Floats:
     """Excess of commanded lengths over their limits, (..., 2) m: negative below, positive above, 0 inside."""
     low, high = planar.strut_range.T
     return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
@@ -99,7 +99,7 @@ def axis_changes_by_pose(T: RigidTransform, lengths: Floats, planar: Planar2) ->
     return jacobian(T, planar)
 
 
-def transposed_jacobians(T: RigidTransform, lengths: Floats, planar: Planar2) -> Floats:
+def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, planar: Planar2) -> Floats:
     """(n, 2, 6) the rows of the Jacobian at poses T (n,), which coincide where the machine is singular."""
     return jacobian(T, planar)
 

@@ -9,7 +9,7 @@ import pytest
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import claim_status_text
 from calib.certification.claim_verification import Part, Verification, verify_claim
-from calib.certification.workspace_claim import Claim
+from calib.certification.error_claim_over_workspace import Claim
 from calib.samples.pose_samples import Samples
 from rig.model.mechanisms import hexapod
 from rig.model.pose import adjoint, exp

@@ -9,13 +9,13 @@ import pytest
 
 from calib.api.correction_over_configuration_or_pose_space import CorrectionPass, certify_additional_pass
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.error_claim_over_workspace import PLACES, ConfigurationInformation, claim_of_mean_squares
 from calib.certification.extended_correction_certification import (
     ExtensionRequest,
     certify_extended_correction,
     claim_without_geometry,
 )
 from calib.certification.held_out_errors import HeldErrors
-from calib.certification.workspace_claim import PLACES, ConfigurationInformation, claim_of_mean_squares
 from calib.correction.correction import Correction, solvable_commands_and_poses
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import arm_workspace_claim as promised_arm

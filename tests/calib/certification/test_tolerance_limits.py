@@ -51,7 +51,9 @@ def test_limits_are_kept_as_often_as_promised_whatever_the_distribution(n):
     """The share below a value is all that matters, so uniform values stand for every distribution."""
     values = np.random.default_rng(n).random((1500, n))
     upper = np.mean([noise_free_errors_and_tolerance_limits.upper_tolerance_limit(row) >= 0.95 for row in values])
-    lower = np.mean([noise_free_errors_and_tolerance_limits.lower_tolerance_limit(row) <= 0.95 for row in values])
+    lower = np.mean(
+        [noise_free_errors_and_tolerance_limits.lower_confidence_limit_of_quantile(row) <= 0.95 for row in values]
+    )
     assert 0.935 <= upper <= 0.97 and (0.935 <= lower <= 0.97 or n == 59 and lower >= 0.935)
 
 
@@ -60,7 +62,7 @@ def test_without_noise_true_errors_are_those_measured():
     found = noise_free_errors_and_tolerance_limits.tolerance_limits_of_true_errors(lengths, np.full(120, 1e-9))
     assert found.upper == noise_free_errors_and_tolerance_limits.upper_tolerance_limit(
         lengths
-    ) and found.lower == noise_free_errors_and_tolerance_limits.lower_tolerance_limit(lengths)
+    ) and found.lower == noise_free_errors_and_tolerance_limits.lower_confidence_limit_of_quantile(lengths)
 
 
 def _trials(n, noise, count, seed):
@@ -122,6 +124,4 @@ def test_between_ranks_the_confidence_is_met_in_tails_light_and_heavy(n, level):
 
 def test_at_whole_ranks_nothing_is_interpolated():
     chance = binom.sf(140 - 1, 150, 0.95)  # that the 140th of 150 lies below the quantile
-    assert noise_free_errors_and_tolerance_limits.order_statistic_rank(150, 0.95, chance) == pytest.approx(
-        140, abs=1e-6
-    )
+    assert noise_free_errors_and_tolerance_limits.rank_below_quantile(150, 0.95, chance) == pytest.approx(140, abs=1e-6)

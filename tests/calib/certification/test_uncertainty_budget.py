@@ -7,7 +7,7 @@ import pytest
 
 from calib.certification.uncertainty_budget import (
     camera_and_lens_covariance,
-    expanded_uncertainty,
+    expanded_uncertainty_over_poses,
     rms_length_uncertainty,
 )
 
@@ -42,7 +42,7 @@ def test_cameras_and_lenses_make_up_what_is_shared():
 def test_an_expanded_uncertainty_covers_95_of_100_lengths(widths, k):
     covariance = np.zeros((40, 6, 6))
     covariance[:, :3, :3] = np.diag(np.square(widths, dtype=float))
-    U = expanded_uncertainty(covariance)
+    U = expanded_uncertainty_over_poses(covariance)
     assert k is None or U.k[0] == pytest.approx(k, abs=0.01)
     lengths = np.linalg.norm(np.random.default_rng(1).normal(size=(200_000, 3)) * widths, axis=1)
     assert np.mean(lengths <= U.position) == pytest.approx(0.95, abs=0.003), (
@@ -56,4 +56,4 @@ def test_poses_of_different_uncertainty_are_covered_at_large():
         np.sqrt(np.repeat(np.linspace(0.1, 9, 50), 4000))[:, None] * np.random.default_rng(2).normal(size=(200_000, 3)),
         axis=1,
     )
-    assert np.mean(lengths <= expanded_uncertainty(covariance).position) == pytest.approx(0.95, abs=0.003)
+    assert np.mean(lengths <= expanded_uncertainty_over_poses(covariance).position) == pytest.approx(0.95, abs=0.003)

@@ -66,7 +66,7 @@ def test_an_arm_loses_poses_of_its_own_configuration_alone():
     q = sobol_configurations(UR10.limits, 64, 1.0)
     out = is_pose_lost(correction, q)
     needed = correction.near(arms.forward(q, UR10), q)
-    inside = np.isfinite(needed).all(axis=1) & (arms.limit_excess(np.nan_to_num(needed), UR10) == 0).all(axis=1)
+    inside = np.isfinite(needed).all(axis=1) & (arms.signed_limit_excess(np.nan_to_num(needed), UR10) == 0).all(axis=1)
     np.testing.assert_array_equal(out, ~inside)
     assert inside.sum() > 48
     assert np.abs(pose_difference(correction.predict(needed[inside]), arms.forward(q[inside], UR10))).max() < 1e-9

@@ -45,7 +45,10 @@ def test_a_chain_is_its_stages_one_upon_the_other(gantry):
     T = arm.forward(x[:, :3], gantry.stages[0]) * hexapod.forward(x[:, 3:], gantry.stages[1])
     assert np.abs(pose_difference(T, mechanism_chain.forward(x, gantry))).max() < 1e-14
     assert gantry.axes == ("s1q1", "s1q2", "s1q3", "s2l1", "s2l2", "s2l3", "s2l4", "s2l5", "s2l6")
-    assert mechanism_chain.limit_excess(x + 1.0, gantry).all() and not mechanism_chain.limit_excess(x, gantry).any()
+    assert (
+        mechanism_chain.signed_limit_excess(x + 1.0, gantry).all()
+        and not mechanism_chain.signed_limit_excess(x, gantry).any()
+    )
 
 
 def test_the_jacobians_are_the_differences(gantry):
@@ -69,7 +72,7 @@ def test_the_inverse_reaches_poses_within_the_travels_and_says_which_it_does_not
     found = mechanism_chain.inverse(wanted, gantry)
     assert (
         np.abs(pose_difference(mechanism_chain.forward(found, gantry), wanted)).max() < 1e-10
-        and not mechanism_chain.limit_excess(found, gantry).any()
+        and not mechanism_chain.signed_limit_excess(found, gantry).any()
     )
     middle, span = (
         mechanism_chain.travel_ranges(gantry).mean(axis=1),
@@ -260,7 +263,7 @@ def test_configurations_are_planned_that_tell_all_stages(tmp_path, capfd):
     rows = [line.split() for line in said.splitlines() if " um  " in line or " urad  " in line]
     assert len(rows) == 8 and all(float(row[0]) < float(row[1]) for row in rows)
     m = design_file.load_design(tmp_path / "rig.toml").mechanism
-    assert not mechanism_chain.limit_excess(
+    assert not mechanism_chain.signed_limit_excess(
         csv_and_parquet_tables_and_time_origin.read_csv_table(tmp_path / "plan.csv", ("frame", *m.axes)).matrix(m.axes),
         m,
     ).any()

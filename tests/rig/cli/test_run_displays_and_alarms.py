@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calib.certification import measuring_limb_calibration_and_slips
-from calib.online.live_learner_and_limb_agreement import Learner
+from calib.online.live_learner_and_limb_agreement_with_vision import Learner
 from calib.online.live_run_page import RunPage, run_verdict
 from calib.online.measuring_limbs_file import Accepted
 from calib.online.observer_of_run_frames import RunObserver, RunStop

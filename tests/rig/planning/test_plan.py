@@ -30,7 +30,7 @@ EXPECTED = {
 def test_every_part_stays_in_reach_and_in_time(design, part):
     found = plan.build_plan(design, part, seed=3)
     assert len(found.t) == EXPECTED[part]
-    assert not hexapod.limit_excess(found.commands.values, design.mechanism).any()
+    assert not hexapod.signed_limit_excess(found.commands.values, design.mechanism).any()
     assert (np.diff(found.commands.t) > 0).all() and (np.diff(found.t) > 0).all()
     assert found.t[0] > found.commands.t[0] and found.t[-1] < found.commands.t[-1]
     speed = np.abs(np.diff(found.commands.values, axis=0)).max(axis=1) / np.diff(found.commands.t)

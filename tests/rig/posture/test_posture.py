@@ -93,7 +93,7 @@ def test_searches_leave_the_hand_and_keep_the_limits(wish):
     for found in (gradient, sampled, best):
         assert (
             found.moved.max() < 1e-9
-            and (mechanism.limit_excess(found.q, PANDA) == 0).all()
+            and (mechanism.signed_limit_excess(found.q, PANDA) == 0).all()
             and (found.value >= found.start).all()
         )
         np.testing.assert_allclose(
@@ -116,7 +116,7 @@ def test_global_search_is_the_best_of_the_traced_self_motion():
         assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() < 2 * null_space_search.TRACE
         ends = [
             np.abs(
-                mechanism.limit_excess(path[k] + 1.01 * (path[k] - path[k + (1 if k == 0 else -1)]) * 2, PANDA)
+                mechanism.signed_limit_excess(path[k] + 1.01 * (path[k] - path[k + (1 if k == 0 else -1)]) * 2, PANDA)
             ).max()
             > 0
             for k in (0, -1)

@@ -24,7 +24,7 @@ from rig.compute.parallel_map_and_dask_cluster import thread_map
 from rig.model.effect_places_and_part_tolerances import FINDER, SEAT
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     geometric_parameters,
-    loop_closure_jacobian,
+    loop_closure_parameter_jacobian,
     strut_length_jacobian,
 )
 
@@ -243,7 +243,7 @@ def _closures(k: OperatingPoint, frames: CornerFrames) -> _Closures:
         [
             (k.closures()[..., None] + to_length @ inner[..., :1]),
             to_length @ inner[..., 1:],
-            loop_closure_jacobian(k.T, m),
+            loop_closure_parameter_jacobian(k.T, m),
         ],
         axis=2,
     )

@@ -45,7 +45,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.model import mechanisms
 from rig.model.effect_places_and_part_tolerances import Place
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import loop_closure_jacobian, strut_length_jacobian
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import loop_closure_parameter_jacobian, strut_length_jacobian
 from rig.recording.recording_folder import PAYLOAD
 from vision.corner_observations import observations_of_frames
 from vision.predict import predict_sightings
@@ -104,7 +104,7 @@ def _wild_frames(k: OperatingPoint, covariance: Floats) -> Outliers:
     may do is asked at the poses that commands give: at a pose that is wild it may do anything."""
     m, closures = k.platform, k.closures()
     T = mechanisms.kinematics_of(m).forward(k.commanded.at(k.t), m)
-    A, loops, smooth = strut_length_jacobian(T, m), loop_closure_jacobian(T, m), _smooth(k)
+    A, loops, smooth = strut_length_jacobian(T, m), loop_closure_parameter_jacobian(T, m), _smooth(k)
     sigma = np.sqrt(np.einsum("fij,fjk,fik->fi", A, covariance, A))
     parts = []
     for i in range(k.axes):
@@ -298,7 +298,7 @@ def _both(refined: Refinement, numbers: set[int], fold: Integers | None = None) 
     after = held_out_residuals(with_all.linear, tuple(b.residual for b in with_all.linear.blocks), fold)
     others = [i for i, c in enumerate(refined.coordinates) if c.effect not in numbers]
     bare = model.marginalise(refined.column.take(others)) if others and refined.column is not None else model
-    done = residual_change_column(model, [e for i, e in enumerate(k.effects) if i not in numbers])
+    done = residual_change_with_only_effects(model, [e for i, e in enumerate(k.effects) if i not in numbers])
     grown = tuple(
         b.residual if part is None else b.residual + part[:, 0] for b, part in zip(model.linear.blocks, done.parts)
     )
@@ -317,7 +317,7 @@ def sides_of_sudden_changes(effects: Sequence[Effect], t: Floats) -> list[Boolea
     return [side for moment in moments for side in (t >= moment, t < moment)]
 
 
-def residual_change_column(model: LinearisedModel, effects: Sequence[Effect]) -> Column:
+def residual_change_with_only_effects(model: LinearisedModel, effects: Sequence[Effect]) -> Column:
     """Column (1) of the change of residuals where only these effects are left."""
     k, left = model.point, tuple(effects)
     out = (

@@ -19,7 +19,9 @@ from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.problems.platform.effect_sensitivities import effect_parameter_directions
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, LinearisedModel, linearise
-from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import residual_change_column
+from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
+    residual_change_with_only_effects,
+)
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
 from calib.diagnosis.problems.platform.scores_of_all_candidates import axis_products
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
@@ -185,7 +187,7 @@ def _weighed_beside(problem: PlatformProblem, fit: PlatformFit, site: Site, form
     """LinearisedModel in which nothing of a Formula is taken off, and struts count for what they scatter beside it."""
     k = fit.refined.point
     new, bare = _with(problem, fit, k.with_effects((*k.effects, _effect(site, formula))))
-    return replace(new, linear=_grown(new.linear, residual_change_column(bare, k.effects).parts))
+    return replace(new, linear=_grown(new.linear, residual_change_with_only_effects(bare, k.effects).parts))
 
 
 def _grown(linear: LinearModel, parts: Sequence[Floats | None]) -> LinearModel:

@@ -38,7 +38,9 @@ from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_columns 
     tolerance_model,
     tolerance_sigmas_from_residuals,
 )
-from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import residual_change_column
+from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
+    residual_change_with_only_effects,
+)
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
 from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
@@ -322,7 +324,7 @@ def _corner_displacement(fit: PlatformFit, number: int) -> float:
     """
     k, model = fit.refined.point, fit.refined.model
     others = [e for i, e in enumerate(k.effects) if i != number]
-    square = model.linear.project(residual_change_column(model, others)).gram[0, 0]
+    square = model.linear.project(residual_change_with_only_effects(model, others)).gram[0, 0]
     touched = np.count_nonzero((k.pixels() != k.pixels(tuple(others))).any(axis=1))
     return float(model.corner_noise() * np.sqrt(max(square, 0.0) / max(touched, 1)))
 

@@ -56,7 +56,9 @@ def test_no_single_exchange_pays_any_more(chosen, design):
 
 def test_configurations_can_be_reached(chosen, design):
     for found in chosen.values():
-        assert found.commands.shape == (24, 6) and not hexapod.limit_excess(found.commands, design.mechanism).any()
+        assert (
+            found.commands.shape == (24, 6) and not hexapod.signed_limit_excess(found.commands, design.mechanism).any()
+        )
         hexapod.forward(found.commands, design.mechanism)
 
 

@@ -11,7 +11,7 @@ from rig.errors import NotEnoughData, RigError
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     geometric_parameters,
-    loop_closure_jacobian,
+    loop_closure_parameter_jacobian,
     mechanism_with_parameters,
 )
 from rig.model.pose import exp, pose_difference
@@ -28,7 +28,7 @@ def test_loop_jacobian_agrees_with_differences(design):
         ),
         np.zeros(42),
     )
-    np.testing.assert_allclose(loop_closure_jacobian(T, design.mechanism), numeric, atol=1e-8)
+    np.testing.assert_allclose(loop_closure_parameter_jacobian(T, design.mechanism), numeric, atol=1e-8)
 
 
 def test_pose_jacobian_agrees_with_differences(design):

@@ -47,10 +47,10 @@ def test_jacobian_agrees_with_differences(kind, design):
 def test_limits_are_signed_and_zero_inside(kind, design):
     mechanism, lengths = samples(kind, design, (), np.random.default_rng(2))
     module = kinematics_of(mechanism)
-    assert not module.limit_excess(lengths, mechanism).any()
+    assert not module.signed_limit_excess(lengths, mechanism).any()
     low, high = mechanism.strut_range.T
-    np.testing.assert_allclose(module.limit_excess(high + 0.01, mechanism), 0.01)
-    np.testing.assert_allclose(module.limit_excess(low - 0.02, mechanism), -0.02)
+    np.testing.assert_allclose(module.signed_limit_excess(high + 0.01, mechanism), 0.01)
+    np.testing.assert_allclose(module.signed_limit_excess(low - 0.02, mechanism), -0.02)
 
 
 def test_planar_forward_is_hand_worked():

@@ -18,7 +18,7 @@ from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates, loop_closure_jacobian
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates, loop_closure_parameter_jacobian
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.corner_observations import observations_from_corners
@@ -60,7 +60,7 @@ def effect_separation(
         A = hexapod.jacobian(still, m)
         W = np.linalg.inv(np.linalg.cholesky(A @ covariance @ np.swapaxes(A, 1, 2)))
         parts = [W @ (hexapod.inverse(T, m) - hexapod.inverse(still, m))[..., None] for T in moved]
-        rows, prior = W @ loop_closure_jacobian(still, m), np.full(42, PRIOR)
+        rows, prior = W @ loop_closure_parameter_jacobian(still, m), np.full(42, PRIOR)
     else:
         asked, white = independent_geometric_parameters(m), 1 / np.repeat(sigma, 3)
         parts = [pose_difference(still, T) * white for T in moved]

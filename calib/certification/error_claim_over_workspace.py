@@ -193,7 +193,7 @@ def draw_variance_ratio(cost: float, freedom: int, count: int, rng: np.random.Ge
     return (TRUSTED + cost) / rng.chisquare(TRUSTED + freedom, count)
 
 
-def workspace_claim(
+def error_claim_over_workspace(
     identified: Identified,
     tolerance: Tolerance,
     correction: Correction[Struts, Radial],
