@@ -8,6 +8,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -15,6 +16,8 @@ from contextlib import contextmanager
 from functools import partial
 from itertools import accumulate
 from os import PathLike
+from queue import SimpleQueue
+from types import FrameType
 from typing import TypeVar
 
 from rig.errors import RigError
@@ -69,14 +72,20 @@ def executor_map(
     progress : called with (done, of), or None; futures : gets the things' Futures, or None
     """
     futures, out = [] if futures is None else futures, []
+    finished: SimpleQueue[Future[R]] = SimpleQueue()  # its wait ends at an interrupt with no lock held
     with (
         _interrupts_wait()
     ):  # what is started here is deaf to Ctrl-C, which reaches all of a terminal's processes: this one ends the others
         for thing in items:
             futures.append(executor.submit(function, thing))
+            futures[-1].add_done_callback(finished.put)
+    pending = set(futures)
     try:
         for future in futures:
-            out.append(future.result())
+            while future in pending:
+                pending.discard(finished.get())
+            with _interrupts_wait():
+                out.append(future.result())
             if progress:
                 progress(len(out), len(futures))
     finally:
@@ -236,9 +245,21 @@ def _begin(parent: int, rest: bytes) -> None:
 
 @contextmanager
 def _interrupts_wait() -> Iterator[None]:
-    """Within it SIGINT is put off; what is started within inherits that for good."""
+    """Within it SIGINT is put off; what is started within inherits that for good.
+
+    A KeyboardInterrupt inside `submit` or `result` can leave a lock of the pool locked, so that the pool never ends
+    """
+    put_off: list[FrameType | None] = []
+    handler = signal.getsignal(signal.SIGINT)
+    here = threading.current_thread() is threading.main_thread() and callable(handler)
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    if here:  # another thread, whose signals are not blocked, may take it, and this one would handle it
+        signal.signal(signal.SIGINT, lambda number, frame: put_off.append(frame))
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if here:
+            signal.signal(signal.SIGINT, handler)
+    if put_off and callable(handler):
+        handler(signal.SIGINT, put_off[0])

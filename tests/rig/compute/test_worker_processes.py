@@ -5,10 +5,11 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from rig.compute.worker_processes import process_pool, run_child_process, worker_count
+from rig.compute.worker_processes import executor_map, process_pool, run_child_process, worker_count
 from rig.errors import FileError, NotConverged, RigError
 from tests.conftest import ROOT
 
@@ -76,6 +77,28 @@ def test_no_worker_outlives_the_one_that_began_it(method, number):
         process.send_signal(number)
         process.communicate(timeout=20)
         assert process.returncode == -number and all_gone(pids)
+
+
+def test_an_interrupt_that_another_thread_takes_does_not_break_into_a_submission():
+    """Raised inside `submit` it could leave a lock of the pool locked, and the pool would never end."""
+    accepted = []
+    other = ThreadPoolExecutor(1)  # its thread begins now, while signals are not blocked
+    other.submit(int).result()
+
+    class Interrupted(ThreadPoolExecutor):
+        def submit(self, function, *arguments):
+            other.submit(signal.raise_signal, signal.SIGINT).result()
+            accepted.append(arguments)
+            return super().submit(function, *arguments)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt), Interrupted(1) as pool:
+            executor_map(pool, abs, [-1, -2])
+    finally:
+        signal.signal(signal.SIGINT, before)
+        other.shutdown()
+    assert accepted == [(-1,), (-2,)]
 
 
 def test_no_child_that_is_waited_for_outlives_this_process():
