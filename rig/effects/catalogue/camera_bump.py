@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_parameters_and_covariates import Context, Parameter
+from rig.effects.framework.effect_parameters_and_covariates import Parameter
 from rig.model.design import Camera
 from rig.model.effect_places_and_part_tolerances import Place
 
@@ -31,15 +31,9 @@ class CameraBump(Effect):
     experiment: ClassVar = "fixed cubes in view of that camera before and after"
     action: ClassVar = "Clamp the mount; poses from before and after that moment need a camera pose of their own."
     view: ClassVar = "time"
+    fixed_mount: ClassVar = True
 
     def mount(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
         return ((np.asarray(t) >= self.time) * float(self.at(Place("camera", camera.name))))[:, None] * np.asarray(
             self.motion, float
         )
-
-    @classmethod
-    def sites(cls, context: Context) -> tuple[str, ...]:
-        found = super(CameraBump, cls).sites(context)
-        return tuple(
-            place for place in found if Place.parse(place).name not in context.moving
-        )  # a mount that moves has no place to leave

@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_parameters_and_covariates import Context, Parameter
+from rig.effects.framework.effect_parameters_and_covariates import Parameter
 from rig.model.design import Camera
 from rig.model.effect_places_and_part_tolerances import Place
 
@@ -31,14 +31,8 @@ class CameraDrift(Effect):
     experiment: ClassVar = "fixed cubes in view of that camera for as long"
     action: ClassVar = "Let the mount warm up and clamp it better; keep fixed cubes in that camera's view."
     view: ClassVar = "time"
+    fixed_mount: ClassVar = True
 
     def mount(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
         share = (1 - np.exp(-np.maximum(t, 0) / self.time_constant)) * self.at(Place("camera", camera.name))
         return share[:, None] * np.asarray(self.motion, float)
-
-    @classmethod
-    def sites(cls, context: Context) -> tuple[str, ...]:
-        found = super(CameraDrift, cls).sites(context)
-        return tuple(
-            place for place in found if Place.parse(place).name not in context.moving
-        )  # a mount that moves has no place to leave

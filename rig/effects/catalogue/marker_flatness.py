@@ -5,8 +5,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import Context, Drawing, Parameter, draw_number
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_parameters_and_covariates import Drawing, Parameter, draw_number
 from rig.effects.framework.marker_table import Markers, replace_marker_columns
 from rig.model.effect_places_and_part_tolerances import Place
 
@@ -27,7 +27,7 @@ class MarkerFlatness(Effect):
     places: ClassVar = ("marker",)
     parameters: ClassVar = (
         Parameter("height", "m", (0, 1e-2), (1e-4, 2e-3)),
-        Parameter("corner", "", (0, CORNERS - 1), (0, CORNERS - 1), role="choice"),
+        Parameter("corner", "", (0, CORNERS - 1), (0, CORNERS - 1), role="choice", tried=(0.0, 1.0, 2.0, 3.0)),
     )
     experiment: ClassVar = "see that face obliquely from several sides: a lifted corner is no motion of the whole face"
     action: ClassVar = "Glue that corner down or print the marker on a stiff plate, else omit it from rig.toml."
@@ -45,7 +45,3 @@ class MarkerFlatness(Effect):
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
         return cls(place, draw_number(cls.parameters[0], drawing, rng), float(rng.integers(CORNERS)))
-
-    @classmethod
-    def candidates(cls, place: str, context: Context) -> list[Candidate]:
-        return [Candidate(cls, place, [{"corner": float(k)} for k in range(CORNERS)], cls.linear(place), extra=1)]

@@ -1,13 +1,13 @@
 """Time offset between the cameras' and the commands' clock, from the start or from a moment on."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import Context, Covariate, Parameter, travel_covariate
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter, travel_covariate
 from rig.effects.framework.machine_motion_and_play import Motion
 
 
@@ -38,8 +38,3 @@ class TimeOffset(Effect):
 
     def covariate(self, motion: Motion) -> Covariate:
         return travel_covariate(motion.path.speed, motion, "speed of the axis", "/s")
-
-    @classmethod
-    def candidates(cls, place: str, context: Context) -> list[Candidate]:
-        jumped = replace(super(TimeOffset, cls).candidates(place, context)[0], label="jump")
-        return [replace(jumped, grid=[{}], label="", extra=0), jumped]

@@ -17,6 +17,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.effect_parameters_and_covariates import (
     COUNT,
     QUADRATURE,
+    SEARCHED,
     Context,
     Covariate,
     Drawing,
@@ -94,6 +95,7 @@ class Effect:
     lasting : the machine does it again the next time, as found, so that commands can undo it; what happened at one
     moment, or swings with a phase of its own, it does not
     tolerance : manufacturing tolerance within which as much is nobody's fault
+    fixed_mount : at a camera, it takes one whose mount does not move with the machine
     flat : markers stay flat with it, as drawn images have them
     warps : takes in every smooth displacement fixed in a camera's image
     view : how residuals in the image show it: "displacement", "map", "time", "scale", "outward", "markers" or "targets"
@@ -117,6 +119,7 @@ class Effect:
     once: ClassVar[bool] = False
     lasting: ClassVar[bool] = True
     tolerance: ClassVar[Tolerance | tuple[float, float] | None] = None
+    fixed_mount: ClassVar[bool] = False
     flat: ClassVar[bool] = True
     warps: ClassVar[bool] = False
     view: ClassVar[str] = "displacement"
@@ -128,9 +131,7 @@ class Effect:
         def __init__(self, place: str, **values: object) -> None: ...
 
     def needs(self, motion: Motion) -> str | None:
-        """What a machine or its recording lacks for this effect, in words that follow its name; None where it has
-        all.
-        """
+        """What a machine or its recording lacks for this effect, in words that follow its name; None for nothing."""
         return None
 
     def times(self, t: Floats) -> Floats:
@@ -147,9 +148,7 @@ class Effect:
         return cls.times is not Effect.times or cls.follow is not Effect.follow
 
     def forgets(self) -> float:
-        """m or rad that an axis must travel one way until it no longer matters how it stood before; 0 for what
-        remembers no way.
-        """
+        """m or rad of travel one way after which it no longer matters how an axis stood before; 0 for no memory."""
         return 0.0
 
     def deviation(self, motion: Motion) -> Floats:
@@ -238,6 +237,8 @@ class Effect:
         if cls.moving and np.abs(context.moved().path.speed).max(initial=0.0) < AT_REST:
             raise RigError("every exposure was taken at rest")
         found = cls._places(context)
+        if cls.fixed_mount:  # a mount that moves has no place to leave
+            found = tuple(place for place in found if Place.parse(place).name not in context.moving)
         lacking = cls.lacking(context) if commanded else {}
         if found and len(lacking) == len(found):
             raise RigError(f"{cls.name} {lacking[found[0]]}")
@@ -256,13 +257,17 @@ class Effect:
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
-        """Candidates at a place: by default every linear parameter a column, and a grid of the nonlinear ones."""
-        parameters = [p.at(place) for p in cls.parameters]
-        grids = {
-            p.name: parameter_grid(p, context.t) for p in parameters if p.role in ("size", "log", "even", "moment")
-        }
-        nodes = [dict(zip(grids, values)) for values in product(*grids.values())]
-        return [Candidate(cls, place, nodes, cls.linear(place), extra=len(grids))]
+        """Candidates at a place: by default every linear parameter a column, and a grid of the nonlinear ones. What may
+        start at a moment, and by default does not, is tried without one as well.
+        """
+        searched = [p.at(place) for p in cls.parameters if p.tried or p.role in SEARCHED]
+        late = {p.name for p in searched if p.role == "moment" and np.isinf(getattr(cls(place), p.name))}
+        linear, out = cls.linear(place), []
+        for without in (late, set()) if late else (late,):
+            grids = {p.name: parameter_grid(p, context.t) for p in searched if p.name not in without}
+            nodes = [dict(zip(grids, values)) for values in product(*grids.values())]
+            out.append(Candidate(cls, place, nodes, linear, "jump" if late - without else "", extra=len(grids)))
+        return out
 
     @classmethod
     def linear(cls, place: str) -> list[Linear]:
@@ -348,9 +353,7 @@ class Effect:
 
     @classmethod
     def unusual(cls, place: str, values: Mapping[str, object]) -> str | None:
-        """Which of {parameter name: number} at a place is far beyond what rigs show, in a sentence; None where none
-        is.
-        """
+        """Which of {parameter name: number} at a place is far beyond what rigs show, in a sentence; None for none."""
         return next((text for p in cls.parameters_at(place) if (text := p.unusual(values.get(p.name)))), None)
 
     @classmethod
@@ -381,9 +384,7 @@ class Effect:
         return self.site.includes(Place.parse(place) if isinstance(place, str) else place)
 
     def axes(self, places: tuple[str, ...]) -> Floats:
-        """(axes,) 1.0 for the axes (their places) where it sits, else 0.0. Raises RigError for an axis that the machine
-        does not have.
-        """
+        """(axes,) 1.0 for the axes (their places) where it sits, else 0.0. Raises RigError for an axis not there."""
         if self.site.is_axis and self.place not in places:
             raise RigError(f"{self.name} sits at {self.place}, and the machine's axes are {places[0]} to {places[-1]}")
         return axis_mask(self.site, places).copy()

@@ -41,6 +41,7 @@ class Parameter:
     node's parameter, to be searched over `usual` on a scale of that kind), "moment" (a time, s from the recording's
     start), "frequency", "direction" (of which only the direction counts), "form" (which member of a law's
     family it is; its default is the standard law, of which it is not fitted), "choice" (given or chosen, never fitted)
+    tried : values that a search tries in place of those of the role; () for these
     """
 
     name: str
@@ -51,6 +52,7 @@ class Parameter:
     role: str = "linear"
     signed: bool = False
     joint: tuple[Range, Range] | None = None
+    tried: tuple[float, ...] = ()
 
     def unusual(self, value: object) -> str | None:
         """Whether a value is far beyond what rigs show, in a sentence; None where it is not, or is no number."""
@@ -83,6 +85,7 @@ class Parameter:
         return f"{self.name.replace('_', ' ')} {quantity_text(numbers[:MOST_SHOWN], self.unit)}{more}"
 
 
+SEARCHED = ("size", "log", "even", "moment")  # roles of parameters of which a grid of values is tried
 LOG_STEPS, EVEN_STEP = 14, 0.01  # values of a "log" parameter over its usual range; steps of an "even" one
 SIZES = 16  # values of a "size" parameter over its usual range
 EDGE = 4  # frames at either end that a moment leaves
@@ -91,6 +94,8 @@ EDGE = 4  # frames at either end that a moment leaves
 def parameter_grid(parameter: Parameter, t: Floats) -> list[float]:
     """Grid of values of a parameter to be tried, by its role and usual size; t : (n,) s, the exposures."""
     low, high = parameter.usual
+    if parameter.tried:
+        return list(parameter.tried)
     if parameter.role in ("size", "log"):
         return np.geomspace(low, high, SIZES if parameter.role == "size" else LOG_STEPS).tolist()
     if parameter.role == "even":
