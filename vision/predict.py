@@ -224,18 +224,20 @@ def predict_sightings(
     for effect in effects:
         markers = effect.attach(markers)
     t = np.zeros(len(state.platform)) if t is None else np.asarray(t, float)
-    corners, _ = _quads(state.platform, markers)
+    used, seen_as = np.unique(sightings.marker, return_inverse=True)
+    corners, _ = _quads(state.platform, markers, used)
     uv = np.empty((len(sightings.frame), 4, 2))
     for i in np.unique(sightings.camera):
         rows = np.flatnonzero(sightings.camera == i)
         frame, marker = sightings.frame[rows], sightings.marker[rows]
+        points = corners[frame, seen_as[rows]]
         view = _view(state, int(i), t, effects, sensors)
-        quads = view(corners[frame, marker], frame)
+        quads = view(points, frame)
         late = _late(state.cameras[i], effects, quads[..., 1])
         on = markers.on_platform[marker]
         if late.any() and run is not None:
             for _ in range(3):  # the row tells the moment, the moment tells the row
-                quads = view(_delayed(corners[frame, marker], markers, marker, state, frame, on, run, late), frame)
+                quads = view(_delayed(points, markers, marker, state, frame, on, run, late), frame)
                 late = _late(state.cameras[i], effects, quads[..., 1])
         for effect in effects:
             quads = effect.print_(state.cameras[i], quads)
@@ -281,12 +283,16 @@ def markers_expected_in_image(
     return rows[whole], uv[whole]
 
 
-def _quads(platform: RigidTransform, markers: MarkerMap) -> tuple[Floats, Floats]:
-    """Corners (F, m, 4, 3) m and normals (F, m, 3) of all markers in the base frame, at poses platform (F,)."""
-    on = markers.on_platform
+def _quads(platform: RigidTransform, markers: MarkerMap, rows: Integers | slice = slice(None)) -> tuple[Floats, Floats]:
+    """Corners (F, m, 4, 3) m and normals (F, m, 3) of some markers' rows (m,) in the base frame, at poses platform
+    (F,).
+    """
+    on = markers.on_platform[rows]
     matrix = platform.as_matrix()[:, None]
-    corners = np.broadcast_to(markers.corners, (len(platform), *markers.corners.shape)).copy()
-    normals = np.broadcast_to(markers.T_body_marker.rotation.as_matrix()[:, :, 2], (len(platform), len(on), 3)).copy()
+    own = markers.corners[rows]
+    corners = np.broadcast_to(own, (len(platform), *own.shape)).copy()
+    facing = markers.T_body_marker.rotation.as_matrix()[rows, :, 2]
+    normals = np.broadcast_to(facing, (len(platform), len(on), 3)).copy()
     corners[:, on] = corners[:, on] @ np.swapaxes(matrix[..., :3, :3], -1, -2) + matrix[..., None, :3, 3]
     normals[:, on] = (matrix[..., :3, :3] @ normals[:, on][..., None])[..., 0]
     return corners, normals
@@ -311,12 +317,8 @@ def _view(
         mount += effect.mount(camera, t, channel)
         focal *= effect.focal(camera, t, channel)
         camera = effect.camera(camera)
-    poses = (
-        state.moving[i]
-        if i in state.moving
-        else RigidTransform.from_matrix(np.broadcast_to(camera.pose.as_matrix(), (len(t), 4, 4)))
-    )
-    matrix = (poses * exp(mount)).inv().as_matrix()
+    poses = state.moving.get(i, camera.pose)
+    matrix = np.broadcast_to((poses * exp(mount) if mount.any() else poses).inv().as_matrix(), (len(t), 4, 4))
     centre = camera.matrix[:2, 2]
 
     def look(points: Floats, frame: Integers) -> Floats:

@@ -64,8 +64,11 @@ class EncoderInterpolation(Effect):
     @classmethod
     def columns(cls, candidate: Candidate, node: Node, motion: Motion) -> Floats:
         effect = cls(candidate.place, **node)
-        angle = 2 * np.pi * effect.periods * motion.stroke + effect.phase
-        return effect.axes(motion.places)[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1)
+        own = effect.axes(motion.places) > 0
+        angle = 2 * np.pi * effect.periods * motion.stroke[:, own] + effect.phase
+        out = np.zeros((*motion.stroke.shape, 2))
+        out[:, own, 0], out[:, own, 1] = np.sin(angle), np.cos(angle)
+        return out
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:

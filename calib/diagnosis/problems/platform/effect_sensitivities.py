@@ -26,6 +26,7 @@ class Sensitivities:
 
     point: OperatingPoint
     pixels: dict[tuple[object, ...], tuple[Integers, Floats]] = field(default_factory=dict)
+    without: dict[str, Floats] = field(default_factory=dict)  # by place, what is seen at this very point
 
     def at(self, point: OperatingPoint) -> "Sensitivities":
         """The same for another OperatingPoint of the same corners; what was kept stays."""
@@ -102,7 +103,11 @@ class Sensitivities:
                 both = [b[back] for b in both]
             else:
                 run = k.run((*k.effects, effects[0]))
-                both = [k.pixels((*k.effects, e), rows, run) for e in effects]
+                both = [k.pixels((*k.effects, effects[0]), rows, run)]
+                unsigned = parameter.bounds[0] >= 0  # the other end is the machine without it
+                if unsigned and place not in self.without:
+                    self.without[place] = k.pixels(None, rows)
+                both.append(self.without[place] if unsigned else k.pixels((*k.effects, effects[1]), rows, run))
             self.pixels[key] = rows, (both[0] - both[1]) / (2 * step)
         return self.pixels[key]
 
