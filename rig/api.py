@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from rig.array_and_json_types import Floats, Json
-from rig.checks.mistake_and_clock_mistakes import Mistake, sort_mistakes
+from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import CommandOutputs, write_bytes

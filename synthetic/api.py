@@ -176,9 +176,10 @@ def simulate(rig_toml: Path | str, options: SimulateOptions = SimulateOptions())
 def simulate_with_and_without_findings(
     diagnosis: Path | str, options: SimulateOptions = SimulateOptions()
 ) -> dict[str, SimulationResult]:
-    """Simulate a folder that `rig diagnose` wrote with and without its findings, SimulationResults: the recording
-    drawn anew with the effects found, and with none. options : of them noise, seed, kinds, images and drawing count
+    """Simulate a diagnosed recording with and without its findings: SimulationResults.
 
+    Of a folder that `rig diagnose` wrote: the recording drawn anew with the effects found, and with none. options : of
+    them noise, seed, kinds, images and drawing count
     Raises FileError for a folder that holds no diagnosed recording, RigError where nothing was commanded
     """
     folder = Path(diagnosis)

@@ -130,8 +130,9 @@ def combine_recordings(recordings: Sequence[Recording], progress: Progress | Non
 
 
 def require_combinable(recordings: Sequence[Recording]) -> None:
-    """Raise RigError for recordings that are not of one rig, naming what differs, and where data of one are in another:
-    they would count twice.
+    """Raise RigError unless recordings can be combined: of one rig, and no data of one in another.
+
+    Names what differs; data in two recordings would count twice.
     """
     require_one_rig(recordings)
     known: set[str] = set()

@@ -122,7 +122,7 @@ class Whitener:
 
 
 def inverse_cholesky_factors(covariance: Floats) -> Floats:
-    """(n, 2, 2) inverse Cholesky factors of covariances (n, 2, 2) px^2.
+    """Inverse Cholesky factors (n, 2, 2) of covariances (n, 2, 2) px^2.
     Raises LinAlgError where one is not positive definite.
     """
     first = np.sqrt(covariance[:, 0, 0])
@@ -250,6 +250,6 @@ def merge_observation_groups(
 
 
 def group_sums(values: Floats, group: Integers) -> Integers:
-    """(groups, ...) sums of values (n, ...) by group (n,)."""
+    """Sums (groups, ...) of values (n, ...) by group (n,)."""
     flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
     return np.stack([np.bincount(group, weights=column) for column in flat.T], axis=1).reshape(-1, *values.shape[1:])

@@ -36,8 +36,9 @@ def encode_jpeg(image: Pixels) -> bytes:
 
 
 def frame_jpegs(recording: Recording, frame: int) -> dict[str, bytes]:
-    """{camera name: JPEG} of a frame of a recording; empty where it has no images. Raises FileError for one that cannot
-    be read.
+    """JPEG {camera name: bytes} of each camera's image of a frame; empty where the recording has no images.
+
+    Raises FileError for one that cannot be read.
     """
     e = recording.exposures
     rows = [k for k in np.flatnonzero(e.frame == frame) if e.image[k]]

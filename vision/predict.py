@@ -1,5 +1,6 @@
-"""Predicted corners of poses and a design: the one forward model of the cameras; and the map of all markers of a
-rig on their bodies.
+"""Predicted corners of poses and a design: the one forward model of the cameras.
+
+And the map of all markers of a rig on their bodies.
 """
 
 from __future__ import annotations
@@ -98,7 +99,7 @@ def marker_map(design: Design) -> MarkerMap:
 
 @cache
 def marker_cells(dictionary_name: str, number: int) -> Floats:
-    """(n + 4, n + 4) cells of a marker of a dictionary, 1 white, with black border and white ring."""
+    """Cells (n + 4, n + 4) of a marker of a dictionary, 1 white, with black border and white ring."""
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary_name))
     bits = cv2.aruco.generateImageMarker(dictionary, number, dictionary.markerSize + 2) > 127
     return np.pad(bits, 1, constant_values=True).astype(np.float64)
@@ -262,7 +263,7 @@ def visible_marker_counts_of_poses(
 
 
 def is_inside_image(sightings: Sightings, uv: Floats, cameras: Sequence[Camera], margin: float = INSIDE) -> Booleans:
-    """(k,) bool, whether all corners (k, 4, 2) px lie in their camera's image, by a margin (px)."""
+    """Whether all corners (k, 4, 2) px of each sighting lie in their camera's image, by a margin (px)."""
     size = np.array([[camera.width, camera.height] for camera in cameras])[sightings.camera]
     return cast(Booleans, ((uv > margin) & (uv < size[:, None] - 1 - margin)).all(axis=(1, 2)))
 
@@ -369,7 +370,7 @@ def iterate_observed_cameras(observations: ObservedCorners, state: State) -> Ite
 
 
 def observed_points_body(observations: ObservedCorners, state: State) -> Floats:
-    """(n, 3) m, the observed points in their body's frame."""
+    """Observed points (n, 3) m in their body's frame."""
     return (
         observations.points
         if state.markers is None
@@ -378,7 +379,7 @@ def observed_points_body(observations: ObservedCorners, state: State) -> Floats:
 
 
 def observed_points_base(observations: ObservedCorners, state: State) -> Floats:
-    """(n, 3) m, the observed points in the base frame."""
+    """Observed points (n, 3) m in the base frame."""
     points = np.ascontiguousarray(observed_points_body(observations, state))
     out = np.empty(points.shape)
     lens.transform_platform_points(

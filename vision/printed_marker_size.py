@@ -65,8 +65,11 @@ def measure_print(
 
 
 def print_scale_on_sheet(image: Pixels, design: Design, paper: tuple[float, float], tolerance: float) -> Printed:
-    """The markers' scale across and along a whole sheet. image : as cv2.imread gives it; paper : (width, height) m;
-    tolerance : m, standard uncertainty of both. Raises RigError where no marker of the rig or no full sheet is seen"""
+    """Printed scale of the markers across and along a whole sheet.
+
+    image : as cv2.imread gives it; paper : (width, height) m; tolerance : m, standard uncertainty of both. Raises
+    RigError where no marker of the rig or no full sheet is seen
+    """
     seen, side = _seen(image, design)
     ends, bend = _sheet(image, seen.reshape(-1, 2))
     best = None
@@ -98,8 +101,11 @@ def print_scale_on_sheet(image: Pixels, design: Design, paper: tuple[float, floa
 
 
 def print_scale_by_ruler(image: Pixels, design: Design, ends: Floats, length: float) -> Printed:
-    """The markers' scale along a ruler. ends : (2, 2) px of two of its lines; length : m between them. The markers are
-    taken to be printed as large one way as the other. Raises RigError where no marker of the rig is seen"""
+    """Printed scale of the markers along a ruler.
+
+    ends : (2, 2) px of two of its lines; length : m between them. The markers are taken to be printed as large one way
+    as the other. Raises RigError where no marker of the rig is seen
+    """
     seen, side = _seen(image, design)
     H = _plane(seen, side)
     back = np.linalg.inv(H)

@@ -1,6 +1,6 @@
-"""Adjustment of a recording's corners: cameras, and the platform's pose in every frame with covariance; recordings with
-hand cameras, stages and remounted cubes turned into recordings with fixed cameras.
+"""Adjustment of a recording's corners: cameras, and the platform's pose in every frame with covariance.
 
+Recordings with hand cameras, stages and remounted cubes are turned into recordings with fixed cameras.
 In the platform's own frame a hand camera stands still and the base's markers move. So it is measured like any rig, with
 base and platform exchanged; its stated pose holds the platform's frame, the markers' stated places the base's.
 
@@ -265,8 +265,9 @@ def has_hand_cameras(design: Design) -> bool:
 
 
 def recording_seen_from_hand(recording: Recording) -> Recording:
-    """A recording as seen from the hand: its cameras stand still, and the base's targets are on the body that moves;
-    others as they are.
+    """Recording as seen from the hand: its cameras stand still, and the base's targets move.
+
+    Recordings without hand cameras as they are.
     """
     return (
         replace(recording, design=design_seen_from_hand(recording.design))
@@ -325,7 +326,7 @@ def separate_stage_frames(observations: Observations, markers: MarkerMap) -> Obs
 
 
 def stage_frame_times(t: Floats, markers: MarkerMap) -> Floats:
-    """(frames of all bodies,) s, times of the stage frames, each body's far from the others' in time."""
+    """Times (frames of all bodies,) s of the stage frames, each body's far from the others' in time."""
     gap = float(np.ptp(t)) + 4 * FAR
     return np.concatenate([t + k * gap for k in range(1 + len(_stage_numbers(markers)))])
 
@@ -373,7 +374,7 @@ def _part(m: Measurement, k: int, bodies: int) -> Measurement:
 
 
 def is_on_remounted_cube(observations: Observations, design: Design, markers: MarkerMap) -> Booleans:
-    """(n,) bool, whether a corner is on a remounted cube: one taken off since its place was stated."""
+    """Whether each corner (n,) is on a remounted cube: one taken off since its place was stated."""
     names = {target.name for target in design.targets if target.turned is not None}
     return np.array([name in names for name in markers.target])[observations.marker]
 

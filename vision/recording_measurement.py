@@ -221,7 +221,10 @@ def _other_lenses(
 
 
 def unsolved_frames_with_enough_markers(measured: Measurement) -> list[int]:
-    """Numbers of unsolved frames with enough markers: two or more of all that is needed."""
+    """Numbers of unsolved frames with enough markers.
+
+    Two or more of all that is needed.
+    """
     o = measured.observations
     enough = np.ones(len(o.frames), bool)
     moving = [i for i, camera in enumerate(measured.design.cameras) if camera.mount == "moving"]

@@ -23,8 +23,8 @@ from calib.correction.correction_tables_and_pose_space_map_json import (
     correction_summand_table_rows,
     strut_correction_summands,
 )
-from calib.correction.joint_camera_fit import refine_correction_with_cameras
 from calib.correction.physics_compensation import Physics
+from calib.correction.simultaneous_camera_and_geometry_fit import refine_correction_with_cameras
 from calib.diagnosis import findings_refit
 from calib.diagnosis.calibration_left_out_physics import calibration_with_left_out_physics, mark_as_not_searched
 from calib.diagnosis.findings_refit import Findings, findings_of_diagnosis, load_findings

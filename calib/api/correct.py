@@ -111,7 +111,7 @@ class CorrectionResult:
         covariance = self.covariance
         if covariance is None:
             return f"{done}, not corrected" if self.uncorrected else f"{done}, by a single step"
-        position, rotation = covariance_sizes(covariance)[0]
+        position, rotation = rms_and_greatest_uncertainty(covariance)[0]
         return f"{done}, standard uncertainty {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad RMS"
 
     def _repr_html_(self) -> str:
@@ -204,8 +204,8 @@ def unreachable_poses_error(unreachable_frames: list[tuple[int, str]], count: in
     )
 
 
-def covariance_sizes(covariance: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
-    """((m, rad) RMS, (m, rad) at the most) of the standard uncertainty of poses of covariance (n, 6, 6)."""
+def rms_and_greatest_uncertainty(covariance: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
+    """RMS and greatest standard uncertainty, each (m, rad), of poses with covariances (n, 6, 6)."""
     position, rotation = (
         np.sqrt(np.trace(covariance[:, part, part], axis1=1, axis2=2)) for part in (slice(0, 3), slice(3, 6))
     )

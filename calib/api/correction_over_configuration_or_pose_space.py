@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.error_claim_over_workspace import Claim, extension_error_squares, sample_workspace
+from calib.certification.error_claim_over_workspace import Claim, mean_square_pose_errors_of_extension, sample_workspace
 from calib.certification.extended_correction_certification import (
     ExtensionBasis,
     ExtensionRequest,
@@ -37,10 +37,10 @@ from calib.correction.interpolation.field_interface_and_combinations import (
     SummedPasses,
 )
 from calib.correction.interpolation_methods_and_correction_summand_fields import (
-    base_geometry,
-    correction_with_map,
-    correction_with_pass,
+    correction_with_additional_pass,
+    correction_with_pose_space_map,
     fit_correction_summand_field,
+    fitted_or_nominal_geometry,
     home_pose,
     pose_coordinate_indices,
     residual_correction_summands_of_pass,
@@ -91,7 +91,7 @@ def certify_additional_pass(
     """
     correction, said = previous_calibration.correction, progress or silent_progress
     some = samples.take(_within(samples, correction, requested_pass))
-    found = base_geometry(samples, correction.nominal, True)
+    found = fitted_or_nominal_geometry(samples, correction.nominal, True)
     if (
         requested_pass.configurations is not None or requested_pass.poses is not None
     ):  # beyond the part the machine is known as it was before
@@ -105,7 +105,7 @@ def certify_additional_pass(
     def struts(of: Samples) -> ExtensionBasis:
         return ExtensionBasis(
             residual_correction_summands_of_pass(of, correction),
-            lambda field: correction_with_pass(correction, _part(field, requested_pass.configurations)),
+            lambda field: correction_with_additional_pass(correction, _part(field, requested_pass.configurations)),
             lambda field, at: mean_stated_position_variance(field, at, correction.nominal),
         )
 
@@ -144,7 +144,9 @@ def _with_covariance(done: Certified, before: Calibration, rng: np.random.Genera
     commands, T = sample_workspace(done.correction)
     was = float(np.trace(platform_pose_covariance(before, T)[:, :3, :3], axis1=1, axis2=2).mean())
     stated = float(
-        extension_error_squares(done.correction, commands, inverse_strut_length_jacobian(T, done.correction.fitted))[0]
+        mean_square_pose_errors_of_extension(
+            done.correction, commands, inverse_strut_length_jacobian(T, done.correction.fitted)
+        )[0]
     )
     moved = pose_difference(before.correction.predict(commands), T)[:, :3]
     held = float(done.left.own(stated, rng)[0])
@@ -163,7 +165,7 @@ def _pose_space_field(
         on = base(of)
         return ExtensionBasis(
             residual_pose_tangents_of_pass(of, on),
-            lambda field: correction_with_map(on, _part(field, part)),
+            lambda field: correction_with_pose_space_map(on, _part(field, part)),
             lambda field, at: _said(field, at, on),
         )
 
@@ -177,7 +179,7 @@ def _again(done: AnyCorrection, before: AnyCorrection, asked: CorrectionPass) ->
     if extension is before.extension or field is None:
         return lambda of: before
     own = field.field if isinstance(field, RestrictedMap) else field
-    return lambda of: correction_with_pass(
+    return lambda of: correction_with_additional_pass(
         before,
         _part(
             fit_correction_summand_field(residual_correction_summands_of_pass(of, before), own.kind, own),
@@ -268,8 +270,9 @@ class ExtendedCorrection:
 def certify_correction_extension(
     options: ExtendOptions, design: Design, sampled: Sampled, rng: np.random.Generator, progress: Progress
 ) -> ExtendedCorrection:
-    """ExtendedCorrection of a machine on struts or an arm. Raises RigError for a chain, and for a part that bounds
-    nothing
+    """ExtendedCorrection of a machine on struts or an arm, certified.
+
+    Raises RigError for a chain, and for a part that bounds nothing
     """
     samples, ask = sampled.samples, ExtensionRequest(options.way, options.alone)
     base = "the nominal model alone" if options.alone else "the fitted geometry"

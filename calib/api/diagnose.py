@@ -18,7 +18,7 @@ from calib.diagnosis.calibration_left_out_physics import (
 from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import StatedTerms
 from calib.diagnosis.recording_diagnosis import Diagnosis, DiagnosisOptions
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
-from calib.diagnosis.report.diagnosis_page import arm_or_platform_page_view, diagnosis_page
+from calib.diagnosis.report.diagnosis_page import arm_or_platform_page_view, write_diagnosis_page
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
     Report,
     diagnosis_report,
@@ -81,7 +81,10 @@ class ExperimentOptions:
 def next_experiment(
     questions: Sequence[Question[object]], design: Design, options: ExperimentOptions, progress: Progress
 ) -> NextExperiment:
-    """NextExperiment that best resolves what a diagnosis leaves ambiguous; progress : called with (label, done, of)."""
+    """NextExperiment that best resolves what a diagnosis leaves ambiguous.
+
+    progress : called with (label, done, of)
+    """
     if not questions:
         return NextExperiment((), (), {}, {}, design.mechanism.axes)
     texts = available_plans(options.interventions(design), options.standing, tuple(quarter_turns_of_cubes(design)))
@@ -98,17 +101,18 @@ def next_experiment(
     return NextExperiment(questions, experiments, dict(refused), seen, design.mechanism.axes)
 
 
-def diagnosis_questions(d: Diagnosis) -> Sequence[Question[object]]:
-    """Questions of what a Diagnosis cannot tell apart, none where it can. Raises RigError for a machine of which no
-    plan can be foretold.
+def diagnosis_questions(diagnosis: Diagnosis) -> Sequence[Question[object]]:
+    """Questions of what a Diagnosis cannot tell apart, none where it can.
+
+    Raises RigError for a machine of which no plan can be foretold.
     """
-    if d.evidence.family == "joints":
+    if diagnosis.evidence.family == "joints":
         from calib.experiment.arm_questions import arm_questions
 
-        return arm_questions(d)
+        return arm_questions(diagnosis)
     from calib.experiment.platform_questions import platform_questions
 
-    return platform_questions(d)
+    return platform_questions(diagnosis)
 
 
 AN_HOUR = ExperimentOptions()
@@ -189,7 +193,9 @@ class DiagnosisResult:
 
     def write_page(self, path: Path, links: Sequence[Link] = ()) -> None:
         """Write the page of it."""
-        diagnosis_page(path, self.report, arm_or_platform_page_view(self.found, self.recording, self.report), links)
+        write_diagnosis_page(
+            path, self.report, arm_or_platform_page_view(self.found, self.recording, self.report), links
+        )
 
     def next_experiment(
         self, options: ExperimentOptions = AN_HOUR, progress: Progress = silent_progress

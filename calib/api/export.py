@@ -1,4 +1,4 @@
-"""A calibrated geometry, its corrections, a design's lenses or a recording, in the formats of other programs."""
+"""Export of a calibrated geometry, its corrections, lenses or a recording to the formats of other programs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

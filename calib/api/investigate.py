@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.experiment.first_plans import FIRST, LOADED, STANDING
+from calib.experiment.first_investigation_plans import FIRST, LOADED, STANDING
 from calib.experiment.investigation_folder_and_report import (
     InvestigationRound,
     diagnosis_path,
@@ -43,9 +43,9 @@ VERIFYING = 1000  # added to the seed for the new poses
 
 
 def certify_investigation(out: Path, rig: InvestigatedRig, rounds: Sequence[InvestigationRound]) -> tuple[str, ...]:
-    """Calibrate, correct, verify on new poses and certify; what was done and what could not be, in lines. Raises
-    Waiting as `InvestigatedRig.record` does
+    """Calibration, verification and certificate at the end of an investigation; returns lines on what was done.
 
+    Verified on new poses; the lines say too what could not be done. Raises Waiting as `InvestigatedRig.record` does
     Where a command refuses, what follows from it is left out, and that is a line
     """
     said = []
@@ -156,9 +156,10 @@ class InvestigationResult:
 def investigate(
     rig_toml: Path | str, out: Path | str, command: Command, options: InvestigateOptions = AUTOMATIC
 ) -> InvestigationResult:
-    """InvestigationResult of a rig, as `rig investigate` makes it: plan, record, diagnose, and again, until nothing is
-    alike or the budget ends; then calibrate, verify and certify.
+    """InvestigationResult of a rig, as `rig investigate` makes it.
 
+    Plan, record, diagnose, and again, until nothing is ambiguous or the budget ends; then calibrate, verify and
+    certify.
     out : a new folder, or with options.resume one to go on with; command : carries out a command of rig and returns
     its exit status, as `rig.cli.main` does
     Raises RigError for a machine that cannot be investigated and where a command refuses

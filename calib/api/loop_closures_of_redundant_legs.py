@@ -1,4 +1,4 @@
-"""Loop closures of redundant legs: which six of more lengths give a platform's pose, how the others close."""
+"""Loop closures of redundant legs: six leg lengths give the platform's pose, the others close on it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -103,8 +103,9 @@ class PoseMove:
 def plan_pose_move(
     design: Design, calibration: Calibration, wanted: RigidTransform, uncorrected: bool = False
 ) -> PoseMove:
-    """PoseMove to a wanted pose T_base_platform (), checked; what nobody logs is taken as when calibrated.
+    """PoseMove to a wanted pose T_base_platform (), planned and checked.
 
+    What nobody logs is taken as when calibrated.
     Raises Unreachable for lengths out of range
     """
     correction = calibration.correction

@@ -260,8 +260,8 @@ class PosesOfReadings:
         write_poses(path, self.poses)
 
 
-def poses_of_readings(calibration: Calibration, readings: Table) -> PosesOfReadings:
-    """Poses that a measuring machine's readings (table frame,l1..l6; an arm: q1..qn) stand for, corrected.
+def corrected_poses_of_readings(calibration: Calibration, readings: Table) -> PosesOfReadings:
+    """Corrected poses of a measuring machine's readings (table frame,l1..l6; an arm: q1..qn).
 
     Raises FileError for a reading beyond its axis' range
     Source: configuration-space patent, [0062], [0068] to [0072], [0131]

@@ -61,10 +61,10 @@ class Experiment:
 def available_plans(
     allowed_actions: Sequence[str], must_stand_still: bool, turned_cubes: Sequence[str] = ()
 ) -> list[str]:
-    """Texts of the available plans. allowed_actions : what an owner allows besides moving
-    allowed_actions : what an owner allows ("payload", "wait", "turn cube NAME"); must_stand_still : whether the struts
-        must stand to be
-    exposed; turned_cubes : cubes that were turned already
+    """Texts of the plans available under what an owner allows.
+
+    allowed_actions : what an owner allows besides moving ("payload", "wait", "turn cube NAME")
+    must_stand_still : whether the struts must stand to be exposed; turned_cubes : cubes that were turned already
     """
     out = [*PARTS, *(f"{NAME}:{count}" for count in CHOSEN), *(() if must_stand_still else MOVING)]
     if "wait" in allowed_actions:
@@ -86,7 +86,7 @@ def choose_experiment(
     minutes_limit: float = np.inf,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[list[Experiment], dict[str, str]]:
-    """([Experiment], the best first; {plan's text: why it is excluded}).
+    """Experiments on open questions, the best first, with the plans excluded: ([Experiment], {plan text: reason}).
 
     plan_texts : plans to choose from, alone and two by two; seed : of them; minutes_limit : minutes that one may take;
         progress : called with (done, of)

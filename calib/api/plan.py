@@ -23,8 +23,8 @@ from calib.correction.correction import indices_and_poses_of_solvable_commands
 from calib.diagnosis.effect_signal_and_separation import Separation, effect_separation
 from calib.models.machine_models import independent_geometric_parameters
 from calib.models.platform.optimal_configurations import (
+    choose_configurations_by_exchange,
     choose_d_optimal_configurations,
-    exchange_configurations,
     fewest_configurations,
     total_information,
 )
@@ -112,7 +112,7 @@ def informative_configurations(
             "more: narrow the limits, or turn the cameras"
         )
     start = np.eye(len(size)) if asked.alike else np.zeros((len(size), len(size)))
-    picked = exchange_configurations(rows, start, count, "determinant", progress)
+    picked = choose_configurations_by_exchange(rows, start, count, "determinant", progress)
     even = np.linspace(0, len(rows) - 1, count).astype(int)
     told_by, vectors = np.linalg.eigh(np.eye(len(size)) + total_information(rows, picked))
     sharp = vectors[:, told_by > TOLD]
@@ -136,9 +136,9 @@ def informative_configurations(
 
 
 def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress) -> PlanResult:
-    """PlanResult of the configurations that determine a machine's parameters best. progress : called with (label, done,
-    of)
+    """PlanResult of the configurations that determine a machine's parameters best.
 
+    progress : called with (label, done, of)
     Raises RigError for a body that nothing commands, and for options that are of hexapods alone
     """
     mechanism = design.mechanism
@@ -234,8 +234,9 @@ def _sigma(value: float) -> str:
 
 
 def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progress = silent_progress) -> PlanResult:
-    """PlanResult of a design, as `rig plan` makes it. progress : called with (label, done, of)
+    """PlanResult of a design, as `rig plan` makes it.
 
+    progress : called with (label, done, of)
     Raises RigError for what a design's machine cannot be planned for, and where nothing allowed shows what is asked
 
     >>> import calib, rig

@@ -138,8 +138,9 @@ class PlanResult:
 def geometry_and_excluded_configurations(
     options: PlanOptions, mechanism: Hexapod
 ) -> tuple[Hexapod, ConfigurationExclusion | None]:
-    """(geometry, which configurations are not to be visited) by the calibration that is named; the mechanism as it is
-    where none is. Raises RigError for a calibration of another kind of mechanism
+    """(geometry, which configurations are excluded) of a plan, by the calibration that its options name.
+
+    The mechanism as it is where none is named. Raises RigError for a calibration of another kind of mechanism
     """
     if options.calibration is None:
         return mechanism, None

@@ -20,7 +20,7 @@ from calib.samples.pose_samples import Samples, sample_recording
 from rig.api import CheckResult, check_files
 from rig.array_and_json_types import Floats, Integers
 from rig.checks import command_and_pose_disagreements
-from rig.checks.mistake_and_clock_mistakes import Mistake, sort_mistakes
+from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Struts,
@@ -71,7 +71,7 @@ class Place:
 
 
 def remove_instrument_displacement(recording: Recording) -> tuple[Recording, list[Place]]:
-    """(Recording with the instrument's displacement removed, [Place] where it was displaced), of a platform.
+    """Recording with its instrument's displacement removed, and the [Place] where it was displaced, of a platform.
 
     Raises what sampling raises
     """

@@ -22,7 +22,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
 from calib.certification.iso230_and_iso9283_tests import (
     iso230_axis_tests,
     iso9283_accuracy_and_repeatability,
-    test_duty,
+    speeds_and_loads_of_test,
 )
 from calib.certification.pose_error_promise_and_conformity import (
     CONFORMS,
@@ -91,7 +91,7 @@ def calibration_certificate(
     )
     recordings = [recording for recording, _ in held_out_recordings]
     circumstances = measuring_conditions(poses, recordings, [s.source for _, s in held_out_recordings])
-    duty = test_duty(poses, recordings, recordings[0].design, circumstances.payload, request.rated_load)
+    duty = speeds_and_loads_of_test(poses, recordings, recordings[0].design, circumstances.payload, request.rated_load)
     return Certificate(
         calibration.correction.nominal.kind,
         request,
@@ -217,9 +217,11 @@ def certificate_verdict(certificate: Certificate) -> Verdict:
 def certificate_provenance(
     path: Path, calibration: Calibration, recordings: Sequence[Recording], arguments: Sequence[str], seed: int
 ) -> Json:
-    """dict of inputs_sha256 (of the calibration's file, of each recording's tables and of the content marks of its
-    exposures), calibration, versions, seed, arguments, when it was created, and an id: of what went in and what was
-    asked, not of when."""
+    """Provenance of a certificate as a dict: digests of its inputs, versions, seed, arguments, time and an id.
+
+    The digests are of the calibration's file, of each recording's tables and of the content marks of its exposures; the
+    id is of what went in and what was asked, not of when.
+    """
     inputs = {path.name: {"file": hashlib.sha256(path.read_bytes()).hexdigest()}}
     for recording in recordings:
         name = recording.folder.resolve().name

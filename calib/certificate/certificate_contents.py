@@ -57,7 +57,7 @@ class Conditions:
 
 
 def measured_volume(poses: HeldPoses, mechanism: Hexapod | Arm) -> Volume:
-    """Measured volume: where the poses that count lie."""
+    """Volume in which the counted poses of HeldPoses were measured."""
     T = poses.T_base_platform[poses.first]
     places, commands = T.translation, poses.commanded[poses.first]
     turned = float((T.rotation.mean().inv() * T.rotation).magnitude().max()) if poses.rotations else None

@@ -67,8 +67,9 @@ def calibration_evidence(
     statement: str | None = None,
     steps: Sequence[str] = ONWARD,
 ) -> Evidence:
-    """Evidence for a calibration. refutations : of its file, by later recordings; statement : in place of its own;
-    steps : where it is good
+    """Evidence for and against a calibration.
+
+    refutations : of its file, by later recordings; statement : in place of its own; steps : where it is good
     """
     claim = calibration.claim
     said = "this calibration makes no claim" if claim is None else claim_lines(claim)[0]

@@ -113,23 +113,25 @@ class ConfigurationInformation(NamedTuple):
     tolerance: str
 
 
-def claim_of_drawn_machines(
+def claim_from_machine_draws(
     workspace: Workspace,
     draws: Floats,
     samples: Samples,
     information: ConfigurationInformation,
     rng: np.random.Generator,
 ) -> Claim:
-    """Claim of drawn machines (d, k) about the corrected model; samples : for what their instrument adds.
+    """Claim of pose errors over the workspace from drawn machines (d, k) about the corrected model.
+
+    samples : for what their instrument adds
     samples : Samples, for what their instrument adds.
 
     information : ConfigurationInformation by the poses that the machines were drawn from; rng : numpy Generator
     """
     before, after = workspace.squares(draws)
-    return claim_of_mean_squares(before, after, workspace.words, samples, information, rng)
+    return claim_from_mean_square_errors(before, after, workspace.words, samples, information, rng)
 
 
-def claim_of_mean_squares(
+def claim_from_mean_square_errors(
     before: Floats,
     after: Floats,
     reference_name: str,
@@ -137,7 +139,7 @@ def claim_of_mean_squares(
     information: ConfigurationInformation,
     rng: np.random.Generator,
 ) -> Claim:
-    """Claim of mean squares over the workspace, before and after (d, 2) m^2 and rad^2.
+    """Claim of pose errors over the workspace from mean squares before and after correction (d, 2), m^2 and rad^2.
     reference_name : what is meant by it
     """
     count, after = len(after), _wider(after)
@@ -223,12 +225,12 @@ def error_claim_over_workspace(
     offset = pose_difference(T, mechanisms.kinematics_of(nominal).forward(commands, nominal))
     back, J = inverse_strut_length_jacobian(T, fitted), pose_parameter_jacobian(T, fitted)
     if machines is not None:
-        claim = claim_of_mean_squares(
+        claim = claim_from_mean_square_errors(
             *machines.squares(J, back, -offset, correction.rho(commands)), middle, samples, told, rng
         )
         corrected = tuple(part is not None for part in correction.remainder)
         return replace(claim, unexplained=machines.unexplained(corrected, mechanisms.kinematics_of(nominal).AXIS))
-    stated = extension_error_squares(correction, commands, back)
+    stated = mean_square_pose_errors_of_extension(correction, commands, back)
     if held_out_errors is None:
         own = _scatters(identified, rng) @ (back**2).mean(axis=0).reshape(2, 3, -1).sum(axis=1).T + stated
     else:
@@ -236,7 +238,7 @@ def error_claim_over_workspace(
     draws = _machines(identified, tolerance, nominal, rng) - (
         geometric_parameters(fitted) - geometric_parameters(nominal)
     )
-    return claim_of_drawn_machines(Workspace(J, -offset, own, middle), draws, samples, told, rng)
+    return claim_from_machine_draws(Workspace(J, -offset, own, middle), draws, samples, told, rng)
 
 
 def sample_workspace(correction: AnyCorrection) -> tuple[Floats, RigidTransform]:
@@ -249,8 +251,10 @@ def draw_fit_variance_ratio(identified: Identified, nominal: Struts, count: int,
     return draw_variance_ratio(identified.cost, len(nominal.axes) * int(identified.inliers.sum()), count, rng)
 
 
-def extension_error_squares(correction: AnyCorrection, commands: Floats, inverse_jacobian: Floats) -> Floats:
-    """Mean squares (2,) of pose errors by a correction's extension at commands (m, axes), m^2 and rad^2.
+def mean_square_pose_errors_of_extension(
+    correction: AnyCorrection, commands: Floats, inverse_jacobian: Floats
+) -> Floats:
+    """Mean squares (2,) m^2 and rad^2 of the pose errors of a correction's extension at commands (m, axes).
 
     inverse_jacobian : (m, 6, axes) change of the pose with the axes there
     """

@@ -12,18 +12,18 @@ from calib.certification.error_claim_over_workspace import (
     Claim,
     ConfigurationInformation,
     Workspace,
-    claim_of_drawn_machines,
+    claim_from_machine_draws,
     empty_claim_of_too_few_configurations,
-    extension_error_squares,
+    mean_square_pose_errors_of_extension,
     sample_workspace,
 )
 from calib.certification.held_out_errors import (
     HeldOut,
     compare_errors,
-    draw_common_error_squares,
+    draw_mean_square_common_pose_errors,
     held_out_error_statistics,
-    held_out_parameter_error_squares,
     is_significant_gain,
+    mean_square_held_out_pose_errors_by_parameters,
     pose_errors,
 )
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
@@ -49,9 +49,9 @@ from calib.correction.interpolation.field_interface_and_combinations import Fiel
 from calib.correction.interpolation.gaussian_process import RadialMap
 from calib.correction.interpolation.grid import grid_lattice_of_configurations
 from calib.correction.interpolation_methods_and_correction_summand_fields import (
-    base_geometry,
     correction_with_field,
     fit_correction_summand_field,
+    fitted_or_nominal_geometry,
     residual_correction_summands_of_geometry,
 )
 from calib.models.platform.identification import (
@@ -121,7 +121,7 @@ def certify_extended_correction(
     said = progress or silent_progress
     label = configuration_numbers(samples.commanded, axis_ranges(nominal))
     said("fitting the geometry", 0, 1)
-    found = base_geometry(samples, nominal, request.alone)
+    found = fitted_or_nominal_geometry(samples, nominal, request.alone)
     sizes = (
         None
         if request.alone or label.max() + 1 < LEAST
@@ -130,7 +130,7 @@ def certify_extended_correction(
     said("fitting the geometry", 1, 1)
 
     def stand(some: Samples) -> ExtensionBasis:
-        geometry = found if some is samples else base_geometry(some, nominal, request.alone, found.prior)
+        geometry = found if some is samples else fitted_or_nominal_geometry(some, nominal, request.alone, found.prior)
         return ExtensionBasis(
             residual_correction_summands_of_geometry(some, geometry),
             lambda field: correction_with_field(nominal, geometry, field),
@@ -162,10 +162,12 @@ def _with_scatter(samples: Samples, done: Certified, rng: np.random.Generator) -
     )
     noise = samples.covariance + (out * found.scatter**2) @ np.swapaxes(out, 1, 2)
     part = configuration_folds(done.label, min(FOLDS, done.label.max() + 1))
-    left = replace(done.left, parameters=held_out_parameter_error_squares(J, found.covariance, noise, part))
+    left = replace(
+        done.left, parameters=mean_square_held_out_pose_errors_by_parameters(J, found.covariance, noise, part)
+    )
     commands, T = sample_workspace(correction)
     back = inverse_strut_length_jacobian(T, correction.fitted)
-    stated = float(extension_error_squares(correction, commands, back)[0])
+    stated = float(mean_square_pose_errors_of_extension(correction, commands, back)[0])
     own = np.sqrt(max(left.own(stated, rng)[0] - stated, 0.0) / (back[:, :3] ** 2).sum(axis=(1, 2)).mean())
     return replace(done, left=left, found=replace(found, scatter=np.maximum(found.scatter, own)))
 
@@ -349,16 +351,18 @@ def claim_without_geometry(samples: Samples, certified: Certified, rng: np.rando
     )
     offset = pose_difference(T, kinematics.forward(commands, correction.nominal))
     stated = float(
-        extension_error_squares(correction, commands, inverse_strut_length_jacobian(T, correction.fitted))[0]
+        mean_square_pose_errors_of_extension(correction, commands, inverse_strut_length_jacobian(T, correction.fitted))[
+            0
+        ]
     )
-    own = certified.left.own_draws(stated, DRAWS, rng) + draw_common_error_squares(samples, DRAWS, rng)
+    own = certified.left.own_draws(stated, DRAWS, rng) + draw_mean_square_common_pose_errors(samples, DRAWS, rng)
     known = certified.found.covariance  # of what an earlier pass left, where this one does not hold
     draws = (
         rng.multivariate_normal(np.zeros(len(known)), known, DRAWS, method="eigh")
         if known.any()
         else np.zeros((DRAWS, len(known)))
     )
-    return claim_of_drawn_machines(
+    return claim_from_machine_draws(
         Workspace(pose_parameter_jacobian(T, correction.nominal), -offset, own, middle), draws, each, told, rng
     )
 

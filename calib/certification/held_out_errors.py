@@ -248,7 +248,8 @@ def leverage_corrected_residuals(
 ) -> Floats:
     """Standardised residuals (n, 6) of a linear fit: corrected for the noise that the fit absorbed, m and rad.
 
-    residuals : (n, 6); label : (n,) configuration of each sample; the rest as `held_out_parameter_error_squares`
+    residuals : (n, 6); label : (n,) configuration of each sample
+    The rest as `mean_square_held_out_pose_errors_by_parameters` has it.
     Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.1, by blocks
     """
     out = np.empty_like(residuals)
@@ -258,9 +259,12 @@ def leverage_corrected_residuals(
     return out
 
 
-def held_out_parameter_error_squares(jacobian: Floats, covariance: Floats, noise: Floats, part: Integers) -> Floats:
-    """Mean squares (2,) of held-out pose errors by parameters fitted without the samples of the same part.
+def mean_square_held_out_pose_errors_by_parameters(
+    jacobian: Floats, covariance: Floats, noise: Floats, part: Integers
+) -> Floats:
+    """Mean squares (2,) of held-out pose errors caused by the fitted parameters, m^2 and rad^2.
 
+    The parameters are fitted without the samples of the same part.
     jacobian : (n, 6, p) of poses with the parameters; covariance : (p, p) of the parameters of a fit of all samples;
         noise : (n, 6, 6) by which that
     fit weighed them; part : (n,) which are held out together
@@ -294,7 +298,7 @@ def _degrees_of_freedom(squares: Floats) -> float:
     return float(np.clip(2 * squares.mean() ** 2 / max(variance, 1e-300), LEAST_FREEDOM, most))
 
 
-def draw_common_error_squares(samples: Samples, count: int, rng: np.random.Generator) -> Floats:
-    """Draws (count, 2) of the mean square of the samples' common pose errors, m^2 and rad^2."""
+def draw_mean_square_common_pose_errors(samples: Samples, count: int, rng: np.random.Generator) -> Floats:
+    """Draws (count, 2) of the mean square of pose errors common to the samples, m^2 and rad^2."""
     drawn = np.einsum("nik,kd->dni", samples.common, rng.normal(size=(samples.common.shape[2], count)))
     return np.stack([(drawn[..., part] ** 2).sum(axis=2).mean(axis=1) for part in PARTS], axis=1)

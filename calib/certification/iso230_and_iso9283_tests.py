@@ -88,7 +88,7 @@ def iso230_axis_tests(correction: AnyCorrection, poses: HeldPoses) -> tuple[Axis
 def _to_axes(correction: AnyCorrection, poses: HeldPoses) -> Floats:
     """(n, axes, 6) change of the axes with the pose's tangent."""
     fitted = correction.fitted
-    return mechanisms.kinematics_of(fitted).axis_changes_by_pose(poses.T_base_platform, poses.commanded, fitted)
+    return mechanisms.kinematics_of(fitted).inverse_kinematics_jacobian(poses.T_base_platform, poses.commanded, fitted)
 
 
 def _test(
@@ -126,7 +126,7 @@ def _test(
 
 
 def reversal_values(mean: Floats) -> tuple[float, float]:
-    """Reversal values (B, mean B) of means (positions, 2), from below and from above."""
+    """ISO 230-2 reversal values (B, mean B) of mean deviations (positions, 2), from below and from above."""
     B = mean[:, 0] - mean[:, 1]
     return float(np.abs(B).max()), float(B.mean())
 
@@ -298,14 +298,14 @@ def _duty(duty: Duty) -> list[str]:
     return out
 
 
-def test_duty(
+def speeds_and_loads_of_test(
     poses: HeldPoses,
     recordings: Sequence[Recording],
     design: Design,
     load: tuple[float, float] | None,
     rated_load: float | None,
 ) -> Duty:
-    """Duty of a test: the least speed and the load of held-out poses, and those rated.
+    """Speeds and loads (Duty) of a test: those of held-out poses, and those rated.
     recordings : in the order of poses.recording; load : as logged, kg; rated_load : kg, as stated
     """
     top = design.actuator.max_speed

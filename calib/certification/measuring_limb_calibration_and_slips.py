@@ -76,9 +76,9 @@ def stated_limbs(design: Design) -> MeasuringLimbs:
 
 
 def limb_hexapod(design: Design, limb_numbers: Integers | None = None) -> Hexapod:
-    """Hexapod of six of the limbs as rig.toml has them. limb_numbers : (6,) their numbers, from 0, the first six by
-    default
+    """Hexapod of six of the measuring limbs as rig.toml has them.
 
+    limb_numbers : (6,) their numbers, from 0, the first six by default
     Raises RigError for a rig without [insitu], with fewer than six limbs, or that is not a hexapod
     """
     limbs = stated_limbs(design)
@@ -128,7 +128,8 @@ def samples_with_limb_readings_as_commands(samples: Samples, frames: Integers, l
 
 
 def calibrate_limbs(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[Limbs, Identified]:
-    """(Limbs, Identified) of measuring limbs calibrated on samples. sigma : m of one reading
+    """Measuring limbs calibrated on samples: (Limbs, Identified).
+
     nominal : Hexapod as stated; sigma : m of one reading
     """
     found: Identified = identify_platform(_add_reading_noise(samples, nominal, sigma), nominal)
@@ -198,8 +199,9 @@ def vision_agrees_with_limbs(
     limb_covariance: Floats,
     common_error_columns: Floats,
 ) -> bool:
-    """Whether vision (pose (), covariance (6, 6)) still agrees with the limbs (own (6, 6), common (6, k)), as an
-    occasional check.
+    """Whether vision agrees with the limbs on one pose, within their covariances (6, 6).
+
+    An occasional check. common_error_columns : (6, k) errors common to the limbs' poses
     """
     d = pose_difference(T_vision, T_limbs)
     return bool(

@@ -62,7 +62,7 @@ def require_sample_size(n: int, coverage: float, confidence: float, what: str = 
 
 
 def count_beyond_upper_limit(n: int, coverage: float, confidence: float) -> float:
-    """Count (real) of n values beyond the upper limit, at least 0.
+    """Number of n values beyond the upper tolerance limit, as a real number of at least 0.
     Raises NotEnoughData for fewer than `least_sample_size`
     """
     require_sample_size(n, coverage, confidence)
@@ -70,7 +70,7 @@ def count_beyond_upper_limit(n: int, coverage: float, confidence: float) -> floa
 
 
 def count_beyond_lower_limit(n: int, coverage: float, confidence: float) -> float | None:
-    """Count (real) of n values at the lower limit or beyond; None where n is too small."""
+    """Number of n values at or beyond the lower limit, as a real number; None where n is too small."""
     found = rank_below_quantile(n, coverage, confidence)
     return None if found < 1 else n + 1 - found
 
@@ -91,9 +91,9 @@ def rank_below_quantile(n: int, coverage: float, chance: float) -> float:
 
 
 def upper_tolerance_limit(values: Floats, coverage: float = 0.95, confidence: float = 0.95) -> float:
-    """Upper tolerance limit: `coverage` of the population lies below it, with `confidence`. values : (n,)
-    values : (n,) drawn from it.
+    """Upper tolerance limit: `coverage` of the population lies below it, with `confidence`.
 
+    values : (n,) drawn from it.
     Raises NotEnoughData for fewer than `least_sample_size`
     """
     n = len(values)
@@ -101,7 +101,10 @@ def upper_tolerance_limit(values: Floats, coverage: float = 0.95, confidence: fl
 
 
 def lower_confidence_limit_of_quantile(values: Floats, coverage: float = 0.95, confidence: float = 0.95) -> float:
-    """Lower tolerance limit: 1 - coverage of the population lies beyond it, with `confidence`. values : (n,) >= 0"""
+    """Lower confidence limit of the `coverage` quantile of a population, from values (n,) >= 0 drawn from it.
+
+    1 - coverage of the population lies beyond it, with `confidence`.
+    """
     n = len(values)
     k = count_beyond_lower_limit(n, coverage, confidence)
     return 0.0 if k is None else _at(np.sort(values), n + 1 - k)
@@ -272,7 +275,9 @@ def _likelihood(lengths: Floats, sigma: Floats, rho: Floats) -> Floats:
 def tolerance_limits_of_true_errors(
     lengths: Floats, sigma: Floats, coverage: float = 0.95, confidence: float = 0.95
 ) -> Limits:
-    """Tolerance limits of true error lengths (the greatest of d), estimated from lengths measured with noise.
+    """Tolerance limits of true error lengths, estimated from lengths measured with noise.
+
+    Of d limits the greatest.
     lengths : (n,) or (n, d) measured, in units of each; sigma : alike, standard deviation of their noise in each
     direction.
 

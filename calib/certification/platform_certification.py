@@ -146,7 +146,7 @@ def uncertified_geometry(nominal: Struts, identified: Identified, label: Integer
 
 
 def silent_progress(label: str, done: int, of: int) -> None:
-    """Progress that reports nothing."""
+    """Progress callback that reports nothing."""
 
 
 def held_out_errors_by_fold(

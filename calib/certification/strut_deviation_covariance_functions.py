@@ -26,9 +26,11 @@ Use = Callable[[Floats], tuple[Floats, Floats]]
 
 
 def strut_load_signs(samples: Samples, nominal: Struts) -> list[tuple[Floats, Use] | None]:
-    """Per strut ((n,) sign of its load at the samples, positive where it pushes, and a `Component.use` of it), None
-    where no sign changes over the workspace or nothing is known of weights. By the owner's geometry; payloads are those
-    of the recording, each as likely as it was there."""
+    """Signs (n,) of each strut's load at the samples, positive where it pushes, each with a `Component.use` of it.
+
+    None where no sign changes over the workspace or nothing is known of weights. By the owner's geometry; payloads are
+    those of the recording, each as likely as it was there.
+    """
     if samples.conditions is None or samples.conditions.weight is None:
         return [None] * len(nominal.axes)
     weight, nothing = samples.conditions.weight, np.zeros(len(samples))

@@ -276,8 +276,9 @@ def indices_and_poses_of_solvable_commands(
 
 
 def require_reachable(commands: Floats, mechanism: Struts | Arm | Chain, labels: Sequence[str]) -> None:
-    """Raise Unreachable, listing every pose whose commands (n, axes) m or rad leave the mechanism's range. labels : n
-    texts.
+    """Raise Unreachable, listing every pose whose commands (n, axes) m or rad leave the mechanism's range.
+
+    labels : n texts
     """
     places = mechanisms.axis_place_texts(mechanism)
     shown = [PLOT_UNITS[unit] for unit in mechanisms.axis_units(mechanism)]
@@ -298,9 +299,11 @@ def require_reachable(commands: Floats, mechanism: Struts | Arm | Chain, labels:
 
 
 def identify_geometry(samples: Samples, nominal: Struts, similar_fit: Identified | None = None) -> Identified:
-    """Identified geometry of samples alone, no remainder taken off. near : Identified of most of the same samples,
-    whose prior is taken over, or None: how good the owner's figures are is told by these samples. Raises NotEnoughData
-    as `identify`"""
+    """Geometry identified from samples alone, no remainder taken off.
+
+    similar_fit : Identified of most of the same samples, whose prior is taken over, or None: these samples show how
+    good the owner's figures are. Raises NotEnoughData as `identify_platform` does
+    """
     if similar_fit is None:
         first = identify_platform(samples, nominal)
         return identify_platform(

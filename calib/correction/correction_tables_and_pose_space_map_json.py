@@ -111,7 +111,7 @@ def pose_map_dict(pose_map: PoseMap) -> Json:
 
 
 def pose_map_from_entries(table: Entries, nominal: Struts) -> PoseMap:
-    """PoseMap of what `pose_map_dict` gave, as Entries, of a mechanism. Raises FileError for anything else."""
+    """PoseMap of a mechanism from its entries, as `pose_map_dict` gives them. Raises FileError for anything else."""
     some = pose_coordinate_indices(nominal)
     if table.texts("coordinates") != tuple(NAMES[i] for i in some):
         table.fail(

@@ -89,7 +89,7 @@ def _part(table: Entries, axes: int) -> SpacePart:
 
 
 def field_from_entries(table: Entries, axes: int) -> Field:
-    """Field over so many axes, of what `field_to_dict` gave. Raises FileError for anything else."""
+    """Field over so many axes from its entries, as `field_to_dict` gives them. Raises FileError for anything else."""
     named = table.text("kind", (*METHODS, SummedPasses.kind, RestrictedMap.kind))
     if named == SummedPasses.kind:
         return SummedPasses(tuple(field_from_entries(one, axes) for one in table.tables("fields")))
@@ -179,8 +179,10 @@ def measured_correction_summands(samples: Samples, model: Struts) -> FieldSample
     )
 
 
-def base_geometry(samples: Samples, nominal: Struts, without_fit: bool, prior: Floats | None = None) -> Identified:
-    """Base geometry (Identified) of an extension; alone : the nominal geometry with nothing fitted.
+def fitted_or_nominal_geometry(
+    samples: Samples, nominal: Struts, without_fit: bool, prior: Floats | None = None
+) -> Identified:
+    """Geometry fitted to samples, or the nominal one with nothing fitted (Identified), that an extension starts from.
     without_fit : the owner's own, with nothing sought. prior : (p,) m, or None: as poses have it.
     """
     if not without_fit:
@@ -229,8 +231,8 @@ def residual_correction_summands_of_pass(samples: Samples, correction: AnyCorrec
     )
 
 
-def correction_with_pass(correction: AnyCorrection, field: Field | None) -> AnyCorrection:
-    """Correction with one more pass; unchanged where the pass is None."""
+def correction_with_additional_pass(correction: AnyCorrection, field: Field | None) -> AnyCorrection:
+    """Correction with an additional pass (a Field); unchanged where the field is None."""
     if field is None:
         return correction
     before = correction.extension
@@ -272,8 +274,8 @@ def home_pose(mechanism: Struts) -> RigidTransform:
     return kinematics.forward(kinematics.home_values(mechanism), mechanism)
 
 
-def correction_with_map(correction: AnyCorrection, field: Field | None) -> AnyCorrection:
-    """Correction with one more map in pose space, applied last; unchanged where the map is None."""
+def correction_with_pose_space_map(correction: AnyCorrection, field: Field | None) -> AnyCorrection:
+    """Correction with a map in pose space (a Field) added, applied last; unchanged where the field is None."""
     if field is None:
         return correction
     one = command_route_and_pose_space_map.PoseMap(

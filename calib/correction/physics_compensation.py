@@ -184,8 +184,8 @@ class Machine:
         return lengths - self.correction.rho(lengths), sway
 
 
-def commands_at_poses(machine: Machine, T: RigidTransform, route: Route, guess: Floats) -> Floats:
-    """Commands (n, axes) m or rad at the poses T (n,) of a Route, effects and history compensated.
+def compensated_commands_at_poses(machine: Machine, T: RigidTransform, route: Route, guess: Floats) -> Floats:
+    """Commands (n, axes) m or rad at the poses T (n,) of a Route, with effects and their history compensated.
     guess : (n, axes), near
 
     Raises NotConverged with index, commands and residual of the poses for which none is found, to 1e-10 m or rad

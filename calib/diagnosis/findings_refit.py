@@ -15,14 +15,14 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     operating_point_of_recording,
-    without_distant_corners,
+    operating_point_without_distant_corners,
 )
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import correct_marker_swaps
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement, refine_operating_point
 from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import smooth_temperatures
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
-from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm
+from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm_of_fit
 from calib.models.arm.error_model_and_observations import parameter_names, sample_observations
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, JointFit, Prior, fit_geometry_and_effects
 from calib.models.platform.identification import Loops
@@ -186,7 +186,9 @@ def refit_platform_with_findings(
     said = progress or silent_progress
     said("refining physics and geometry jointly", 0, 1)
     point, _, _ = operating_point_of_recording(recording, progress, sampled=sampled)
-    point = without_distant_corners(correct_marker_swaps(point, [e for e in findings.effects if e.discrete]))
+    point = operating_point_without_distant_corners(
+        correct_marker_swaps(point, [e for e in findings.effects if e.discrete])
+    )
     refined = refine_operating_point(
         point.with_effects(e for e in findings.effects if not e.discrete), Sensitivities(point)
     )
@@ -286,7 +288,7 @@ def refit_arm_with_findings(
             np.array([c.read(findings.effects[c.effect]) for c in coordinates_of_effects(findings.effects)]),
             findings.sigma,
         )
-    start = start_arm(sample_observations(samples), nominal, sampled.instrument)
+    start = start_arm_of_fit(sample_observations(samples), nominal, sampled.instrument)
     found = fit_geometry_and_effects(
         samples, History(design, commands, smooth_temperatures(recording.sensors)[0]), start, findings.effects, before
     )

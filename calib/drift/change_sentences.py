@@ -43,7 +43,9 @@ REMEASURE = {
 def change_verdict_lines(
     verdict: Verdict, name: str, names: Sequence[str], reference: Reference, scale: float, within_claim: bool = False
 ) -> list[str]:
-    """Lines on a visit's change verdict. names : of the visits in order; scale : see History.scale
+    """Lines on a visit's change verdict.
+
+    names : of the visits in order; scale : see History.scale
     within_claim : whether what a first visit disagrees by is within the calibration's claim.
     """
     agree = np.sqrt(verdict.square / verdict.count / scale)

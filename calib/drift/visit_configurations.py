@@ -75,9 +75,9 @@ def choose_visit_configurations(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Chosen:
-    """Configurations chosen for a visit of a calibrated hexapod. design : for loads, or None
-    design : whose platform and gravity tell loads, or None; progress : called with (done, of)
+    """Choose the configurations of a visit of a calibrated hexapod.
 
+    design : whose platform and gravity tell loads, or None; progress : called with (done, of)
     Raises RigError for another mechanism or too few poses
     """
     mechanism = fitted_hexapod(calibration)

@@ -1,6 +1,6 @@
-"""An arm's diagnosis -> questions, and what a plan's recording would say under each name: poses, linear about the
-fitted geometry.
+"""Questions that an arm's diagnosis leaves open, with predicted outcomes of a plan under each hypothesis.
 
+Poses, linear about the fitted geometry.
 Poses of an instrument are as sure as its others; of cameras, as their images will tell, with what cameras and lenses
 add to all alike.
 

@@ -217,7 +217,7 @@ def choose_exposures(questions: Sequence[PerFrame], count: int) -> Floats:
 
 
 def camera_information_shares(open_questions: Sequence[Question[object]], plan: Plan) -> dict[str, float]:
-    """{camera: share of the information that its images give on the questions}, the greatest first."""
+    """Share {camera: share} of the information on the questions that each camera's images give, the greatest first."""
     parts: dict[str, float] = {}
     for question in open_questions:
         for name, squares in (

@@ -90,17 +90,17 @@ class InvestigationRound:
 
 
 def plan_path(folder: Path, number: int) -> Path:
-    """Path of a look's plan in the folder."""
+    """Path of a round's plan in an investigation's folder."""
     return folder / f"plan{number}.csv"
 
 
 def recording_path(folder: Path, number: int) -> Path:
-    """Path of a look's recording in the folder."""
+    """Path of a round's recording in an investigation's folder."""
     return folder / f"rec{number}"
 
 
 def diagnosis_path(folder: Path, number: int) -> Path:
-    """Path of a look's diagnosis in the folder."""
+    """Path of a round's diagnosis in an investigation's folder."""
     return folder / f"diagnosis{number}"
 
 
@@ -243,8 +243,9 @@ def write_investigation_page(
     end_reason: str,
     final_action: Sequence[str],
 ) -> None:
-    """Write an investigation's HTML page. Arguments as of `notebook_text`
-    rig, budget, end_reason, final_action : as for the notebook
+    """Write an investigation's HTML page.
+
+    rig, budget, end_reason, final_action : as of `notebook_text`
     """
     parts = [
         paragraph_html(f"{recording_minutes_spent(rounds):.1f} of {budget:.0f} min of the rig's time."),

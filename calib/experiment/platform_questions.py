@@ -289,8 +289,9 @@ def _prior_standard_deviations(coordinates: list[Coordinate], effects: tuple[Eff
 
 
 def platform_questions(diagnosis: Diagnosis) -> list[PlatformQuestion]:
-    """[PlatformQuestion] of what a diagnosis cannot tell apart, none where it can. Raises RigError for a rig of which
-    no plan can be foretold.
+    """Questions ([PlatformQuestion]) that a platform's diagnosis leaves open, none where it is clear.
+
+    Raises RigError for a rig of which no plan can be foretold.
     """
     d, fit = diagnosis, diagnosis.selection.fit
     size = fit.refined.model.size

@@ -84,9 +84,9 @@ def calibration_provenance(
     other_files: Iterable[Path] = (),
     data: Iterable[str] = (),
 ) -> Json:
-    """dict of the inputs' SHA-256, the marks of their data (see rig.recording.frame_selection_and_content_hashes),
-    versions, arguments and seed.
+    """Provenance of a calibration as a dict: hashes of its inputs and their data, versions, arguments and seed.
 
+    Marks of the data: see rig.recording.frame_selection_and_content_hashes.
     recording : Recording; used_images : whether they were read; other_files : other files that were read, data : marks
         of theirs
     """

@@ -235,9 +235,11 @@ def _coordinate_text(effect: int, name: str, index: int | None, role: str, physi
 def physics_from_entries(
     table: Entries, mechanism: Struts | Arm | Chain, parameter_count: int, kinds: Kinds = BY_NAME
 ) -> Physics:
-    """Physics of what `physics_dict` gave, as Entries. mechanism : nominal; parameter_count : of the geometry's
-    parameters
-    kinds : effects that there are. Raises FileError."""
+    """Physics from its entries in calibration.json, as `physics_dict` gives them.
+
+    mechanism : nominal; parameter_count : of the geometry's parameters; kinds : effects that there are. Raises
+    FileError.
+    """
     actuator, platform = table.table("actuator"), table.table("platform")
     held = Physics(
         (),

@@ -1,6 +1,6 @@
-"""Least squares over blocks of observations in square-root information form, steps within bounds; robust fits, outlier
-rows, and the excess of scatter over an instrument's covariance; folds of time blocks, for fits that leave some out.
+"""Least squares in square-root information form with bounds, robust fits, outliers and excess scatter.
 
+Over blocks of observations; folds of time blocks, for fits that leave some out.
 A problem hands over whitened residuals and their derivatives, block by block (a block: a pose, a configuration of an
 arm). What all blocks share (the cameras' errors, say) is estimated beside the parameters and then marginalised.
 Source: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, ch. IV and V.

@@ -13,7 +13,7 @@ from calib.correction.correction import Responses
 from calib.correction.physics_compensation import (
     Machine,
     Physics,
-    commands_at_poses,
+    compensated_commands_at_poses,
     path_memory_length,
     unknown_history_uncertainty,
 )
@@ -87,7 +87,7 @@ def commands_along_route(
     route = untimed_route(plain, start) if pace is None else timed_route(pace, plain, start)
     if commands_to_keep is not None:
         return RouteCommands(commands_to_keep, route, T, None, ())
-    values = commands_at_poses(of, T, route, plain) if of.effects else plain
+    values = compensated_commands_at_poses(of, T, route, plain) if of.effects else plain
     if calibration.physics is None:
         return RouteCommands(values, route, T, corrected_pose_covariance(calibration, T, values), ())
     base = _covariance(calibration, calibration.physics, of, T, (route, values))
@@ -95,7 +95,7 @@ def commands_along_route(
         sure = _axes(base.covariance, base.responses.back) if approach == "auto" else None
         found = _approached(of, T, route, values, pace, sure)
         if found is not route:
-            route, values = found, commands_at_poses(of, T, found, values)
+            route, values = found, compensated_commands_at_poses(of, T, found, values)
             base = _covariance(calibration, calibration.physics, of, T, (route, values))
     doubt = (
         unknown_history_uncertainty(of, T, route, values) ** 2 / 3

@@ -153,8 +153,9 @@ def _several(evidence: list[Evidence]) -> tuple[Change, ...] | None:
 
 
 def change_sentence(change: Change, frame: int, is_undone_later: bool = False) -> str:
-    """Sentence about a change. frame : number of the first frame after it; is_undone_later : whether later changes
-    undo it
+    """Sentence about a change.
+
+    frame : number of the first frame after it; is_undone_later : whether later changes undo it
     """
     if not isinstance(change.size, float):
         position, rotation = (float((part**2).sum() ** 0.5) for part in (change.size[:3], change.size[3:]))

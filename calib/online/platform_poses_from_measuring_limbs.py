@@ -278,7 +278,9 @@ def checked_limb_poses(
     found = limb_poses(recording, accepted)
     checked = check_limb_poses_by_redundancy_and_vision(recording, accepted, found, source.every, progress)
     if checked.disagreement is not None and checked.frame is not None:
-        write_withdrawal(source.path, accepted, str(recording.folder), checked.frame, checked.disagreement.reason)
+        write_acceptance_withdrawal(
+            source.path, accepted, str(recording.folder), checked.frame, checked.disagreement.reason
+        )
         raise RigError(
             f"frame {checked.frame}: {checked.disagreement.reason}. {checked.disagreement.who}: their "
             "acceptance is withdrawn "
@@ -297,6 +299,9 @@ def checked_limb_poses(
     return found, accepted
 
 
-def write_withdrawal(path: Path, accepted: Accepted, recording: str, frame: int, reason: str) -> None:
-    """Write that an acceptance no longer stands, in its own file. Raises FileError where that cannot be written."""
+def write_acceptance_withdrawal(path: Path, accepted: Accepted, recording: str, frame: int, reason: str) -> None:
+    """Write the withdrawal of the limbs' acceptance into its file.
+
+    Raises FileError where that cannot be written.
+    """
     measuring_limbs_file.save_limbs(path, measuring_limbs_file.withdraw_acceptance(accepted, recording, frame, reason))

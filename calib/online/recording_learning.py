@@ -134,7 +134,10 @@ def learn_by_simple_learner(
 def simple_learner(
     name: str, setting: float | None, state: Path | None, mechanism: Hexapod, calibration: Calibration | None
 ) -> Learner:
-    """The Learner of a state that is there, else a new one of this name. Raises RigError where the two differ."""
+    """Simple Learner of a name: that of a state that is there, else a new one.
+
+    Raises RigError where the two differ.
+    """
     kind = LEARNERS[name]
     if state is not None and state.exists():
         learner = load_learner(state)

@@ -13,7 +13,7 @@ from calib.online import measuring_limbs_file
 from calib.online.live_learner_and_limb_agreement_with_vision import Learner
 from calib.online.measuring_limbs_file import Accepted
 from calib.online.observer_of_run_frames import RunObserver, RunStop
-from calib.online.platform_poses_from_measuring_limbs import LimbSource, LiveLimbPoses, write_withdrawal
+from calib.online.platform_poses_from_measuring_limbs import LimbSource, LiveLimbPoses, write_acceptance_withdrawal
 from rig.array_and_json_types import Floats
 from rig.driving.cameras import open_camera
 from rig.driving.cameras.camera_interface_and_grabbing import Settling, SynchronisedCameras, set_exposure_for_markers
@@ -130,8 +130,9 @@ def open_cameras(design: Design, clock: Clock) -> SynchronisedCameras:
 def open_run_equipment(
     design: Design, driver: Driver, shutter: SynchronisedCameras, settling: Settling, clock: Clock
 ) -> RunEquipment:
-    """Open the RunEquipment of a run, with its sensors if any. Raises RigError for settling by limbs that nobody
-    reads.
+    """Open the RunEquipment of a run, with its sensors if any.
+
+    Raises RigError for settling by limbs that nobody reads.
     """
     sensing = SensorReader(design.sensors, clock) if design.sensors else None
     channels = set(design.sensors.channels) if design.sensors else set()
@@ -214,4 +215,4 @@ def run_observer(
 
 
 def _withdraw(path: Path, recording: str, source: LiveLimbPoses, frame: int, reason: str) -> None:
-    write_withdrawal(path, source.accepted, recording, frame, reason)
+    write_acceptance_withdrawal(path, source.accepted, recording, frame, reason)

@@ -125,9 +125,9 @@ def write_measuring_limbs_page(
     withdrawal_reason: str | None,
     links: Sequence[Link] = (),
 ) -> None:
-    """Write the HTML page of measuring limbs. source : of vision's poses; withdrawal_reason : why they cannot stand,
-    or None
-    name : of the recording; source : of vision's poses; withdrawn : why the limbs cannot stand for vision after
+    """Write the HTML page of measuring limbs compared with vision.
+
+    name : of the recording; source : of vision's poses; withdrawal_reason : why the limbs cannot stand for vision after
     all, or None
     """
     columns = (
@@ -203,7 +203,10 @@ def write_measuring_limbs_page(
 
 
 def measuring_limbs_verdict(agreement: Agreement, withdrawal_reason: str | None) -> Verdict:
-    """Verdict on measuring limbs. withdrawn : as for the page"""
+    """Verdict on measuring limbs.
+
+    withdrawal_reason : as for the page
+    """
     if withdrawal_reason is not None:
         return judge_evidence(
             Evidence(

@@ -138,7 +138,9 @@ def rig_scene(
     errors: dict[str, Floats] | None = None,
     effects: tuple[DrawnEffect, ...] = (),
 ) -> Scene:
-    """Scene of a rig. frames : (n,) numbers; T : T_base_platform (n,); values : (n, axes) commanded, or None
+    """3-D scene of a rig at its poses.
+
+    frames : (n,) numbers; T : T_base_platform (n,); values : (n, axes) commanded, or None
     errors : {name: (n, 6) tangent on the right}, NaN where not known
     """
     m, markers = design.mechanism, marker_map(design.without_stages()) if design.targets else None
@@ -172,7 +174,10 @@ def rig_scene(
 def mechanism_scene(
     mechanism: Arm | Chain, frames: Integers, values: Floats, effects: tuple[DrawnEffect, ...] = ()
 ) -> Scene:
-    """Scene of a mechanism without cameras and targets. frames : (n,) numbers; values : (n, axes) rad or m"""
+    """3-D scene of a mechanism without cameras and targets.
+
+    frames : (n,) numbers; values : (n, axes) rad or m
+    """
     kinematics = mechanisms.kinematics_of(mechanism)
     links, T = kinematics.link_points(values, mechanism), kinematics.forward(values, mechanism)
     base = np.zeros((1, 3))

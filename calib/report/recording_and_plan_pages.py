@@ -25,9 +25,9 @@ from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvide
 def write_recording_page(
     path: Path | str, recording: Recording, effects: Sequence[Effect] = (), links: Sequence[Link] = ()
 ) -> None:
-    """Write the HTML page of a recording: its poses, its commands or both. effects : shown each by itself
-    effects : to be tried on it, each by itself
+    """Write the HTML page of a recording: its poses, its commands or both.
 
+    effects : to be tried on it, each by itself
     Raises RigError for a recording with neither, for effects on one without commands, and as their models do
     """
     design, poses, values = recording.design, recording.poses, None

@@ -324,7 +324,7 @@ def sample_recording(
 
 
 def planar_samples_of_two_struts(recording: Recording, samples: Samples) -> Samples:
-    """Samples restricted to the freedoms of a recording's machine: planar ones of two struts."""
+    """Samples of a recording, restricted to the plane where its machine is two struts."""
     return planar_samples(samples) if recording.design.mechanism.pose_coordinates == (0, 1) else samples
 
 

@@ -154,9 +154,10 @@ class Workspace:
 
 
 def map_workspace(correction: AnyCorrection, covariance: Covariance, count: int | None = None) -> Workspace:
-    """Map of a Correction's workspace in cells. covariance : of its poses, by poses (n,) and commands (n, axes)
-    count : configurations drawn of either machine, DRAWN or FEWER by default
+    """Map of a Correction's workspace in cells.
 
+    covariance : of its poses, by poses (n,) and commands (n, axes)
+    count : configurations drawn of either machine, DRAWN or FEWER by default
     Raises NotConverged where no configuration closes on a pose
     """
     nominal = correction.nominal
@@ -268,7 +269,7 @@ def _plain(values: Floats) -> list[object]:
 
 
 def workspace_from_entries(table: Entries) -> Workspace:
-    """Workspace of what `workspace_dict` gave, as Entries. Raises FileError for anything else."""
+    """Workspace from its entries, as `workspace_dict` gives them. Raises FileError for anything else."""
     table.text("schema", (SCHEMA,))
     index = _whole(table, "index", (None, 3))
     cells = len(index)

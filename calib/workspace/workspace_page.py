@@ -241,7 +241,9 @@ def write_workspace_page(
     certified: Floats | None = None,
     links: Sequence[Link] = (),
 ) -> None:
-    """Write the HTML page of a workspace. name : of the calibration; unit : of an axis, m or rad
+    """Write the HTML page of a workspace.
+
+    name : of the calibration; unit : of an axis, m or rad
     certified : (c, 2) m and rad that a certificate promises in each cell, NaN where none does, or None without one
     """
     quantities = [

@@ -9,7 +9,7 @@ import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.checks.mistake_and_clock_mistakes import Mistake
+from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake
 from rig.checks.unit_and_convention_mistakes import poses_in_other_conventions
 from rig.errors import RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin
@@ -117,7 +117,7 @@ def commands_disagree_with_poses(moves: CommandsAndPoses) -> bool:
 
 
 def command_pose_mistakes(moves: CommandsAndPoses) -> Iterator[Mistake]:
-    """Mistake that best explains why commands disagree with poses, or the size of what none explains."""
+    """Mistakes that best explain why commands disagree with poses, or the size of what none explains."""
     if not commands_disagree_with_poses(moves):
         return
     before = moves.miss()

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from rig.array_and_json_types import Json
-from rig.checks import mistake_and_clock_mistakes, unit_and_convention_mistakes
-from rig.checks.mistake_and_clock_mistakes import Mistake, sort_mistakes
+from rig.checks import mistake_dataclass_and_clock_mistakes, unit_and_convention_mistakes
+from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.formats import local_and_remote_input_files
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.output_files.atomic_file_and_manifest import file_digest
@@ -269,7 +269,7 @@ def _all(recording: Recording) -> Iterator[Mistake]:
         yield from odd
         if not odd:
             unit = design.mechanism.axis_unit
-            yield from mistake_and_clock_mistakes.speed_mistakes(
+            yield from mistake_dataclass_and_clock_mistakes.speed_mistakes(
                 r.commands.t,
                 r.commands.values,
                 times["frames.csv"],
@@ -279,13 +279,13 @@ def _all(recording: Recording) -> Iterator[Mistake]:
     if r.sensors is not None:
         times["sensors.csv"] = r.sensors.t
         yield from unit_and_convention_mistakes.sensor_mistakes(r.sensors, design)
-    apart = list(mistake_and_clock_mistakes.time_unit_and_clock_origin_mistakes(times))
+    apart = list(mistake_dataclass_and_clock_mistakes.time_unit_and_clock_origin_mistakes(times))
     yield from apart
     if r.commands is not None and not apart:
-        yield from mistake_and_clock_mistakes.dwell_clock_offset_mistake(
+        yield from mistake_dataclass_and_clock_mistakes.dwell_clock_offset_mistake(
             times["frames.csv"], r.commands.t, r.commands.values
         )
-    yield from mistake_and_clock_mistakes.repeated_time_mistakes(times["frames.csv"])
+    yield from mistake_dataclass_and_clock_mistakes.repeated_time_mistakes(times["frames.csv"])
     yield from unused_cameras(r)
     yield from duplicate_images(r)
     yield from corners_outside_images(r)

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
-from rig.checks.mistake_and_clock_mistakes import Mistake
+from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, has_struts

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from rig.array_and_json_types import Floats, Json
-from rig.checks import implausible_values_and_image_mistakes, mistake_and_clock_mistakes
-from rig.checks.mistake_and_clock_mistakes import Mistake, sort_mistakes
+from rig.checks import implausible_values_and_image_mistakes, mistake_dataclass_and_clock_mistakes
+from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
 from rig.formats.local_and_remote_input_files import read_text
@@ -157,7 +157,7 @@ def _times(folder: Path, complaint: str) -> Iterator[Mistake]:
     for name in FILES:
         if local_and_remote_input_files.exists(folder / name):
             times[name] = csv_and_parquet_tables_and_time_origin.read_csv_table(folder / name, ("t",)).numbers("t")
-    yield from mistake_and_clock_mistakes.time_unit_and_clock_origin_mistakes(times)
+    yield from mistake_dataclass_and_clock_mistakes.time_unit_and_clock_origin_mistakes(times)
 
 
 def _numbers(folder: Path, complaint: str) -> Iterator[Mistake]:

@@ -29,7 +29,7 @@ INTERRUPTED = (130, -2, -9, -15)  # exit statuses of a process that somebody sto
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig blind` to a parser."""
     parser.add_argument("--season", type=parse_whole_number, required=True, metavar="N", help="how many cases")
     parser.add_argument(
         "--out",
@@ -82,7 +82,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Blind the cases, diagnose each in a process that cannot read the truth, unblind and score."""
+    """Run `rig blind`: draw blind cases, diagnose each without its truth, and score the campaign."""
     from synthetic.blind_campaign import Campaign, CampaignOptions, case_numbers
 
     a = arguments

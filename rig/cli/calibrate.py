@@ -34,7 +34,7 @@ SPACES = ("configuration", "pose", "both")
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig calibrate` to a parser."""
     add_recordings_argument(parser)
     parser.add_argument(
         "--out",
@@ -111,7 +111,7 @@ def _add_extension_options(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Calibrate a recording and write the calibration and its report."""
+    """Run `rig calibrate`: calibrate a machine from recordings and write calibration.json."""
     progress = Progress()
     progress("reading the recording", 0, 1)
     recordings, options = read_recordings(arguments), _options(arguments)

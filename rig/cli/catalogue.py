@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig catalogue` to a parser."""
     parser.add_argument(
         "--out",
         metavar="FILE.md",
@@ -28,9 +28,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Write the catalogue of unmodelled effects as a document: all that `rig effects NAME` says of each, with a sketch
-    that its model draws.
-    """
+    """Run `rig catalogue`: write the catalogue of effects as a document."""
     from rig.api import effect_catalogue
     from rig.errors import RigError
     from rig.formats.output_files import write_text

@@ -81,7 +81,7 @@ def _within(text: str, least: float, most: float, expected: str) -> float:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig certify` to a parser."""
     parser.epilog = (
         "Exit status 0 if the verdict is good or check, 3 if it is bad: a tolerance is exceeded, or the "
         "claim is NOT kept."
@@ -143,7 +143,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Certify a calibration by held-out recordings and write what is promised; 3 where the verdict is bad."""
+    """Run `rig certify`: certify a calibration by held-out recordings and write the certificate.
+
+    Exit status 3 where the verdict is bad.
+    """
     suffix, options = _suffix(arguments.out), _options(arguments)
     if arguments.mask is not None and len(arguments.recordings) > 1:
         raise RigError("--mask names frames of one recording; certify with that one only")

@@ -7,7 +7,7 @@ from rig.cli.shared.argument_parser_and_common_options import add_json_option, p
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig check` to a parser."""
     parser.add_argument("recording", metavar="REC", type=Path)
     parser.add_argument(
         "--detect", action="store_true", help="read some images even if corners.csv exists, and compare both"
@@ -16,8 +16,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print all that is wrong or unlikely with a recording, the most likely cause first; 1 where results would mean
-    nothing.
+    """Run `rig check`: check a recording for mistakes and print them.
+
+    Exit status 1 where results would mean nothing.
     """
     from calib.api.recording_check_and_preparation import check
 

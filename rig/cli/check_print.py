@@ -20,7 +20,7 @@ MEASURED = 1e-4  # m, of a sheet that somebody measured
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig check-print` to a parser."""
     parser.add_argument(
         "photo", metavar="PHOTO", type=Path, help="of a printed sheet, flat, from above and not too near"
     )
@@ -44,7 +44,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Say which side the markers really have, and what to write into rig.toml."""
+    """Run `rig check-print`: check a printed marker sheet by a photograph and print the true side of its markers."""
     from rig.formats.rig_toml import design_file
     from vision.printed_marker_size import measure_print
 

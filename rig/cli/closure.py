@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig closure` to a parser."""
     add_recording_argument(
         parser, "with measuring limbs next to its struts (m1..mn in sensors.csv and [insitu] in rig.toml)"
     )
@@ -45,7 +45,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Choose six legs, print the closures of the others; 1 where one is worse than its errors and geometry allow."""
+    """Run `rig closure`: choose six of redundant limbs and print the closure errors of the others.
+
+    Exit status 1 where one is worse than its errors and geometry allow.
+    """
     from calib.api.loop_closures_of_redundant_legs import LoopClosureOptions, close_loops
     from calib.files import calibration_file
     from calib.online.measuring_limbs_file import load_limbs

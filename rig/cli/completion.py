@@ -4,7 +4,7 @@ from argparse import ArgumentParser, Namespace
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig completion` to a parser."""
     parser.add_argument(
         "shell",
         choices=("bash", "zsh", "fish"),
@@ -14,7 +14,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Print the shell's completion of all commands and options, file names where files are named."""
+    """Run `rig completion`: print the completion script of a shell."""
     from rig.cli.shared.argument_parser_and_common_options import completion_script
 
     print(completion_script(arguments.all_commands(), arguments.shell))

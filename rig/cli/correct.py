@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig correct` to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     asked = parser.add_mutually_exclusive_group(required=True)
     asked.add_argument(
@@ -81,7 +81,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Write the commands that give the wanted poses, or the poses that correspond to readings."""
+    """Run `rig correct`: write corrected commands for wanted poses, or corrected poses of readings."""
     from calib.api.correct import correct
     from rig.recording.recording_folder import load_wanted_poses
     from rig.recording.recording_tables import write_poses
@@ -140,11 +140,11 @@ def _start(text: str) -> Floats | None:
 
 def _write_read_poses(arguments: Namespace, calibration: Calibration, out: Path) -> None:
     """Write the poses that a measuring machine's readings stand for."""
-    from calib.api.measuring_limb_acceptance_and_platform_poses import poses_of_readings
+    from calib.api.measuring_limb_acceptance_and_platform_poses import corrected_poses_of_readings
     from rig.formats import csv_and_parquet_tables_and_time_origin
 
     axes = calibration.correction.nominal.axes
-    found = poses_of_readings(
+    found = corrected_poses_of_readings(
         calibration, csv_and_parquet_tables_and_time_origin.read_csv_table(arguments.forward, ("frame", *axes))
     )
     found.write(out)
@@ -181,10 +181,10 @@ def _print_result(arguments: Namespace, result: CorrectionResult, poses: str | N
 
 def _print_uncertainty(result: CorrectionResult, covariance: Floats) -> None:
     """Print how sure the poses are, of covariance (n, 6, 6), and what that rests on."""
-    from calib.api.correct import covariance_sizes
+    from calib.api.correct import rms_and_greatest_uncertainty
 
     done, physics = result.commanded, result.calibration.physics
-    (position, rotation), (far, wide) = covariance_sizes(covariance)
+    (position, rotation), (far, wide) = rms_and_greatest_uncertainty(covariance)
     print(
         f"stated standard uncertainty of the poses: {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad RMS, "
         f"{far * 1e3:.4f} and {wide * 1e3:.4f} at the most"

@@ -7,7 +7,7 @@ from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_nu
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig design` to a parser."""
     parser.add_argument(
         "--mechanism",
         choices=("hexapod", "planar2", "arm"),
@@ -50,7 +50,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Write or print a rig.toml."""
+    """Run `rig design`: write the rig.toml of a new design."""
     from rig.formats.output_files import write_text
     from rig.planning.layout.shipped_arm_layout import LayoutOptions, layout_rig_toml
 

@@ -34,7 +34,7 @@ MENTIONED = 4  # remarks, and rows that were left out, in the terminal
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig diagnose` to a parser."""
     add_recordings_argument(parser)
     parser.add_argument(
         "--out", metavar="DIR", type=Path, required=True, help="diagnosis.json and the page are written there"
@@ -104,7 +104,7 @@ def _add_experiment_options(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Diagnose a recording and write what was found."""
+    """Run `rig diagnose`: diagnose recordings and write what the model leaves out."""
     if arguments.next is None and (arguments.standing or arguments.may):
         raise RigError("--standing and --may are for --next FILE")
     progress = Progress()

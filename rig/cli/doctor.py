@@ -6,12 +6,15 @@ from rig.cli.shared.argument_parser_and_common_options import add_json_option, p
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig doctor` to a parser."""
     add_json_option(parser)
 
 
 def run(arguments: Namespace) -> int:
-    """Say what this computer has; 1 where something is missing without which a plain installation does not work."""
+    """Run `rig doctor`: check this computer's installation and print it.
+
+    Exit status 1 where something is missing without which a plain installation does not work.
+    """
     from rig.compute.installation_inventory import installation_inventory
 
     found = installation_inventory()

@@ -11,7 +11,7 @@ from rig.errors import RigError
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig effects` to a parser."""
     parser.add_argument("name", metavar="NAME", nargs="?", help="one of them in full; without it a table of all")
     add_json_option(parser)
     input_options_and_output_display.add_effects_option(parser)
@@ -33,7 +33,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Print the catalogue as a table, or one effect whole, or write a new one."""
+    """Run `rig effects`: list the effects, print one in full, or write a file for a new one."""
     if arguments.new is not None:
         return _new(arguments)
     if arguments.source is not None or arguments.place is not None or arguments.out is not None:

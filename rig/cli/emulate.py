@@ -18,7 +18,7 @@ PROTOCOLS = ("grblhal", "gcs", "linuxcnc", "struts")  # of rig.model.design, whi
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig emulate` to a parser."""
     parser.add_argument("design", metavar="RIG.toml", type=Path)
     parser.add_argument("--protocol", choices=PROTOCOLS, help="by default as stated in [controller] of the rig.toml")
     parser.add_argument(
@@ -69,7 +69,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Serve until interrupted."""
+    """Run `rig emulate`: emulate a controller until interrupted."""
     from rig.driving.emulators.controller_faults import KINDS
 
     if arguments.fault == ["list"]:

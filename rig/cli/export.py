@@ -31,7 +31,7 @@ FORMATS = (
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig export` to a parser."""
     parser.add_argument(
         "machine",
         metavar="CALIBRATION",
@@ -78,7 +78,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Write or print the geometry."""
+    """Run `rig export`: export a calibrated geometry to another format."""
     from calib.api.export import ExportOptions, export
 
     _require_out(arguments)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig go` to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     parser.add_argument(
         "--rig",
@@ -48,7 +48,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Go to a pose: the corrected lengths, checked, commanded and read back."""
+    """Run `rig go`: move the platform to one pose through a calibration."""
     from calib.api.machine_run_and_pose_move import plan_pose_move, require_same_rig
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver

@@ -6,13 +6,13 @@ from rig.cli.shared.argument_parser_and_common_options import add_controller_arg
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig home` to a parser."""
     add_controller_arguments(parser)
     parser.add_argument("--unlock", action="store_true", help="clear the controller's alarm first")
 
 
 def run(arguments: Namespace) -> None:
-    """Home all struts and print their positions."""
+    """Run `rig home`: home all struts and print their positions."""
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
 

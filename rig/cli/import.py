@@ -20,7 +20,7 @@ TABLES = {
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig import` to a parser."""
     parser.add_argument(
         "images",
         metavar="IMAGES",
@@ -69,7 +69,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Make a recording from foreign files, print what was assumed, and save it as a recipe."""
+    """Run `rig import`: import foreign files as a recording, and save the recipe."""
     from rig.api import import_recording
     from rig.formats import importers
     from rig.formats.output_files import write_text

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig insitu` to a parser."""
     add_recording_argument(parser, "with columns m1..mn (m), six or more, in sensors.csv and [insitu] in rig.toml")
     parser.add_argument(
         "--tolerance",
@@ -61,7 +61,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Test the measuring limbs against vision, print whether they pass, save that, and learn from them if so."""
+    """Run `rig insitu`: test measuring limbs against vision, and save accepted ones."""
     from calib.api.measuring_limb_acceptance_and_platform_poses import AcceptLimbsOptions, accept_limbs
     from calib.online.measuring_limbs_file import is_limbs_file
     from rig.cli.shared.measurement_and_calibration_summary import print_online_learning_result

@@ -4,7 +4,7 @@ import re
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 
-from calib.experiment.first_plans import FIRST, LOADED, STANDING
+from calib.experiment.first_investigation_plans import FIRST, LOADED, STANDING
 from rig.cli.shared.argument_parser_and_common_options import SEED, add_json_result_option
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 
@@ -19,7 +19,7 @@ def parse_minutes(text: str) -> float:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig investigate` to a parser."""
     parser.add_argument("design", metavar="RIG.toml", type=Path)
     parser.add_argument(
         "--out",
@@ -65,9 +65,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Plan, record and diagnose repeatedly, until nothing is ambiguous or the budget ends; then calibrate, verify and
-    certify.
-    """
+    """Run `rig investigate`: plan, record and diagnose in a loop, then calibrate and certify."""
     from calib.api.investigate import investigate
     from calib.experiment.investigation_machine import InvestigateOptions
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig jog` to a parser."""
     add_controller_arguments(parser)
     parser.add_argument(
         "--strut",
@@ -41,7 +41,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Move struts a little, checked as any move."""
+    """Run `rig jog`: jog struts, checked as any move."""
     import numpy as np
 
     from rig.cli.shared.run_display_and_controller_status import print_status

@@ -16,7 +16,7 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig lens` to a parser."""
     parser.add_argument(
         "images", metavar="IMAGES", type=Path, nargs="+", help="photographs of the board, or a folder of them"
     )
@@ -40,7 +40,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Calibrate one camera and print its block for rig.toml; remarks go to the error output."""
+    """Run `rig lens`: calibrate a camera's lens from photographs and print its [[camera]] block."""
     import sys
     from dataclasses import replace
 

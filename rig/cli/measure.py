@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig measure` to a parser."""
     add_recording_argument(parser)
     parser.add_argument(
         "--out", metavar="DIR", type=Path, required=True, help="gets poses.csv, corners.csv, rig.toml and report.html"
@@ -47,7 +47,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Measure a recording and write what was measured."""
+    """Run `rig measure`: measure platform poses from a recording and write them."""
     progress = Progress()
     progress("reading the recording", 0, 1)
     hold, limbs = _hold(arguments.hold), limb_source(arguments)

@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig new` to a parser."""
     parser.add_argument(
         "out", metavar="FOLDER", type=Path, nargs="?", default=Path("."), help="gets rig.toml; this one by default"
     )
@@ -38,8 +38,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Prompt for missing values, write rig.toml, print next steps. Raises RigError where something must be asked and
-    nobody is there.
+    """Run `rig new`: write a new rig.toml from questions or options.
+
+    Prompts for missing values and prints next steps. Raises RigError where something must be asked and nobody is there.
     """
     from rig.formats.output_files import write_text
     from rig.planning.layout.shipped_arm_layout import LayoutOptions, layout_rig_toml, shipped_arm_names

@@ -34,7 +34,7 @@ SETTINGS = {"forgetting": "kept", "drifting": "drift", "first-order": "step"}
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig online` to a parser."""
     add_recording_argument(parser)
     parser.add_argument(
         "--state",
@@ -83,7 +83,7 @@ def _add_learner_options(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Learn the parameters from a recording's poses, one at a time, and print sudden changes."""
+    """Run `rig online`: learn parameters from a recording pose by pose, and print sudden changes."""
     progress = Progress()
     progress("reading the recording", 0, 1)
     limbs = limb_source(arguments)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig plan` to a parser."""
     parser.add_argument("design", metavar="RIG.toml", type=Path)
     asked = parser.add_mutually_exclusive_group(required=True)
     asked.add_argument("--for", dest="purpose", choices=("parameters",), help="what the plan is to determine")
@@ -90,7 +90,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Choose configurations, write them, and print what they make visible."""
+    """Run `rig plan`: choose configurations to visit and write them."""
     page, out = page_path(arguments), arguments.outputs.file(arguments.out)
     from calib.api.plan import plan
     from rig.formats.rig_toml import design_file

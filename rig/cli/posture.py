@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig posture` to a parser."""
     parser._negative_number_matcher = re.compile(
         r"^-[\d.]"
     )  # so that a value may begin with a minus: --pose -0.4,0.1,..
@@ -117,7 +117,7 @@ def _add_exertion_options(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Search, and print the posture with what certifies it."""
+    """Run `rig posture`: search the best posture of an arm and print it."""
     from rig.formats.rig_toml import arm_dynamics_entries
     from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
     from rig.planning.layout import shipped_arm_layout

@@ -12,7 +12,7 @@ from rig.cli.shared.argument_parser_and_common_options import (
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig print` to a parser."""
     parser.add_argument("design", metavar="RIG.toml", type=Path)
     parser.add_argument(
         "--out",
@@ -40,7 +40,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Write the sheets, and the bodies where requested."""
+    """Run `rig print`: write the sheets of a rig's markers to print, or bodies as STL."""
     from rig.formats.rig_toml import design_file
 
     require_matplotlib("sheets to print")

@@ -19,7 +19,7 @@ KINDS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig run` to a parser."""
     add_controller_arguments(parser)
     parser.add_argument(
         "--plan",
@@ -77,7 +77,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Check, home, and visit every pose of the plan; or go on where another process ended."""
+    """Run `rig run`: run a plan on the machine and record it, or resume such a run."""
     from calib.api.machine_run_and_pose_move import plan_run
     from rig.driving.driver_opening_and_settled_status import design_with_controller_port
 

@@ -29,7 +29,7 @@ SENSOR = {
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig simulate` to a parser."""
     parser.add_argument("design", metavar="RIG.toml", type=Path, nargs="?")
     parser.add_argument(
         "--from",
@@ -102,7 +102,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Simulate a recording and write it, and its truth apart."""
+    """Run `rig simulate`: simulate a recording and write it, its truth apart."""
     if arguments.source is not None:
         return _again(arguments)
     if arguments.design is None:

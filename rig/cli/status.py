@@ -6,13 +6,16 @@ from rig.cli.shared.argument_parser_and_common_options import add_controller_arg
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig status` to a parser."""
     add_controller_arguments(parser)
     add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> None:
-    """Print the status of the controller; nothing moves."""
+    """Run `rig status`: print the status of the controller.
+
+    Nothing moves.
+    """
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
 

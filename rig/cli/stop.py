@@ -8,12 +8,15 @@ PATIENCE = 10.0  # s for a process that drives to let go
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig stop` to a parser."""
     add_controller_arguments(parser)
 
 
 def run(arguments: Namespace) -> None:
-    """Stop the struts, and any process that moves them; its run can be resumed."""
+    """Run `rig stop`: stop the struts, and any process that moves them.
+
+    Its run can be resumed.
+    """
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.clock import SystemClock
     from rig.driving.controller_lock import stop_lock_holder

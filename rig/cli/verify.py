@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig verify` to a parser."""
     parser.epilog = "Exit status 0 if the verdict is good or check, 3 if it is bad: the claim is NOT kept."
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     add_recording_argument(parser)
@@ -38,7 +38,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Hold a calibration against a recording and print the figures; 3 where the verdict is bad."""
+    """Run `rig verify`: verify a calibration by another recording and print its errors.
+
+    Exit status 3 where the verdict is bad.
+    """
     from calib.api.verify_and_watch import verify
     from rig.recording.recording_tables import load_poses
     from rig.report.verdict_and_refutations_of_results import refutations_of_file

@@ -12,7 +12,7 @@ from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_nu
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig view` to a parser."""
     add_recording_argument(parser)
     shown = parser.add_mutually_exclusive_group(required=True)
     shown.add_argument("--frame", type=parse_whole_number, help="draw the detections of this frame")
@@ -50,7 +50,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Draw one frame, or the whole recording in three dimensions."""
+    """Run `rig view`: draw one frame of a recording, or all its poses in 3-D."""
     from calib.api.view import ViewOptions, view
 
     _refuse_options_of_other_views(arguments)

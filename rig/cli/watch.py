@@ -24,7 +24,7 @@ POSES = 12
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig watch` to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     parser.add_argument(
         "visits", metavar="VISIT", type=Path, nargs="*", help="small recordings, in chronological order"
@@ -55,7 +55,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Choose a visit's poses, or compare visits with a calibration and print changes; 3 where the verdict is bad."""
+    """Run `rig watch`: choose a visit's poses, or compare visits with a calibration.
+
+    Prints what changed. Exit status 3 where the verdict is bad.
+    """
     if arguments.plan:
         if arguments.visits or arguments.history or arguments.page or arguments.out is None:
             raise RigError("--plan takes --out FILE, and neither visits nor a --history nor a --page")

@@ -8,7 +8,7 @@ from rig.errors import RigError
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig workspace` to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     parser.add_argument(
         "--certificate",
@@ -27,7 +27,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Say what a calibration does to the workspace, and write its map."""
+    """Run `rig workspace`: map the workspace of a calibration and print what it changes."""
     from calib.api.workspace import analyse_workspace
 
     out = arguments.out

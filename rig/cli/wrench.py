@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add this command's arguments to a parser."""
+    """Add the arguments of `rig wrench` to a parser."""
     parser.add_argument(
         "arm", metavar="ARM.toml", help="a rig.toml with an arm and [dynamics], or the name of a shipped one, as panda"
     )
@@ -51,7 +51,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Estimate the wrench by a momentum observer, and by the pseudo-inverse for comparison; print both."""
+    """Run `rig wrench`: estimate the wrench on an arm's hand from torques and print it.
+
+    By a momentum observer, and by the pseudo-inverse for comparison.
+    """
     from rig.planning.layout import shipped_arm_layout
     from rig.posture.external_wrench_from_torque_table import WrenchOptions, measure_wrench
 

@@ -52,8 +52,11 @@ def kernel_cache_folder() -> Path | None:
     )
 
 
-def private_or_user_folder(folder: Path) -> Path:
-    """The folder itself where it is private (writable by this user and root only), else the user's cache folder."""
+def private_folder_or_user_cache(folder: Path) -> Path:
+    """The folder itself where it is private, else the user's private cache folder.
+
+    Private: writable by this user and root only.
+    """
     return folder if is_private_folder(folder) else user_cache_folder(f"others can write to {folder}")
 
 
@@ -161,7 +164,7 @@ class Kernel:
             try:
                 beside = Path(inspect.getfile(self._function)).parent / "__pycache__"
                 wanted = Path(self._folder() if self._folder is not None else settings.CACHE_DIR or beside)
-                kept = private_or_user_folder(wanted)
+                kept = private_folder_or_user_cache(wanted)
                 if kept != wanted and self._folder is not None:
                     kept = kept / wanted.name  # which tells one version of the sources from another
                 if kept != beside:

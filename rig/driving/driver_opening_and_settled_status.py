@@ -32,9 +32,11 @@ def open_driver(
     clock: Clock | None = None,
     stopping: bool = False,
 ) -> Iterator[Driver]:
-    """The open Driver of a design, which no other process drives meanwhile. print_line : takes a line of text
-    stopping : the struts are stopped before anything is asked of the controller
-    Raises FileError for a trace that cannot be written, and what opening raises."""
+    """The open Driver of a design, which no other process drives meanwhile.
+
+    print_line : takes a line of text; stopping : the struts are stopped before anything is asked of the controller
+    Raises FileError for a trace that cannot be written, and what opening raises.
+    """
     c = design.driver()
     with ExitStack() as stack:
         stack.enter_context(ControllerLock(c.port, c.usb))

@@ -126,7 +126,7 @@ def require_safe_path(
 
 def _dexterity(poses: RigidTransform, values: Floats, mechanism: Hexapod | Planar2) -> Floats:
     """(...) least singular value of the Jacobian, turns taken as lengths at the platform joints' mean radius."""
-    J = mechanisms.kinematics_of(mechanism).axis_changes_by_pose(poses, values, mechanism)
+    J = mechanisms.kinematics_of(mechanism).inverse_kinematics_jacobian(poses, values, mechanism)
     if mechanism.plates is not None:
         J = J / np.r_[1, 1, 1, np.full(3, np.linalg.norm(mechanism.plates[1], axis=1).mean())]
     return np.asarray(np.linalg.svd(J, compute_uv=False)[..., -1], float)

@@ -1,5 +1,6 @@
-"""Design of a rig with cameras and targets, as its owner states it: mechanism, platform, controller settings; the
-markers on targets; warps of a camera's image, and printed edges moved inward.
+"""Design of a rig as its owner states it: mechanism, platform, controller, cameras and targets.
+
+With the markers on targets, warps of a camera's image, and printed edges moved inward.
 """
 
 from __future__ import annotations
@@ -352,7 +353,7 @@ def chebyshev_products(camera: Camera, uv: Floats, degree: int) -> Floats:
 
 
 def warp_columns(camera: Camera, uv: Floats, degree: int) -> Floats:
-    """(..., 2, 2 m) px that image positions uv (..., 2) px move per unit of each number of a warp: m in u, then v."""
+    """Columns (..., 2, 2 m) of an image warp: px moved at uv (..., 2) px per unit of each coefficient."""
     basis = chebyshev_products(camera, uv, degree)
     zero = np.zeros_like(basis)
     return np.stack([np.concatenate([basis, zero], axis=-1), np.concatenate([zero, basis], axis=-1)], axis=-2)

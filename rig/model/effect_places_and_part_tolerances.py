@@ -76,8 +76,9 @@ def _parsed(text: str) -> Place:
 
 
 def parse_stage_place(text: str, kinds: Collection[str]) -> Place | None:
-    """The Place in a chain that a text means ("stage2strut3"), where axes are among the kinds of place; None for any
-    other text.
+    """Parse a Place in a stage of a chain ("stage2strut3"); None for any other text.
+
+    Axes must be among the kinds of place.
     """
     found = SHORT.fullmatch(text) if "axis" in kinds else None
     return None if found is None else Place(found[2], found[3], int(found[1]))

@@ -150,7 +150,7 @@ def effective_commands_and_sway(
 def strut_elongations_of_platform_sway(design: Design, T: RigidTransform, sway: Floats) -> Floats:
     """Strut elongations (n, axes) m that a platform at T (n,), displaced by sway (n, 6), appears to have."""
     m = require_struts(design.mechanism, "a {kind} has no struts")
-    return np.einsum("nij,nj->ni", mechanisms.kinematics_of(m).axis_changes_by_pose(T, np.zeros(0), m), sway)
+    return np.einsum("nij,nj->ni", mechanisms.kinematics_of(m).inverse_kinematics_jacobian(T, np.zeros(0), m), sway)
 
 
 def has_rolling_shutter(design: Design, effects: Iterable[Effect]) -> bool:

@@ -91,7 +91,7 @@ def roll_pitch_yaw(T: RigidTransform) -> Floats:
     return np.stack([roll, pitch, np.where(locked, 0.0, np.arctan2(R[..., 1, 0], R[..., 0, 0]))], axis=-1)
 
 
-def angle_sigmas(T: RigidTransform, covariance: Floats) -> Floats:
+def roll_pitch_yaw_sigmas(T: RigidTransform, covariance: Floats) -> Floats:
     """Standard deviations (sigmas) (..., 3) rad of roll, pitch and yaw angles of poses with a covariance."""
     roll, pitch, _ = np.moveaxis(roll_pitch_yaw(T), -1, 0)
     sr, cr, sp, cp = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
@@ -134,8 +134,9 @@ def covariance_from_triangle(triangle: ArrayLike) -> Floats:
 
 
 def rms_uncertainty(covariance: Floats) -> tuple[float, float]:
-    """(m, rad) RMS standard uncertainty of the length of position and rotation, of covariances (n, 6, 6), of what was
-    measured; else infinite.
+    """RMS standard uncertainty (m, rad) of position and rotation of covariances (n, 6, 6).
+
+    Of the length of each, of what was measured; else infinite.
     """
     variances = np.einsum("nii->ni", covariance)
     known = np.where(np.isinf(variances), 0.0, variances)

@@ -15,7 +15,14 @@ from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.csv_and_parquet_tables_and_time_origin import Table, TimeOrigin
 from rig.formats.output_files import write_text
 from rig.model.design import Camera, Design, Instrument
-from rig.model.pose import TRIANGLE, angle_sigmas, covariance_from_triangle, pose, pose_to_vector, roll_pitch_yaw
+from rig.model.pose import (
+    TRIANGLE,
+    covariance_from_triangle,
+    pose,
+    pose_to_vector,
+    roll_pitch_yaw,
+    roll_pitch_yaw_sigmas,
+)
 from rig.recording.image_file_check_and_reading import (
     UnreadableImage,
     image_file_problem,
@@ -368,7 +375,9 @@ def write_poses_as_roll_pitch_yaw(path: Path, poses: Poses) -> None:
         for frame, row in zip(poses.frame, np.atleast_2d(rows))
     ]
     if poses.covariance is not None:
-        sigma = np.concatenate([_positions(poses), angle_sigmas(poses.T_base_platform, poses.covariance)], axis=-1)
+        sigma = np.concatenate(
+            [_positions(poses), roll_pitch_yaw_sigmas(poses.T_base_platform, poses.covariance)], axis=-1
+        )
         lines = [
             line + "".join(f",{value:.4e}" if np.isfinite(value) else "," for value in row)
             for line, row in zip(lines, sigma)

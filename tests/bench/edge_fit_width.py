@@ -136,19 +136,14 @@ def _rendered(design, rng):
 def _score(pictures, markers):
     """{kind: px, RMS per axis of corners fitted with a spread learnt from the pictures themselves}."""
     from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, empty_profile, learn_edge_spread
-    from vision.corners.marker_detection import fit_read_markers, grey_images_for_reader_and_fit
+    from vision.corners.marker_detection import fit_read_markers, grey_image_at_full_depth
     from vision.corners.whole_image_marker_reader import ReadMarkers
     from vision.reading.recording_corners import ROUNDS
 
     out = {}
     for kind, shown in pictures.items():
         start = [
-            (
-                grey_images_for_reader_and_fit(image)[1] if image.dtype != np.float32 else image,
-                view,
-                np.asarray(ids),
-                true,
-            )
+            (grey_image_at_full_depth(image) if image.dtype != np.float32 else image, view, np.asarray(ids), true)
             for image, view, ids, true in shown
         ]
         first = [fit_read_markers(full, view, markers, ReadMarkers(ids, true)) for full, view, ids, true in start]

@@ -13,9 +13,9 @@ import numpy as np
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.correction.interpolation_methods_and_correction_summand_fields import (
-    base_geometry,
     correction_with_field,
     fit_correction_summand_field,
+    fitted_or_nominal_geometry,
     measured_correction_summands,
 )
 from calib.diagnosis.findings_refit import findings_of_diagnosis
@@ -34,7 +34,7 @@ POSES, SEED = 200, 41
 def by_field(sampled, design, kind) -> Calibration:
     """Calibration of KSF by a way of extending it alone, on the nominal model."""
     samples, nominal = sampled.samples, design.mechanism
-    found = base_geometry(samples, nominal, True)
+    found = fitted_or_nominal_geometry(samples, nominal, True)
     correction = correction_with_field(
         nominal, found, fit_correction_summand_field(measured_correction_summands(samples, nominal), kind)
     )

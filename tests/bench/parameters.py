@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from calib.certification import measuring_limb_calibration_and_slips
-from calib.correction import joint_camera_fit
+from calib.correction import simultaneous_camera_and_geometry_fit
 from calib.models.platform.identification import PRIOR, identify_platform, pose_parameter_jacobian
 from calib.models.platform.optimal_configurations import CRITERIA, choose_d_optimal_configurations
 from calib.models.platform.parameter_accuracy import PLAUSIBLE, parameter_combinations
@@ -268,8 +268,10 @@ def _joint():
         return ", ".join(both)
 
     start = time.perf_counter()
-    corners, commanded, state = joint_camera_fit.joint_fit_inputs(done.measurement, samples)
-    one = joint_camera_fit.fit_cameras_and_geometry(
+    corners, commanded, state = simultaneous_camera_and_geometry_fit.inputs_of_camera_and_geometry_fit(
+        done.measurement, samples
+    )
+    one = simultaneous_camera_and_geometry_fit.fit_cameras_and_geometry(
         corners, commanded, state, read.design.cameras, nominal, identify_platform(samples, nominal).mechanism
     )
     seconds = time.perf_counter() - start

@@ -1,5 +1,6 @@
-"""Normal equations of an adjustment in blocks: each frame's unknowns, the shared ones, the cross terms; and the
-Jacobians of predicted corners, with the compiled kernels that whiten and sum them.
+"""Normal equations of an adjustment, and the Jacobians of predicted corners.
+
+In blocks: each frame's unknowns, the shared ones, the cross terms; with the compiled kernels that whiten and sum them.
 """
 
 from collections.abc import Iterator
@@ -143,7 +144,7 @@ def iterate_camera_jacobians(observations: Observations, state: State) -> Iterat
 
 
 def small_motion_jacobian(J_point: Floats, points: Floats) -> Floats:
-    """(n, 2, 6) Jacobian to a small motion on the right, from the Jacobian to the moved points (n, 2, 3).
+    """Jacobian (n, 2, 6) to a small motion on the right, from the Jacobian to the moved points (n, 2, 3).
     points : (n, 3) in the moved frame
     """
     out = np.empty((len(J_point), 2, 6))
@@ -152,7 +153,7 @@ def small_motion_jacobian(J_point: Floats, points: Floats) -> Floats:
 
 
 def rotate_jacobian(J: Floats, R: Floats, rotation_index: Integers, mask: Booleans | None = None) -> Floats:
-    """(n, 2, 3) Jacobian rotated: J times the rotation matrix of each row, or J itself outside the mask.
+    """Jacobian (n, 2, 3) rotated: J times the rotation matrix of each row, or J itself outside the mask.
     J : (n, 2, 3); R : (m, 3, 3); rotation_index : (n,) into R; mask : (n,) bool, all by default
     """
     out = np.empty(J.shape)

@@ -212,7 +212,7 @@ def _squares(observations: Observations, state: State) -> Floats:
 
 
 def is_within_gate(observations: Observations, state: State, smallest_gate: float = 0.0) -> Booleans:
-    """(n,) bool, whether a corner's residual is within the gate: GATE robust scales, or the smallest gate px."""
+    """Whether each corner's residual (n,) is within the gate: GATE robust scales, or the smallest gate px."""
     square = _squares(observations, state)
     scale = np.sqrt(np.median(square) / MEDIAN)
     typical = np.median(np.einsum("nii->n", observations.covariance)) / 2

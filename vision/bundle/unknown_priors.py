@@ -60,7 +60,7 @@ PARTS = ("x", "y", "z", "rx", "ry", "rz")
 
 
 def stated_lens_prior_sigmas(camera: Camera) -> Floats:
-    """(4 + terms,) standard deviations (sigmas) that a stated lens is given as a prior."""
+    """Prior standard deviations (sigmas) (4 + terms,) of a stated lens."""
     focal = [FOCAL_PRIOR * camera.matrix[0, 0], FOCAL_PRIOR * camera.matrix[1, 1]]
     return np.array(
         focal

@@ -1,6 +1,6 @@
-"""Unknowns of an adjustment as columns, the estimate of them and its update by a step; printing errors of
-markers among them.
+"""Unknowns of an adjustment as columns, their estimate, and printing errors of markers among them.
 
+The estimate is updated by a step.
 A printing error (place, height, angle, side) is a shared unknown with a prior. Of each marker: its place (x, y on its
 face), how far it stands off it (z), how it is turned, its side; and the side of all together, because one printer's
 feed and one paper stretch them alike. How much of each there is, a recording tells:
@@ -112,7 +112,7 @@ def fill_printing_error_offsets(markers: MarkerMap, stated: MarkerMap, prints: P
 
 
 def printing_jacobian(J: Floats, J_motion: Floats, corners_marker: Floats) -> Floats:
-    """(n, 2, 7) Jacobian of corners to the printing errors NAMES.
+    """Jacobian (n, 2, 7) of corners to the printing errors NAMES.
     J : (n, 2, 3) to the corner in its marker's frame; J_motion : (n, 2, 6) to a motion; corners_marker : (n, 3) m
     """
     return np.concatenate([J_motion, J @ corners_marker[..., None]], axis=2)
@@ -244,7 +244,7 @@ def estimated_marker_motions_by_target_motions(estimate: Estimate, unknowns: Unk
 
 
 def offset_from_stated(estimate: Estimate, stated: State, unknowns: Unknowns) -> Floats:
-    """(s,) offset of lenses, places, prints and held camera poses from the stated ones, in scaled units."""
+    """Offset (s,) of the estimate from the stated lenses, places, prints and held camera poses, in scaled units."""
     out, cameras = np.zeros(unknowns.shared), estimate.state.cameras
     for i, columns in unknowns.poses.items():
         if unknowns.prior[columns].any():

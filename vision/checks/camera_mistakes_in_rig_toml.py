@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.model.design import Camera
-from vision.checks.corner_and_lens_convention_trials import SampledRecording, scale_focal_length
+from vision.checks.corner_and_lens_convention_trials import SampledRecording, focal_length_scaler
 
 Candidate = tuple[str, str, SampledRecording]
 BEFORE = "camera in base, OpenCV axes (x right, y down, z ahead): state it in this form"
@@ -20,7 +20,7 @@ ZOOMED = 0.05  # share beyond which that is a mistake
 
 
 def alternative_camera_poses(pose: RigidTransform) -> Iterator[tuple[str, RigidTransform]]:
-    """Alternative camera poses, each with its convention: (what the stated pose is, the correct pose)."""
+    """Alternative readings of a camera's pose in other conventions: [(what the stated pose is, the correct pose)]."""
     t, R = pose.translation, pose.rotation
     v = R.as_rotvec()
     yield "its pose is inverted (base in camera, not camera in base)", pose.inv()
@@ -116,6 +116,6 @@ def focal_length_mistakes(sample: SampledRecording, adjusted: tuple[Camera, ...]
         f"rig.toml: the focal length is about {abs(1 / mean - 1):.0%} too {'large' if mean < 1 else 'small'}, of {of}",
         "State it in pixels, of these images",
         sample.with_cameras(
-            tuple(scale_focal_length(off[k])(camera) if k in off else camera for k, camera in enumerate(cameras))
+            tuple(focal_length_scaler(off[k])(camera) if k in off else camera for k, camera in enumerate(cameras))
         ),
     )

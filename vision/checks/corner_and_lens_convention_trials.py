@@ -68,7 +68,7 @@ class Trial:
 def sample_frames(
     design: Design, corners: Corners, frames: Integers, t: Floats, count: int = FRAMES
 ) -> SampledRecording | None:
-    """Seen: a sample of frames spread over a recording, the richest of each stretch; None without corners.
+    """Sample of frames spread over a recording (Seen), the richest of each stretch; None without corners.
 
     frames : (F,) all frames' numbers; t : (F,) s. What is on a chain's stages below the last is left aside, and what
     was put back: its place is told only to what remounting may do
@@ -103,7 +103,7 @@ def _select_corners(corners: Corners, mask: Booleans) -> Corners:
 
 
 def measure_trial(sample: SampledRecording, free: tuple[str, ...] = ("poses", "lenses")) -> Trial:
-    """Measured Trial of sampled frames, cameras and lenses adjusted as by `rig measure`.
+    """Measure a trial: the sampled frames, cameras and lenses adjusted as by `rig measure`.
     free : see vision.bundle.bundle_adjustment
     """
     known = np.isin(sample.corners.marker, [number for target in sample.design.targets for number in target.ids])
@@ -301,8 +301,8 @@ def _scaled(factor: float) -> Callable[[Camera], Camera]:
     )
 
 
-def scale_focal_length(factor: float) -> Callable[[Camera], Camera]:
-    """Function that scales the focal length of a camera."""
+def focal_length_scaler(factor: float) -> Callable[[Camera], Camera]:
+    """Function that scales the focal length of a camera by a factor."""
     return lambda c: replace(
         c, matrix=_matrix(c.matrix[0, 0] * factor, c.matrix[1, 1] * factor, c.matrix[0, 2], c.matrix[1, 2])
     )
@@ -329,8 +329,8 @@ _LENSES = (
     ("cx and cy are exchanged in the matrix", _ORDER, _with_matrix((0, 1, 3, 2))),
     ("the matrix is of images of half the size", "Scale the matrix with the images", _scaled(2.0)),
     ("the matrix is of images of twice the size", "Scale the matrix with the images", _scaled(0.5)),
-    ("the focal length is half of what it should be", "State it in pixels", scale_focal_length(2.0)),
-    ("the focal length is twice what it should be", "State it in pixels", scale_focal_length(0.5)),
+    ("the focal length is half of what it should be", "State it in pixels", focal_length_scaler(2.0)),
+    ("the focal length is twice what it should be", "State it in pixels", focal_length_scaler(0.5)),
     ("the sign of the distortion is reversed", _LENS, _terms(lambda d: -d)),
     ("distortion is in another order (k1 k2 k3 p1 p2)", _LENS, _terms(lambda d: d[[0, 1, 3, 4, 2]])),
     ("distortion is in another order (k1 p1 k2 p2 k3)", _LENS, _terms(lambda d: d[[0, 2, 1, 3, 4]])),

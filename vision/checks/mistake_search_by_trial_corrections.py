@@ -103,7 +103,7 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
                 ], other
     if sized:
         return sized, best
-    bound = GROSS if targets.suspicious_targets(first) else UNEXPLAINED
+    bound = GROSS if targets.targets_with_misfitting_corners(first) else UNEXPLAINED
     if (
         first.misfit > bound
         and measure_trial(first.seen, ("poses", "lenses", "markers")).misfit > BETTER * first.misfit
@@ -248,7 +248,7 @@ def _tried(first: Trial, most: int) -> tuple[list[tuple[str, str, Trial]], bool]
             conventions.corner_correction_candidates_by_camera,
             *([cameras.alternative_camera_pose_trials] if stated else []),
         ]
-    wrong = targets.suspicious_targets(first) if first.misfit > GROSS else []
+    wrong = targets.targets_with_misfitting_corners(first) if first.misfit > GROSS else []
     ones: list[Maker] = [partial(targets.turned_face_trials, name=name) for name in wrong]
     ones += [
         partial(targets.exchanged_target_trials, names=wrong),

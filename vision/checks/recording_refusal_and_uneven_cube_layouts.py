@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.checks.implausible_values_and_image_mistakes import recording_file_mistakes
-from rig.checks.mistake_and_clock_mistakes import Mistake
+from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake
 from rig.errors import RigError
 from rig.model.design import Design, Target, markers_of_target, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_remounting import WORDS
@@ -25,7 +25,7 @@ Notice = Callable[[str], None]
 
 
 def ignore_notice(line: str) -> None:
-    """Let a notice pass."""
+    """Ignore a notice: do nothing with its line."""
 
 
 def refuse_mistakes(mistakes: Iterable[Mistake], allow_mistakes: bool, notice: Notice) -> None:

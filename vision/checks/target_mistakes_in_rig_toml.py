@@ -289,8 +289,8 @@ def cube_edge_trials(sample: SampledRecording) -> Iterator[Candidate]:
             )
 
 
-def suspicious_targets(trial: Trial) -> list[str]:
-    """Names of suspicious targets: with a marker most of whose corners do not fit, the worst first."""
+def targets_with_misfitting_corners(trial: Trial) -> list[str]:
+    """Names of targets with a marker most of whose corners do not fit, the worst first."""
     if trial.measured is None or trial.miss is None:
         return []
     o, markers = trial.measured.observations, marker_map(trial.seen.design)

@@ -24,13 +24,13 @@ _TO_POLYNOMIAL = np.linalg.pinv((_NODES[:, None, :] ** _ORDERS).prod(axis=2))
 
 
 def local_coordinate_origins(quads: Floats) -> Floats:
-    """(m, 3) origin x, y and scale px of the local coordinates of markers with corners (m, 4, 2) px."""
+    """Origins x, y and scale (m, 3) px of the local coordinates of markers with corners (m, 4, 2) px."""
     middle = quads.mean(axis=1)
     return np.concatenate([middle, np.abs(quads - middle[:, None]).max(axis=(1, 2))[:, None]], axis=1)
 
 
 def ideal_coordinate_table(camera: Camera) -> Floats:
-    """(rows, columns, 2) table of ideal coordinates at nodes SPACING px apart, times the focal lengths.
+    """Table (rows, columns, 2) of ideal coordinates at nodes SPACING px apart, times the focal lengths.
     From -BEYOND * SPACING on; NaN beyond a lens.
     """
     return _table(camera.matrix.tobytes(), np.asarray(camera.distortion, float).tobytes(), camera.width, camera.height)

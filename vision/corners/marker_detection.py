@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal, NamedTuple, overload
+from typing import NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -79,31 +79,28 @@ class Detection:
         )
 
 
-@overload
-def grey_images_for_reader_and_fit(image: Pixels, with_reader_image: Literal[True] = True) -> tuple[Floats, Floats]: ...
+def grey_image_at_full_depth(image: Pixels) -> Floats:
+    """Grey image (height, width) at full depth, in 255ths, of an image as cv2 reads it: uint8, or float32 of 16 bit.
 
-
-@overload
-def grey_images_for_reader_and_fit(image: Pixels, with_reader_image: bool) -> tuple[Floats | None, Floats]: ...
-
-
-def grey_images_for_reader_and_fit(image: Pixels, with_reader_image: bool = True) -> tuple[Pixels | None, Pixels]:
-    """(height, width) uint8 for the reader, and in 255ths at full depth for the fit, of an image as cv2 reads it: 8 or
-    16 bit, grey or colour.
-
-    with_reader_image : whether the first is wanted. Raises ValueError for any other kind.
+    Raises ValueError for an image that is not grey or colour, or not of 8 or 16 bit.
     """
     if image.ndim == 3 and image.shape[2] in (3, 4):
         image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY)
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"expected a grey or colour image of 8 or 16 bit, got {image.dtype} {image.shape}")
-    if image.dtype == np.uint8:
-        return image, image
-    full = image.astype(np.float32) / 257
-    if not with_reader_image:
-        return None, full
+    return cast(Floats, image if image.dtype == np.uint8 else image.astype(np.float32) / 257)
+
+
+def grey_images_for_reader_and_fit(image: Pixels) -> tuple[Floats, Floats]:
+    """Grey images (height, width) of an image: 8 bit for the reader, and at full depth for the fit.
+
+    Of an image of 16 bit, the reader's is stretched to its bright parts. Raises as `grey_image_at_full_depth`
+    """
+    full = grey_image_at_full_depth(image)
+    if full.dtype == np.uint8:
+        return full, full
     top = max(float(np.percentile(full, 99.9)), 1e-3)
-    return np.clip(full * (255 / top), 0, 255).astype(np.uint8), full
+    return cast(Floats, np.clip(full * (255 / top), 0, 255).astype(np.uint8)), full
 
 
 def detect_markers(
@@ -128,7 +125,7 @@ def detect_markers(
     if T_base_platform is not None:
         rows, places = markers_expected_in_image(camera, T_base_platform, marker_map)
         found = fit_read_markers(
-            grey_images_for_reader_and_fit(image, False)[1],
+            grey_image_at_full_depth(image),
             camera,
             marker_map,
             ReadMarkers(marker_map.id[rows], places),

@@ -93,7 +93,7 @@ def neighbour_rotation_scatter(solved_poses: Poses, t: Floats) -> Reach | None:
 
 
 def pose_from_neighbours(solved_poses: Poses, f: int, t: Floats, scatter: Reach) -> tuple[Floats | None, float]:
-    """((4, 4) pose of frame f from solved neighbours, rad that it may be off); (None, inf) without any."""
+    """Pose (4, 4) of frame f from solved neighbours, and rad that it may be off; (None, inf) without any."""
     before, after = _near(solved_poses, f, t)
     ways = [(scatter.beside * abs(t[f] - t[k]), k) for k in (before, after) if k is not None]
     limit, nearest = min(ways, default=(np.inf, None))
@@ -128,7 +128,7 @@ def _between(found: Poses, before: int, after: int, f: int, t: Floats) -> Floats
 
 
 def rotation_angle(a: Floats, b: Floats) -> float:
-    """rad between the rotations of two poses (4, 4)."""
+    """Angle, rad, between the rotations of two poses (4, 4)."""
     return float(np.arccos(np.clip((np.einsum("ij,ij", a[:3, :3], b[:3, :3]) - 1) / 2, -1, 1)))
 
 

@@ -16,7 +16,7 @@ from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from vision.corners import local_lens
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD
-from vision.corners.marker_detection import Detection, fit_read_markers, grey_images_for_reader_and_fit
+from vision.corners.marker_detection import Detection, fit_read_markers, grey_image_at_full_depth
 from vision.corners.whole_image_marker_reader import ReadMarkers
 from vision.predict import MarkerMap
 from vision.reading.parallel_image_map_and_marker_rendering import map_images_in_processes
@@ -69,7 +69,7 @@ def refit_corners(
     def one(image: tuple[int, str, str, ReadMarkers]) -> Detection:
         _, camera, name, read = image
         return fit_read_markers(
-            grey_images_for_reader_and_fit(read_image(folder / name), False)[1],
+            grey_image_at_full_depth(read_image(folder / name)),
             lenses[camera],
             marker_map,
             read,

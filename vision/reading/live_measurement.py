@@ -23,13 +23,7 @@ from rig.model.pose import adjoint
 from rig.recording.recording_tables import Corners
 from vision.corner_observations import Observations, empty_observations, observations_from_corners
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread
-from vision.corners.marker_detection import (
-    REACH,
-    Detection,
-    detect_markers,
-    fit_read_markers,
-    grey_images_for_reader_and_fit,
-)
+from vision.corners.marker_detection import REACH, Detection, detect_markers, fit_read_markers, grey_image_at_full_depth
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_and_camera_poses import Views, locate_fixed_cameras, locate_frames
 from vision.predict import State, marker_map, markers_expected_in_image, predict_corners
@@ -184,7 +178,7 @@ class Live:
     def _adjusted(self, rows: Rows, first: Images, cameras: dict[str, Camera]) -> _Adjusted:
         """Cameras adjusted to all of some rows. first : images from which to learn how each camera's edges look and
         which are placed once more, or none; cameras : {name: Camera} by which these are placed at first"""
-        full = {(frame, name): grey_images_for_reader_and_fit(image)[1] for frame, name, image in first}
+        full = {(frame, name): grey_image_at_full_depth(image) for frame, name, image in first}
         seen = {(frame, name): detection for frame, name, detection in rows if (frame, name) in full}
         spread = {
             name: learn_camera_edge_spread(

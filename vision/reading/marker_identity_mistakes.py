@@ -213,8 +213,9 @@ def _reads_at(image: Pixels, place: Floats, name: str) -> int | None:
 
 
 def no_marker_reason(images: Sequence[Pixels], marker_map: MarkerMap) -> str:
-    """Why no marker of a rig was found in images [(height, width) uint8]: of another dictionary, mirrored. "" where
-    nothing is told.
+    """Reason why no marker of a rig was found in images [(height, width) uint8]: another dictionary, mirrored.
+
+    "" where none is found.
     """
     stated = sorted(set(marker_map.dictionary))
     for name in stated:

@@ -18,7 +18,13 @@ from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners, undecodable_images
 from vision.corner_observations import corner_correlation_rows
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread, empty_profile, learn_edge_spread
-from vision.corners.marker_detection import Detection, detect_markers, fit_read_markers, grey_images_for_reader_and_fit
+from vision.corners.marker_detection import (
+    Detection,
+    detect_markers,
+    fit_read_markers,
+    grey_image_at_full_depth,
+    grey_images_for_reader_and_fit,
+)
 from vision.corners.whole_image_marker_reader import ReadMarkers, read_markers
 from vision.predict import MarkerMap, markers_expected_in_image
 from vision.reading import expected_marker_places
@@ -304,7 +310,7 @@ def search_missed_markers(
         if not fresh:
             return None
         numbers, places = marker_map.id[rows[fresh]], places[fresh]
-        _, full = grey_images_for_reader_and_fit(read_image(folder / name))
+        full = grey_image_at_full_depth(read_image(folder / name))
         d = fit_read_markers(
             full,
             camera,

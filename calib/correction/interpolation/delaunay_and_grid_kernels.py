@@ -18,7 +18,7 @@ from calib.correction.interpolation.field_interface_and_combinations import (
     FieldSamples,
     WeightedField,
     Weights,
-    merge_repeats,
+    merge_repeated_samples,
 )
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.numba_kernels_and_lazy_exports import njit
@@ -77,7 +77,7 @@ class Delaunay(WeightedField):
     @classmethod
     def fit(cls, known: FieldSamples) -> Self:
         """The field through samples anywhere, repeats of a configuration averaged. Raises RigError as above."""
-        each = merge_repeats(known)
+        each = merge_repeated_samples(known)
         centre, half = known.strokes.mean(axis=1), np.ptp(known.strokes, axis=1) / 2
         found = cls(
             centre,

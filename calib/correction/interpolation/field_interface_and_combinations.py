@@ -76,8 +76,8 @@ class FieldSamples:
         return FieldSamples(self.configurations[index], self.values[index], self.variances[index], self.strokes)
 
 
-def merge_repeats(samples: FieldSamples, tolerance: float = 1e-5) -> FieldSamples:
-    """Samples with repeats of one configuration merged to their weighted mean."""
+def merge_repeated_samples(samples: FieldSamples, tolerance: float = 1e-5) -> FieldSamples:
+    """Samples with repeats of one configuration merged into their weighted mean."""
     scaled = np.round(
         (samples.configurations - samples.strokes[:, 0]) / (tolerance * np.ptp(samples.strokes, axis=1)) / 2
     ).astype(np.int64)

@@ -18,7 +18,7 @@ import scipy
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotrf, dpotri
 
-from calib.correction.interpolation.field_interface_and_combinations import FieldSamples, merge_repeats
+from calib.correction.interpolation.field_interface_and_combinations import FieldSamples, merge_repeated_samples
 from rig.array_and_json_types import Booleans, Floats
 from rig.compute.numba_kernels_and_lazy_exports import njit
 
@@ -204,7 +204,7 @@ class RadialMap:
 
         like : a RadialMap whose sizes and smoothness are taken over, or None
         """
-        each = merge_repeats(known)
+        each = merge_repeated_samples(known)
         x, axes = each.configurations, each.configurations.shape[1]
         if each.values.shape[1] > axes:
             raise ValueError(f"radial accepts at most as many outputs as axes, got {each.values.shape[1]} and {axes}")

@@ -15,7 +15,7 @@ from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 
-from calib.correction.interpolation.field_interface_and_combinations import FieldSamples, merge_repeats
+from calib.correction.interpolation.field_interface_and_combinations import FieldSamples, merge_repeated_samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 
 EMPTY = np.zeros(0)
@@ -142,7 +142,7 @@ class AxisFunctions(RegressionField):
         """The sum of functions with as many knots as is likeliest, through samples anywhere; knots where samples lie
         equally dense.
         """
-        each = merge_repeats(known)
+        each = merge_repeated_samples(known)
         n, axes = each.configurations.shape
         counts = [count for count in KNOTS if count == KNOTS[0] or SAMPLES_PER_KNOT * axes * count <= n]
         return _most_likely_field(
@@ -216,7 +216,7 @@ class Polynomial(RegressionField):
     @classmethod
     def fit(cls, known: FieldSamples) -> Self:
         """The polynomial of the likeliest degree through samples anywhere."""
-        each = merge_repeats(known)
+        each = merge_repeated_samples(known)
         n, axes = each.configurations.shape
         low, high = each.configurations.min(axis=0), each.configurations.max(axis=0)
         high = np.where(high > low, high, low + np.ptp(known.strokes, axis=1))

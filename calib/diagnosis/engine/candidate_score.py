@@ -102,7 +102,7 @@ def score_raised_to_likelihood_ratio(score: Score[C], likelihood_ratio: float, f
 
 
 def best_scores_at_axes(promising: list[Score[C]], name: str, size: int) -> list[Score[C]]:
-    """The likeliest Score of a name at each axis, the most convincing first."""
+    """The best Score of one effect at each axis, the most convincing first."""
     best: dict[str, Score[C]] = {}
     for s in promising:
         if s.candidate.name == name and s.candidate.site.is_axis:
@@ -112,10 +112,12 @@ def best_scores_at_axes(promising: list[Score[C]], name: str, size: int) -> list
     return sorted(best.values(), key=lambda s: -s.raw_delta_bic(size))
 
 
-def scores_with_likelier_name_of_several_axes_first(promising: list[Score[C]], size: int) -> list[Score[C]]:
-    """The promising Scores, first those of a name that explains more at several axes than the first does by itself:
-    axes that are built alike fail alike, and what one hypothesis explains of all is less than what each does of its
-    own."""
+def scores_with_best_effect_at_several_axes_first(promising: list[Score[C]], size: int) -> list[Score[C]]:
+    """Scores with those of the effect first that explains most at several axes together, if more than the first score.
+
+    Axes that are built alike fail alike, and what one hypothesis explains of all is less than what each does of its
+    own.
+    """
     groups = [best_scores_at_axes(promising, name, size) for name in dict.fromkeys(s.candidate.name for s in promising)]
     several = [group for group in groups if len(group) >= SEVERAL]
     best = max(several, key=lambda group: sum(s.raw_delta_bic(size) for s in group), default=[])

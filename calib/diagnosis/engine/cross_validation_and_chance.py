@@ -39,8 +39,11 @@ class Dispersion(NamedTuple):
 
 
 def scan_p_value(deltas: Floats, rank: float, freedom: float) -> float:
-    """p-value of the greatest delta chi-square of deltas (k,), scanned in order with `rank` linear parameters; Fisher's
-    F stands for chi-square where the degrees of freedom of what deltas were divided by are few."""
+    """p-value of the greatest delta chi-square of deltas (k,) of a scan, with `rank` linear parameters each.
+
+    Scanned in order; Fisher's F stands for chi-square where the degrees of freedom of what deltas were divided by are
+    few.
+    """
     top = max(float(deltas.max()), 1e-12)
     rank = max(int(rank), 1)
     tail = (
@@ -60,8 +63,9 @@ def scan_p_value(deltas: Floats, rank: float, freedom: float) -> float:
 def residual_dispersion(
     model: LinearModel, products: FrameProducts, weights: Floats, coefficients: Floats, correlated_frames: int = 1
 ) -> Dispersion:
-    """Dispersion of a candidate of weights (F, a, q) and coefficients (q,); correlated_frames : frames in a row that
-    are taken together.
+    """Dispersion of the residuals about a candidate of weights (F, a, q) and coefficients (q,).
+
+    correlated_frames : frames in a row that are taken together
     """
     F, a, q = weights.shape
     turned = np.swapaxes(weights, 1, 2)
@@ -148,12 +152,15 @@ class HeldOut(NamedTuple):
 
 
 def time_stretch_folds(count: int, folds: int) -> Integers:
-    """(count,) fold of each frame: whole stretches in time, never too short to tell anything."""
+    """Fold (count,) of each frame: whole stretches in time.
+
+    No stretch is too short for a fold of its own.
+    """
     return time_block_folds(count, min(folds, max(count // FEWEST, 2)))
 
 
 def frame_folds(frames: int, has_sudden_effects: bool, sides: Sequence[Booleans] = ()) -> Integers:
-    """(F,) fold of each frame: a stretch of time; with sudden effects, several stretches spread over both sides.
+    """Fold (F,) of each frame: stretches of time, which with sudden effects are spread over both sides.
     sides : each (F,) bool, what is
     before such a moment or after it; of one that is within a single stretch, the later half is held out with the
     next.
@@ -171,9 +178,9 @@ def frame_folds(frames: int, has_sudden_effects: bool, sides: Sequence[Booleans]
 def held_out_residuals(
     model: LinearModel, residuals: tuple[Floats, ...], fold: Integers, single_fold: int | None = None
 ) -> HeldOut:
-    """HeldOut of residuals (one (m,) for each block, as they are with the nuisances at the model's values): nuisances
-    fitted on other folds.
+    """Held-out residuals (HeldOut): those of each fold with the nuisances fitted on the other folds.
 
+    residuals : one (m,) for each block, as they are with the nuisances at the model's values
     model : with an explicit basis, else ValueError is raised; what was known beforehand is known in every fold, and is
         judged by the fit to all
     single_fold : the one fold to hold out, the others' rows staying as they are; None for each in turn

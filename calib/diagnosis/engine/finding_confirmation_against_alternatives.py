@@ -35,7 +35,7 @@ def is_indistinguishable(alternative: Alternative[C], policy: SelectionPolicy) -
 def find_alternatives(
     problem: Problem[Fit, Model, C], model: Model, finding_score: Score[C], progress: Callable[[int, int], None] | None
 ) -> list[Alternative[C]]:
-    """Find the [Alternative] to a finding's Score on a model without it, by weight, the best of each place."""
+    """Find the alternatives to a finding ([Alternative]) on a model without it, by weight, the best of each place."""
     policy, linear = problem.policy, problem.linear(model)
     size, here = linear.size, (finding_score.candidate.name, finding_score.candidate.place)
     reach = max(2 * policy.alike, policy.near * finding_score.delta_chi2 * finding_score.dispersion)
@@ -77,9 +77,11 @@ def refit_alternatives(
     alternatives: list[Alternative[C]],
     hidden: bool = False,
 ) -> list[Refit[Fit, C]]:
-    """Refit the first alternatives that a scan cannot separate: a scan takes for scatter what is not admitted
-    yet, and so tells of a strong term far less than it could. hidden : whether the finding convinces by its fit alone,
-    as they then may"""
+    """Refit the first alternatives that a scan cannot separate from a finding.
+
+    A scan takes for scatter what is not admitted yet, and so tells of a strong term far less than it could.
+    hidden : whether the finding convinces by its fit alone, as they then may
+    """
     close = [a for a in alternatives if is_indistinguishable(a, problem.policy)][: problem.policy.refitted]
     if not close:
         return []
@@ -110,7 +112,7 @@ class Finding(Generic[C]):
 
 
 def is_significant(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
-    """Whether a Score is a finding: too good for chance over all candidates, and worth its parameters."""
+    """Whether a Score is significant: too good for chance over all candidates, and worth its parameters."""
     return score.p_value * count <= policy.alpha and score.delta_bic(size) >= policy.delta_bic
 
 
@@ -120,8 +122,9 @@ def labelled_progress(progress: Progress | None, label: str) -> Callable[[int, i
 
 
 def may_become_significant_when_fitted(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
-    """Whether a Score that is not significant may become so when fitted: unlikely by chance, or explains much by
-    whichever frames.
+    """Whether a Score that is not significant may become so when fitted.
+
+    It is unlikely by chance, or explains much by whichever frames.
     """
     return policy.hidden > 0 and (
         score.p_value * count <= policy.hidden or score.raw_delta_bic(size) >= policy.delta_bic
@@ -129,8 +132,10 @@ def may_become_significant_when_fitted(score: Score[C], count: int, size: int, p
 
 
 def confirm_terms(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> tuple[Fit, list[Finding[C]]]:
-    """Each term against all candidates with the others admitted: gone where it does not stand, replaced where another
-    does better, its alternatives listed."""
+    """Confirm each term of a Fit against all candidates: removed, replaced, or retained with its alternatives.
+
+    The others stay admitted meanwhile.
+    """
     policy, count = problem.policy, len(problem.candidates)
     findings: list[Finding[C]] = []
     for _ in range(RESTARTS * policy.most):
@@ -168,7 +173,7 @@ def confirm_terms(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress 
         if not held and _outdone(
             problem, model, fit, own
         ):  # only now: what has no name may be likelier than one name, and not than the next
-            member = member_that_explains(problem, model, fit, number)
+            member = refit_with_other_member_of_law(problem, model, fit, number)
             fit = problem.remove_term(fit, number) if member is None else problem.in_place(member, number)
             findings = []
             continue
@@ -224,9 +229,10 @@ def _likelier_member(
     return None
 
 
-def member_that_explains(problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int) -> Fit | None:
-    """The Fit with another member of a term's law in its place, the last of the terms, that leaves no smooth function
-    there; None where none does: a law is a family, and a machine need not follow its first formula. model : without it
+def refit_with_other_member_of_law(problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int) -> Fit | None:
+    """Refit with another member of a term's law in its place that explains its residuals; None where none does.
+
+    It is the last of the terms. A law is a family, and a machine need not follow its first formula. model : without it
     """
     site, size = problem.terms(fit)[number].site, problem.linear(model).size
     for score in _other_members(problem, model, fit, number):
@@ -241,7 +247,7 @@ def member_that_explains(problem: Problem[Fit, Model, C], model: Model, fit: Fit
 def is_finding_significant(
     problem: Problem[Fit, Model, C], finding: Finding[C], model: Model, fit: Fit, count: int
 ) -> bool:
-    """Whether a Finding convinces on a model without it, of so many candidates asked."""
+    """Whether a Finding is significant on a model without it, among `count` candidates."""
     return is_significant(
         problem.rescored(model, fit, finding.number), count, problem.linear(model).size, problem.policy
     )

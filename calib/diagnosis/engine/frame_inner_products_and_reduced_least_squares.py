@@ -1,6 +1,6 @@
-"""Inner products of columns frame by frame, the normal equations made of them, and fast sums against sinusoids; least
-squares reduced by whitening and nuisance elimination, to which columns are added one at a time.
+"""Inner products of columns frame by frame, and least squares reduced by whitening and nuisance elimination.
 
+The normal equations are made of the products; columns are added one at a time, and sums against sinusoids are fast.
 A candidate moves each frame in a few directions (an axis longer, a camera's mount moved) by weights; so a search over
 thousands of hypotheses costs sums over frames alone.
 
@@ -158,8 +158,9 @@ NODES = 60  # of the quadrature for the kernel's transform
 
 
 def sinusoid_sums(q: Floats, values: Floats, step: float, first: int, count: int) -> Floats:
-    """(count, p) complex: sum over poses of values * exp(1j * order * q) at orders step * (first, first + 1, ..).
+    """Sums (count, p), complex, of values times sinusoids of q at evenly spaced orders.
 
+    Over poses, values * exp(1j * order * q) at orders step * (first, first + 1, ..).
     q : (m,) rad, its span times step below 2 pi; values : (m, p); step : cycles per radian times 2 pi, between orders;
         first : at least 0
     """

@@ -107,7 +107,7 @@ def test_lack_of_fit(
 
 
 def delta_chi2_by_column_count(normal: Normal) -> tuple[tuple[float, int], ...]:
-    """((delta chi-square, rank) of the first column of a candidate alone, of the first two, ..), by elimination."""
+    """Delta chi-square and rank of a candidate's first column alone, of its first two, and so on, by elimination."""
     scale = np.sqrt(np.maximum(normal.raw[0], 1e-300))
     b, G = normal.b[0] / scale, normal.G[0] / scale[:, None] / scale
     delta, rank, out = 0.0, 0, []
@@ -131,7 +131,7 @@ def significant_lack_of_fit(lacks_of_fit: list[LackOfFit | None], alpha: float =
     return sorted(held, key=lambda u: (not u.depends_on, u.p_value if u.p_value > 0 else -u.delta_chi2))
 
 
-def first_of_each_place(lacks_of_fit: list[LackOfFit]) -> list[LackOfFit]:
+def first_lack_of_fit_of_each_place(lacks_of_fit: list[LackOfFit]) -> list[LackOfFit]:
     """The first, most significant LackOfFit of each place, in order."""
     seen: dict[Place, LackOfFit] = {}
     for u in lacks_of_fit:
@@ -191,9 +191,11 @@ class Covariate:
 def share_explained_by_functions(
     model: LinearModel, block: int, function_parts: list[tuple[FrameProducts, Floats]], correlated_frames: int = 1
 ) -> Share:
-    """Share of a block's squares that functions explain. function_parts : [(FrameProducts, weights)], fitted beside
-    the other
-    correlated_frames : frames in a row whose errors may be alike"""
+    """Share of a block's squares that functions explain.
+
+    function_parts : [(FrameProducts, weights)], fitted together
+    correlated_frames : frames in a row whose errors may be alike
+    """
     found = [
         test_lack_of_fit(model, products, Test(Place(""), "", (), weights, 1.0), correlated_frames, alpha=1.0)
         for products, weights in function_parts
@@ -212,6 +214,6 @@ def share_explained_by_functions(
 
 
 def rank_covariates(before: dict[str, dict[str, Share]], after: dict[str, dict[str, Share]]) -> list[Covariate]:
-    """[Covariate] of {name: {what: Share}} before and after, the one that explained most before first."""
+    """Covariates ranked by the share they explained before, of {name: {what: Share}} before and after."""
     found = [Covariate(name, shares, after.get(name, {})) for name, shares in before.items()]
     return sorted(found, key=lambda c: -c.weight)

@@ -228,8 +228,9 @@ class LinearModel:
 
 
 def orthonormal_combinations(gram: Floats) -> Integers:
-    """(p, r) combinations of columns with a Gram matrix (p, p) that are orthonormal: the columns' span, what is null
-    left out.
+    """Orthonormal combinations (p, r) of columns with a Gram matrix (p, p).
+
+    They span what the columns do; what is null is left out.
     """
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram / scale[:, None] / scale)
@@ -238,8 +239,9 @@ def orthonormal_combinations(gram: Floats) -> Integers:
 
 
 def join_columns(columns: list[Column]) -> Column:
-    """One Column of several over the same blocks; what is nothing in one is zero beside the others. Raises ValueError
-    for none
+    """Several Columns over the same blocks joined into one.
+
+    What is nothing in one is zero in the joined one. Raises ValueError for none
     """
     if not columns:
         raise ValueError("there is nothing to join")

@@ -10,7 +10,7 @@ from calib.diagnosis.engine.candidate_score import (
     Score,
     best_scores_at_axes,
     score_raised_to_likelihood_ratio,
-    scores_with_likelier_name_of_several_axes_first,
+    scores_with_best_effect_at_several_axes_first,
 )
 from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import C
 from calib.diagnosis.engine.finding_confirmation_against_alternatives import (
@@ -19,7 +19,7 @@ from calib.diagnosis.engine.finding_confirmation_against_alternatives import (
     is_significant,
     labelled_progress,
     may_become_significant_when_fitted,
-    member_that_explains,
+    refit_with_other_member_of_law,
 )
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.problem_interface import (
@@ -61,7 +61,10 @@ def select_terms(problem: Problem[Fit, Model, C], progress: Progress | None = No
 
 
 def fit_selected_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Fit:
-    """The Fit of the selected terms, as `select_terms` has it before alternatives are tried."""
+    """Fit of the terms that selection keeps, before alternatives are tried.
+
+    As `select_terms` has it.
+    """
     return _chosen(problem, problem.start(), progress)[1]
 
 
@@ -140,7 +143,7 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
             return fit
         if admitted and _smooth_beyond(problem, model, promising[0]):
             break
-        promising = scores_with_likelier_name_of_several_axes_first(promising, model_size)
+        promising = scores_with_best_effect_at_several_axes_first(promising, model_size)
         step = _step(problem, fit, promising, scores, refused)
         if step is None:
             break
@@ -340,7 +343,7 @@ def remove_findings_insignificant_with_smooth_functions(
             problem, f, fit, after, unexplained, selection.asked
         ):
             without = problem.without_term(fit, f.number)
-            member = member_that_explains(problem, without, fit, f.number)
+            member = refit_with_other_member_of_law(problem, without, fit, f.number)
             if member is None:
                 gone.append(f.number)
                 continue

@@ -1,5 +1,6 @@
-"""Evidence interface: what a machine's recording offers a diagnosis, a common core and parts of some machines; and
-which effects of the catalogue, at which places, a diagnosis includes or omits.
+"""Evidence interface: what a machine's recording offers a diagnosis; and which effects a diagnosis requests.
+
+A common core and parts of some machines; effects of the catalogue, at which places, are included or omitted.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -155,7 +156,7 @@ class Value:
 def bounded_value(
     value: float, unit: str, ends: tuple[float, float], bounds: tuple[float, float], at_bound: float | None = None
 ) -> Value:
-    """Value of a number whose 95 % interval ends where what makes sense does."""
+    """Value with its 95 % interval, cut off at the bounds that make sense."""
     low, high = max(ends[0], bounds[0]), min(ends[1], bounds[1])
     below, above = low == bounds[0], high == bounds[1]
     return Value(
@@ -170,8 +171,9 @@ def bounded_value(
 def onset_time_value(
     t: Floats, onset_time: float, origin: TimeOrigin, onset_interval: tuple[float, float] | None = None
 ) -> Value:
-    """A moment (s from the recording's start) by the owner's clock, and the frames, at t (n,) s, between which it lies.
+    """Value of an onset time by the owner's clock, with the frames between which it lies.
 
+    t : (n,) s of the frames; onset_time : s from the recording's start
     onset_interval : (earliest, latest) s, where it may lie between other frames as well
     """
     low, high = (np.clip(np.searchsorted(t, v), 1, len(t) - 1) for v in onset_interval or (onset_time, onset_time))

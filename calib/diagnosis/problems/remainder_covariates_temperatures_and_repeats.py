@@ -1,6 +1,7 @@
-"""Covariates ranked by what they explain of the remainder, and formulas suggested for it; smoothing of logged
-temperatures, which hold a thermometer's noise; whether the remainder repeats with the commands, or is noise.
+"""Covariates of the remainder, smoothing of logged temperatures, and repeats of commands.
 
+Covariates are ranked by what they explain of the remainder, with formulas suggested for it; logged temperatures hold a
+thermometer's noise; repeats show whether the remainder repeats with the commands, or is noise.
 Noise in what an effect follows makes the effect look smaller, and leaves behind what no model explains (Fuller,
 Measurement error models, 1987, ch. 1).
 """
@@ -130,7 +131,7 @@ class Repeats:
 
 
 def repeated_pairs(commands: Floats, units: Sequence[str]) -> Floats:
-    """(p, 2) rows of commands (n, axes), in units "m" or "rad", that are one command."""
+    """Pairs (p, 2) of rows of commands (n, axes), in units "m" or "rad", that repeat one command."""
     apart_by = np.array([SAME[unit] for unit in units])
     return np.array(sorted(cKDTree(commands / apart_by).query_pairs(1.0, p=np.inf)), int).reshape(-1, 2)
 
@@ -171,7 +172,7 @@ AT_ONCE = 1e-3  # s; a shorter wait counts as so long
 
 
 def time_and_sensor_functions(t: Floats, sensors: Sensors | None) -> dict[str, Floats]:
-    """{covariate: (F, 1, q) functions} of time and of each sensor, at times (F,) s, alike for all axes and cameras."""
+    """Smooth functions {covariate: (F, 1, q)} of time and of each sensor, at times (F,) s."""
     order = np.argsort(np.argsort(t)).astype(float)
     out = {"time": time_cosines(t, COURSE), "order": time_cosines(order, COURSE)}
     if sensors is not None:
@@ -181,7 +182,7 @@ def time_and_sensor_functions(t: Floats, sensors: Sensors | None) -> dict[str, F
 
 
 def motion_functions(path: Path, commands: Commands, t: Floats) -> dict[str, Floats]:
-    """{covariate: (F, axes or 1, q) functions} of the axes' motion up to times (F,) s."""
+    """Smooth functions {covariate: (F, axes or 1, q)} of the axes' motion up to times (F,) s."""
     wait = np.log(np.maximum(path.dwell, AT_ONCE))
     own = {"step": path.last_step, "speed": axis_speeds(commands, t), "way travelled": path.way}
     out = {
@@ -193,8 +194,8 @@ def motion_functions(path: Path, commands: Commands, t: Floats) -> dict[str, Flo
     return {**out, "dwell": scaled_powers(wait, 2)[:, None, :]} if np.ptp(wait) > 0 else out
 
 
-def separate_weights(functions: Floats, count: int) -> Floats:
-    """(F, count, count q) weights separate for each direction, made of functions (F, count or 1, q)."""
+def separate_weights_for_each_direction(functions: Floats, count: int) -> Floats:
+    """Functions (F, count or 1, q) as weights (F, count, count q) separate for each of `count` directions."""
     wide = np.broadcast_to(functions, (len(functions), count, functions.shape[2]))
     return np.einsum("faq,ab->fabq", wide, np.eye(count)).reshape(len(functions), count, -1)
 
@@ -205,18 +206,18 @@ def scaled_to_plus_minus_one(x: Floats) -> Floats:
 
 
 def scaled_powers(x: Floats, highest: int) -> Floats:
-    """(F, highest) powers, from the first on, of a covariate x (F,), scaled to within -1 .. 1."""
+    """Powers (F, highest) of a covariate x (F,) scaled to within -1 .. 1, from the first on."""
     return np.stack([scaled_to_plus_minus_one(x) ** n for n in range(1, highest + 1)], axis=1)
 
 
 def time_cosines(t: Floats, count: int) -> Floats:
-    """(F, count) cosines of time, slowest first."""
+    """Cosines (F, count) of time, the slowest first."""
     s = (t - t[0]) / max(np.ptp(t), 1e-300)
     return np.cos(np.pi * s[:, None] * np.arange(1, count + 1))
 
 
 def axis_speeds(commands: Commands, t: Floats) -> Floats:
-    """(F, axes) m/s or rad/s, speeds of the commanded axes at times (F,) s."""
+    """Speeds (F, axes) m/s or rad/s of the commanded axes at times (F,) s."""
     ends = [
         np.stack([np.interp(t + s * ABOUT, commands.t, column) for column in commands.values.T], axis=1)
         for s in (1, -1)

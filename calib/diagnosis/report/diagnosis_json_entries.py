@@ -7,7 +7,7 @@ from typing import Any
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import StatedTerms
 from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit, first_of_each_place
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit, first_lack_of_fit_of_each_place
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     MeasuredFinding,
     Misfit,
@@ -250,21 +250,26 @@ def kind_of_statement_beforehand(stated_terms: StatedTerms, effect: str, place: 
     return ASSUMED if site in stated_terms.assumed else SEEN_BEFORE if site in stated_terms.before else None
 
 
-def measured_finding_entry(one: MeasuredFinding) -> FindingEntry:
-    """FindingEntry of what was measured before anything was searched."""
-    return FindingEntry(one.kind.name, one.place, one.parameters, action=one.kind.action_at(one.place))
+def entry_of_finding_before_search(measured_finding: MeasuredFinding) -> FindingEntry:
+    """FindingEntry of a finding that was measured before the search."""
+    return FindingEntry(
+        measured_finding.kind.name,
+        measured_finding.place,
+        measured_finding.parameters,
+        action=measured_finding.kind.action_at(measured_finding.place),
+    )
 
 
 # Any: candidates, of each kind of machine their own
-def finding_entry(d: Diagnosis, finding: Finding[Any], proof: CrossValidation) -> FindingEntry:
+def finding_entry(diagnosis: Diagnosis, finding: Finding[Any], proof: CrossValidation) -> FindingEntry:
     """FindingEntry of a Finding and how it predicts held-out data."""
-    problem, fit, score = d.selection.problem, d.selection.fit, finding.score
+    problem, fit, score = diagnosis.selection.problem, diagnosis.selection.fit, finding.score
     candidate = problem.terms(fit)[finding.number]
     kind, place = candidate.kind, candidate.place
-    parameters = d.evidence.parameters(d.selection, finding, d.origin)
+    parameters = diagnosis.evidence.parameters(diagnosis.selection, finding, diagnosis.origin)
     evidence = Evidence(
         score.delta_bic(problem.size(fit)),
-        min(1.0, score.p_value * d.selection.asked),
+        min(1.0, score.p_value * diagnosis.selection.asked),
         proof.before,
         proof.after,
         proof.unit,
@@ -288,33 +293,34 @@ def finding_entry(d: Diagnosis, finding: Finding[Any], proof: CrossValidation) -
         evidence,
         others,
         kind.action_at(place),
-        kind_of_statement_beforehand(d.options.given, candidate.name, place),
+        kind_of_statement_beforehand(diagnosis.options.given, candidate.name, place),
         unusual_size_reason(kind, place, parameters),
     )
 
 
-def remark_entries(d: Diagnosis) -> list[RemarkEntry]:
-    """What is there beyond chance and does not matter: what was fitted, what was left, what tolerances were seen to
-    be.
+def remark_entries(diagnosis: Diagnosis) -> list[RemarkEntry]:
+    """Entries of a Diagnosis' remarks: what is there beyond chance and does not matter.
+
+    What was fitted, what was left, what tolerances were seen to be.
     """
-    terms, out = d.selection.problem.terms(d.selection.fit), []
-    for f, reason in d.tolerable.findings:
+    terms, out = diagnosis.selection.problem.terms(diagnosis.selection.fit), []
+    for f, reason in diagnosis.tolerable.findings:
         out.append(
             RemarkEntry(
                 terms[f.number].name,
                 terms[f.number].place,
-                d.evidence.parameters(d.selection, f, d.origin),
+                diagnosis.evidence.parameters(diagnosis.selection, f, diagnosis.origin),
                 remark_reason_sentence(reason),
-                min(1.0, f.score.p_value * d.selection.asked),
+                min(1.0, f.score.p_value * diagnosis.selection.asked),
             )
         )
     out += [
         RemarkEntry(UNKNOWN, str(u.place), _size_of(u), remark_reason_sentence(reason), u.p_value)
-        for u, reason in d.tolerable.left
+        for u, reason in diagnosis.tolerable.left
     ]
     return out + [
         RemarkEntry(r.effect, r.place, r.parameters, remark_reason_sentence(r.reason), r.p_value)
-        for r in d.tolerable.remarks
+        for r in diagnosis.tolerable.remarks
     ]
 
 
@@ -338,7 +344,7 @@ def unnamed_finding_entries(lacks_of_fit: list[LackOfFit]) -> list[FindingEntry]
     """Entries of findings without a name, one for each place with a lack of fit."""
     return [
         FindingEntry(UNKNOWN, str(u.place), _size_of(u), Evidence(p_value=u.p_value, delta_chi2=u.delta_chi2))
-        for u in first_of_each_place(lacks_of_fit)
+        for u in first_lack_of_fit_of_each_place(lacks_of_fit)
     ]
 
 
@@ -358,5 +364,5 @@ def separating_experiment_text(*sites: tuple[type[Effect], str]) -> str:
 
 
 def unusual_size_reason(kind: type[Effect], place: str, parameters: dict[str, Value]) -> str | None:
-    """Why the size of an effect at a place is hard to believe, or None."""
+    """Reason why the size of an effect at a place is unusual, or None."""
     return kind.unusual(place, {key: value.value for key, value in parameters.items()})

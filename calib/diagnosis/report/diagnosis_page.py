@@ -63,7 +63,7 @@ def arm_or_platform_page_view(diagnosis: Diagnosis, recording: Recording, report
     return PlatformView(diagnosis, entries, recording)
 
 
-def diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link] = ()) -> None:
+def write_diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link] = ()) -> None:
     """Write the diagnosis page of a Report: one offline HTML file."""
     parts = [paragraph_html(report_sentences.held_out_sentence(report.fit, bool(report.named)))]
     main = report.mattering or report.named

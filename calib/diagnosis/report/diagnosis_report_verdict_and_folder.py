@@ -1,5 +1,6 @@
-"""Report of a Diagnosis: its data, summary, doubts and actions; the verdict on the recording's model; and the diagnosis
-folder: diagnosis.json, and files to simulate by.
+"""Report of a Diagnosis, its verdict, and the diagnosis folder.
+
+The report holds its data, summary, doubts and actions; the folder diagnosis.json, and files to simulate by.
 """
 
 import json
@@ -35,11 +36,11 @@ from calib.diagnosis.report.diagnosis_json_entries import (
     Unexplained,
     covariate_entries,
     effect_file_entries,
+    entry_of_finding_before_search,
     finding_entry,
     fit_entry,
     json_tree,
     largest_unexplained,
-    measured_finding_entry,
     recording_entries,
     remark_entries,
     suggested_formula_entries,
@@ -186,9 +187,11 @@ def _all_clear_sentence(report: Report) -> str:
 
 
 def diagnosis_verdict(report: Report) -> Verdict:
-    """The verdict of a Report: check where something that matters is left out of the model or has no name, or where a
-    calibration made from the recording leaves something unexplained; bad where the recording refutes such a
-    calibration."""
+    """Verdict of a Report.
+
+    Check where something that matters is left out of the model or has no name, or where a calibration made from the
+    recording leaves something unexplained; bad where the recording refutes such a calibration.
+    """
     left, rest, steps = unexplained_sentences(report), doubts_of_report(report), recommended_actions(report)
     besides = tuple(
         MissingEvidence(text, TAKE_IN)
@@ -281,7 +284,7 @@ def recommended_actions(report: Report) -> list[str]:
 
 def diagnosis_report(diagnosis: Diagnosis) -> Report:
     """Report of a Diagnosis."""
-    found = [measured_finding_entry(one) for one in diagnosis.measured_findings]
+    found = [entry_of_finding_before_search(one) for one in diagnosis.measured_findings]
     found += [finding_entry(diagnosis, f, proof) for f, proof in zip(diagnosis.findings, diagnosis.cross_validations)]
     fits = {name: fit_entry(fit) for name, fit in diagnosis.misfits.items()}
     noise = asdict(diagnosis.noise)
@@ -311,21 +314,26 @@ def diagnosis_report(diagnosis: Diagnosis) -> Report:
 
 
 def write_diagnosis_folder(folder: Path, diagnosis: Diagnosis, recording: Recording, report: Report) -> None:
-    """Write the folder of a diagnosis: diagnosis.json and, where a machine was commanded, what to simulate it by:
-    machine.json, the recording's own rig.toml, commands, frames and sensors, and what each finding does to each pose
-    where that is known.
-    report : Report of d"""
+    """Write the folder of a diagnosis: diagnosis.json, and files to simulate its findings by.
+
+    Those where a machine was commanded: machine.json, the recording's own rig.toml, commands, frames and sensors, and
+    what each finding does to each pose where that is known.
+    report : Report of d
+    """
     write_diagnosis_json(folder, report)
     if diagnosis.design is None:
         return
     tree = machine_json.machine_dict(diagnosis.design, diagnosis.machine_effects)
     write_text(folder / "machine.json", json.dumps(tree) + "\n")
     copy_recording(folder, recording)
-    residual_figures_and_contributions.write_contributions(folder / "contributions.csv", diagnosis)
+    residual_figures_and_contributions.write_finding_contributions_table(folder / "contributions.csv", diagnosis)
 
 
 def copy_recording(folder: Path, recording: Recording) -> None:
-    """Copy a recording's own rig.toml, commands, frames and sensors into a folder; of several, the first one's."""
+    """Copy a recording's files into a folder: rig.toml, commands, frames and sensors, no images.
+
+    Of several recordings, the first one's.
+    """
     recording = recording.apart[0].recording
     for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
         if local_and_remote_input_files.exists(recording.folder / name):
@@ -372,8 +380,9 @@ def repeatability_entry(diagnosis: Diagnosis) -> Json | None:
 
 
 def held_out_region_gains(diagnosis: Diagnosis) -> list[Json]:
-    """Gains by each finding where whole regions of an axis' travel are held out: misfit before and after,
-    m, and standard errors.
+    """Gains by each finding where whole regions of an axis' travel are held out.
+
+    Misfit before and after, m, and standard errors.
     """
     if diagnosis.design is None:
         return []

@@ -11,7 +11,6 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import residual_figures_and_contributions
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
-from calib.diagnosis.report.machine_outline import arm_outline_figures, rig_outline_figure
 from calib.diagnosis.report.residual_figures_and_contributions import (
     SAME_ANGLE,
     effect_residual_figures,
@@ -22,6 +21,7 @@ from calib.diagnosis.report.residual_figures_and_contributions import (
     residuals_in_time_figure,
     residuals_without_effects,
 )
+from calib.diagnosis.report.rig_and_arm_outline_figures import arm_outline_figures, rig_outline_figure
 from calib.report.pose_and_effect_figures import FACTORS, effect_displacements, mechanism_scene, rig_scene
 from rig.array_and_json_types import Floats
 from rig.model import mechanisms
@@ -325,8 +325,9 @@ def repeatability_rows(diagnosis: Diagnosis) -> list[tuple[str, object]]:
 
 
 def held_out_gain_table(diagnosis: Diagnosis) -> str:
-    """Table of the fall of the held-out misfit by each finding, with stretches of time and regions of each axis' travel
-    held out.
+    """Table of the gain in held-out misfit by each finding.
+
+    With stretches of time and regions of each axis' travel held out.
     """
     rows, terms = [], diagnosis.selection.problem.terms(diagnosis.selection.fit)
     for i, finding in enumerate(diagnosis.findings):

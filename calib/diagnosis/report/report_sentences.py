@@ -26,7 +26,7 @@ SELDOM = 1e-3  # chance of a finding where there is nothing, from which it is on
 
 
 def value_text(value: float, unit: str, with_unit: bool = True, digits: int = 3) -> str:
-    """A value in the unit that people read it in, to so many digits."""
+    """Text of a value in the unit that people read it in, to so many digits."""
     scale, name = SCALES.get(unit, (1, unit))
     text = (
         "unlimited"
@@ -59,13 +59,14 @@ def _digits(p: Value) -> int:
 
 
 def finding_title(finding: FindingEntry | RemarkEntry) -> str:
-    """Text such as "backlash at strut 4"."""
+    """Title of a finding, such as "backlash at strut 4"."""
     return f"{finding.effect.replace('_', ' ')} at {finding.place}"
 
 
 def finding_size_text(finding: FindingEntry | RemarkEntry) -> str:
-    """The first parameter in words; of a vector its length, of a profile its root mean square; empty where there is
-    none.
+    """Text of a finding's size: its first parameter with unit.
+
+    Of a vector its length, of a profile its root mean square; empty where there is none.
     """
     for name, p in finding.parameters.items():
         if isinstance(p.value, (int, float)) and p.ci95 is not None:
@@ -83,7 +84,7 @@ def finding_size_text(finding: FindingEntry | RemarkEntry) -> str:
 
 
 def stated_beforehand_text(finding: FindingEntry) -> str:
-    """Text " (assumed)" for what the operator stated beforehand, else nothing."""
+    """Text " (assumed)" of a finding that the operator stated beforehand, else empty."""
     return f" ({finding.said})" if finding.said else ""
 
 
@@ -135,7 +136,7 @@ def probability_text(p: float | None) -> str:
 
 
 def evidence_sentence(finding: FindingEntry) -> str:
-    """The evidence of a finding in a sentence, empty where there is none."""
+    """Sentence on the evidence of a finding, empty where there is none."""
     e = finding.evidence
     if (
         e.delta_bic is None
@@ -202,8 +203,9 @@ def suggested_formula_rows(entry: SuggestionEntry) -> list[tuple[str, str, str]]
 
 
 def covariate_table(covariates: Sequence[CovariateEntry]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Table (heads, rows) of the remainder's covariates: shares of the squares and smallest chance before and
-    after.
+    """Table (heads, rows) of the remainder's covariates and the shares that they explain.
+
+    Shares of the squares and smallest chance before and after.
     """
     looked_at = list(dict.fromkeys(what for c in covariates for what in c.explains))
     heads = ("goes with", *(f"{what}, {when}" for what in looked_at for when in ("before", "after")), "chance, after")
@@ -216,14 +218,17 @@ def covariate_table(covariates: Sequence[CovariateEntry]) -> tuple[tuple[str, ..
 
 
 def remark_row(remark: RemarkEntry) -> tuple[str, str, str]:
-    """(what, how large, reason) of a remark."""
+    """Table row (what, how large, reason) of a remark."""
     text = finding_size_text(remark).removeprefix(", ")
     unknown = remark.parameters.get("magnitude")
     return finding_title(remark), text or (value_text(unknown.value, unknown.unit) if unknown else ""), remark.reason
 
 
 def parameter_rows(finding: FindingEntry) -> list[tuple[str, str, str]]:
-    """[(name, value, 95 % interval)]; of long vectors the first few that are anything."""
+    """Table rows [(name, value, 95 % interval)] of a finding's parameters.
+
+    Of long vectors the first few that are anything.
+    """
     rows = []
     for name, p in finding.parameters.items():
         name = name.replace("_", " ")
@@ -255,8 +260,9 @@ def _interval(p: Value) -> str:
 
 
 def finding_line(finding: FindingEntry, most_numbers: int = 6) -> str:
-    """A finding in a line for a terminal, in SI units. most_numbers : numbers of a parameter that are printed; of
-    more, how many there are
+    """Line on a finding for a terminal, in SI units.
+
+    most_numbers : numbers of a parameter that are printed; of more, how many there are
     """
     return f"{finding.effect} at {finding.place}: " + ", ".join(
         _printed(name, p, most_numbers) for name, p in finding.parameters.items()

@@ -1,5 +1,6 @@
-"""Figures of residuals before and after for the report, also against the covariate of an effect; position errors, and
-the table of what each finding contributes to each pose.
+"""Figures of residuals before and after, and the contribution of each finding to each pose.
+
+Residuals also against the covariate of an effect; position errors.
 """
 
 from pathlib import Path
@@ -31,8 +32,8 @@ WORST = 24  # poses that are drawn
 ROW, START, END = 16.0, 60.0, 392.0  # units of a figure: of a pose; where bars begin and end
 
 
-def write_contributions(path: Path, diagnosis: Diagnosis) -> None:
-    """Write a table of contributions: a row for each pose, a column (m) for each finding and for the rest."""
+def write_finding_contributions_table(path: Path, diagnosis: Diagnosis) -> None:
+    """Write a table of the findings' contributions to each pose: a column (m) for each finding and for the rest."""
     if not isinstance(diagnosis.evidence, PoseContributions):
         return
     frames, names, sizes = diagnosis.evidence.contributions(diagnosis.selection)
@@ -87,7 +88,10 @@ BEFORE, AFTER, GREY = 3, 0, -1  # colours of a figure
 def residual_scatter_figure(
     x: Floats, covariate_label: str, residuals_before_and_after: list[Floats], residual_label: str
 ) -> str:
-    """Residuals before and after (m,) against a covariate x (m,), and those before against what the effect explains."""
+    """Scatter figure of residuals before and after (m,) against a covariate x (m,).
+
+    And of those before against what the effect explains.
+    """
     limit = 1.15 * max(float(np.quantile(np.abs(v), 0.995)) for v in residuals_before_and_after) + 1e-12
     explained = residuals_before_and_after[0] - residuals_before_and_after[1]
     ends = np.array([explained.min(), explained.max()])
@@ -155,7 +159,7 @@ CELLS = 14  # of a residual map, across the image
 
 
 def residuals_without_effects(refinement: Refinement, omitted_effects: tuple[int, ...] = ()) -> tuple[Floats, Floats]:
-    """(closures (F, axes) m, corners (n, 2) px) residuals without some admitted effects."""
+    """Residuals without some admitted effects: (closures (F, axes) m, corners (n, 2) px)."""
     model, k = refinement.model, refinement.point
     kept = [e for i, e in enumerate(k.effects) if i not in set(omitted_effects)]
     if len(kept) == len(k.effects):
@@ -172,7 +176,7 @@ def residuals_without_effects(refinement: Refinement, omitted_effects: tuple[int
 
 
 def model_residuals(model: LinearisedModel) -> tuple[Floats, Floats]:
-    """(closures (F, axes) m, corners (n, 2) px) residuals of a model as it is."""
+    """Residuals of a model as it is: (closures (F, axes) m, corners (n, 2) px)."""
     return closure_residuals(model), _in_pixels(model, model.corner_residual)
 
 
@@ -359,9 +363,11 @@ def position_error_statistics(pose_errors: Floats) -> dict[str, float]:
 
 
 def errors_at_and_beyond_fitted_angles(held_out_poses: HeldOutPoses) -> Json:
-    """Errors {after_at_fitted_angles, after_beyond} of held-out poses all of whose joints stood within SAME_ANGLE of
-    an angle that they were fitted at, and of the rest; None where there are none. No data tell a profile where its
-    joint never stood."""
+    """Errors of held-out poses at joint angles that were fitted, and beyond them; None where there are none.
+
+    {after_at_fitted_angles, after_beyond}: all joints stood within SAME_ANGLE of an angle that they were fitted at, and
+    the rest. No data tell a profile where its joint never stood.
+    """
     near = held_out_poses.far <= SAME_ANGLE
     return {
         name: position_error_statistics(held_out_poses.after[rows]) if rows.any() else None

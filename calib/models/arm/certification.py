@@ -12,10 +12,10 @@ from calib.certification.error_claim_over_workspace import (
     Claim,
     ConfigurationInformation,
     Workspace,
-    claim_of_drawn_machines,
+    claim_from_machine_draws,
     draw_variance_ratio,
     empty_claim_of_too_few_configurations,
-    extension_error_squares,
+    mean_square_pose_errors_of_extension,
 )
 from calib.certification.held_out_errors import (
     HeldErrors,
@@ -47,9 +47,9 @@ from calib.models.arm.identification_and_joint_profiles import (
 from calib.models.arm.instrument_placement import place_arm
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import (
     JointFit,
-    held_out_arm_parameter_error_squares,
     held_out_geometry_errors,
     identification_with_held_out_scatter,
+    mean_square_held_out_arm_pose_errors_by_parameters,
     unexplained_scatter_sentences,
 )
 from calib.samples.pose_samples import Samples
@@ -115,7 +115,7 @@ def certify_arm(
     parts = _parts(label)
     said("fitting the geometry", 0, 1)
     _enough_for_any(samples, nominal)
-    start = start_arm(
+    start = start_arm_of_fit(
         sample_observations(samples), nominal, instrument
     )  # a basin, not a fit: the folds' own fits forget it
     known = samples if physics is None else physics.samples
@@ -158,7 +158,7 @@ def certify_arm(
         left = held_out_geometry_errors(found, correction, agreed, label[found.inliers])
     else:
         own = (
-            held_out_arm_parameter_error_squares(found, correction, agreed, parts[found.inliers])
+            mean_square_held_out_arm_pose_errors_by_parameters(found, correction, agreed, parts[found.inliers])
             if whole
             else np.zeros(2)
         )
@@ -235,7 +235,7 @@ def calibrate_arm(
 ) -> tuple[ArmCorrection, Identified]:
     """(ArmCorrection, Identified) of an arm calibrated on samples; profiles : whether joint profiles are fitted.
 
-    start : Arm, as `start_arm` has it where None. Raises what `identify` raises
+    start : Arm, as `start_arm_of_fit` has it where None. Raises what `identify` raises
     """
     plain = _geometry(samples, nominal, instrument, start)
     return _profiled(samples, *plain) if profiles else plain
@@ -246,7 +246,7 @@ def _geometry(
 ) -> tuple[ArmCorrection, Identified]:
     """The same by the geometry alone."""
     observations = sample_observations(samples)
-    start = start_arm(observations, nominal, instrument) if start is None else start
+    start = start_arm_of_fit(observations, nominal, instrument) if start is None else start
     found = identify_arm(observations, start)
     owners = placed_nominal_arm(
         sample_observations(replace(samples, known=None)), nominal, instrument, start
@@ -271,7 +271,7 @@ def _profiled(samples: Samples, correction: ArmCorrection, found: Identified) ->
     return replace(correction, fitted=found.arm, remainder=parts), found
 
 
-def start_arm(observations: Observations, nominal: Arm, instrument: Instrument | None) -> Arm:
+def start_arm_of_fit(observations: Observations, nominal: Arm, instrument: Instrument | None) -> Arm:
     """Arm at which a fit starts: nominal, with base and tool as placed by the observations."""
     if instrument is None:
         return nominal
@@ -279,9 +279,9 @@ def start_arm(observations: Observations, nominal: Arm, instrument: Instrument |
 
 
 def placed_nominal_arm(observations: Observations, nominal: Arm, instrument: Instrument | None, start: Arm) -> Arm:
-    """Nominal arm placed in the instrument's frame; nothing else is fitted. start : Arm of `start_arm`
+    """Nominal arm placed in the instrument's frame; nothing else is fitted. start : Arm of `start_arm_of_fit`
 
-    start : Arm of `start_arm`
+    start : Arm of `start_arm_of_fit`
     """
     if instrument is None or "free" not in (instrument.base, instrument.tool):
         return nominal
@@ -379,7 +379,9 @@ def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.rando
     seen = np.stack([each.commanded.min(axis=0), each.commanded.max(axis=0)], axis=1)
     q = sobol_configurations(seen, PLACES, FILL)
     T = correction.predict(q)
-    stated = extension_error_squares(correction, q, error_model_and_observations.joint_jacobian(q, found.arm))
+    stated = mean_square_pose_errors_of_extension(
+        correction, q, error_model_and_observations.joint_jacobian(q, found.arm)
+    )
     own = certified.left.own_draws(float(stated[0]), DRAWS, rng) if certified.left is not None else stated
     workspace = Workspace(
         error_model_and_observations.parameter_jacobian(q, correction.fitted),
@@ -399,6 +401,6 @@ def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.rando
     draws = rng.multivariate_normal(np.zeros(len(again.covariance)), again.covariance, DRAWS, method="eigh")
     draws *= np.sqrt(draw_variance_ratio(float((whitened**2).sum()), freedom, DRAWS, rng))[:, None]
     return replace(
-        claim_of_drawn_machines(workspace, draws, each, told, rng),
+        claim_from_machine_draws(workspace, draws, each, told, rng),
         unexplained=unexplained_scatter_sentences(again.scatter, observed.covariance),
     )

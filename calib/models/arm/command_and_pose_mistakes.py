@@ -16,7 +16,7 @@ from calib.models.arm.error_model_and_observations import Observations, position
 from calib.models.arm.instrument_placement import nearest_rotation, rigid_transform, solve_rotation_placement
 from rig.array_and_json_types import Floats, Integers
 from rig.checks.command_and_pose_disagreements import LIKELY, written_pose_columns
-from rig.checks.mistake_and_clock_mistakes import Mistake, sort_mistakes
+from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.checks.unit_and_convention_mistakes import poses_in_other_conventions
 from rig.errors import RigError
 from rig.model.design import Instrument

@@ -40,8 +40,9 @@ def joint_zero_indices(arm: Arm) -> Integers:
 
 
 def parameter_names(arm: Arm) -> tuple[str, ...]:
-    """Names of the parameters, in order: base x .. base rz, theta 1, d 1, a 1, alpha 1, beta 1, theta 2 .., tool x
-    ..
+    """Names of an arm's parameters, in order.
+
+    base x .. base rz, theta 1, d 1, a 1, alpha 1, beta 1, theta 2 .., tool x ..
     """
     rows = [f"{name} {i + 1}" for i in range(len(arm.joints)) for name in ROW]
     return tuple([f"base {name}" for name in TANGENT] + rows + [f"tool {name}" for name in TANGENT])

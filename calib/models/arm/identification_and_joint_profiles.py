@@ -60,10 +60,10 @@ class Identified:
 
 
 def independent_arm_parameters(arm: Arm, kind: str) -> Booleans:
-    """(p,) bool: the independent parameters of an arm's structure, 4 n + 6 for poses, 4 n + 3 for positions, 4 n for
-    distances, 2 n + 3 for orientations; a slide, of which the direction counts and not the place, has two fewer (see
-    calib.models.arm.error_model_and_observations).
+    """Which parameters (p,) bool of an arm are independent for a kind of observation.
 
+    4 n + 6 for poses, 4 n + 3 for positions, 4 n for distances, 2 n + 3 for orientations; a slide, of which the
+    direction counts and not the place, has two fewer (see calib.models.arm.error_model_and_observations).
     Axis 1 stands in the base, so theta 1 and d 1 add nothing to it; the last row adds nothing to the tool. Where a
     row's two axes are near parallel, beta takes the place of d (Hayati), for which the common normal's place along them
     is undefined.

@@ -302,7 +302,7 @@ def _from_orientations(observations: Observations, arm: Arm, base: bool, tool: b
 
 
 def solve_rotation_placement(M: Floats, F: Floats) -> tuple[Floats, Floats, float]:
-    """Solution (X, Z, how well determined) of M = X F Z, rotations M and F (m, 3, 3).
+    """Solve M = X F Z for the rotations X and Z, of rotations M and F (m, 3, 3): (X, Z, how well determined).
 
     The third is the second least eigenvalue over the greatest, 0 where a family of answers fits. Source: Shah, J.
     Mechanisms Robotics 5, 2013

@@ -12,8 +12,8 @@ import numpy as np
 from calib.certification.held_out_errors import (
     HeldErrors,
     held_out_error_statistics,
-    held_out_parameter_error_squares,
     leverage_corrected_residuals,
+    mean_square_held_out_pose_errors_by_parameters,
 )
 from calib.correction.physics_compensation import samples_with_effects
 from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
@@ -294,7 +294,8 @@ UNSTATED = 1.2  # times what is stated, from which a scatter is unexplained
 def held_out_geometry_errors(
     identified: Identified, correction: ArmCorrection, fitted_samples: Samples, label: Integers
 ) -> HeldErrors:
-    """Held-out errors (HeldErrors) of an arm's geometry at each configuration. label : (m,) configuration of each
+    """Held-out errors (HeldErrors) of an arm's geometry at each configuration.
+
     fitted_samples : Samples that it was fitted to; label : (m,) configuration of each
     """
     freed = leverage_corrected_residuals(
@@ -303,13 +304,13 @@ def held_out_geometry_errors(
     return held_out_error_statistics(freed, fitted_samples, label)
 
 
-def held_out_arm_parameter_error_squares(
+def mean_square_held_out_arm_pose_errors_by_parameters(
     identified: Identified, correction: ArmCorrection, fitted_samples: Samples, folds: Integers
 ) -> Floats:
     """Mean squares (2,) of held-out errors caused by the parameters, m^2 and rad^2.
     folds : (m,) which are held out together
     """
-    return held_out_parameter_error_squares(*_fitted(identified, correction, fitted_samples), folds)
+    return mean_square_held_out_pose_errors_by_parameters(*_fitted(identified, correction, fitted_samples), folds)
 
 
 def _fitted(found: Identified, correction: ArmCorrection, agreed: Samples) -> tuple[Floats, Floats, Floats]:

@@ -14,9 +14,9 @@ from calib.certification.error_claim_over_workspace import (
     Claim,
     ConfigurationInformation,
     Workspace,
-    claim_of_drawn_machines,
+    claim_from_machine_draws,
     empty_claim_of_too_few_configurations,
-    extension_error_squares,
+    mean_square_pose_errors_of_extension,
 )
 from calib.certification.extended_correction_certification import (
     NONE,
@@ -26,7 +26,7 @@ from calib.certification.extended_correction_certification import (
     certify_interpolation_method,
     empty_claim_without_held_out_data,
 )
-from calib.certification.held_out_errors import draw_common_error_squares
+from calib.certification.held_out_errors import draw_mean_square_common_pose_errors
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
     axis_ranges,
@@ -38,14 +38,14 @@ from calib.certification.platform_certification import FOLDS, Progress, silent_p
 from calib.correction.correction_tables_and_pose_space_map_json import CorrectionSummands
 from calib.correction.interpolation.field_interface_and_combinations import Field, FieldSamples
 from calib.models.arm import error_model_and_observations
-from calib.models.arm.certification import UNPLACED, CertifiedArm, calibrate_arm, placed_nominal_arm, start_arm
+from calib.models.arm.certification import UNPLACED, CertifiedArm, calibrate_arm, placed_nominal_arm, start_arm_of_fit
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import PLAUSIBLE, Rank, sample_observations
 from calib.models.arm.identification_and_joint_profiles import Identified, identify_arm, independent_arm_parameters
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import (
-    held_out_arm_parameter_error_squares,
     held_out_geometry_errors,
     identification_with_held_out_scatter,
+    mean_square_held_out_arm_pose_errors_by_parameters,
 )
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
@@ -141,7 +141,7 @@ def certify_extended_arm(
     said = progress or silent_progress
     label = configuration_numbers(samples.commanded, axis_ranges(nominal))
     said("fitting the geometry", 0, 1)
-    start = start_arm(sample_observations(samples), nominal, instrument)
+    start = start_arm_of_fit(sample_observations(samples), nominal, instrument)
 
     def geometry(some: Samples) -> tuple[ArmCorrection, Identified]:
         return (
@@ -175,7 +175,7 @@ def certify_extended_arm(
         else:
             held = replace(
                 held,
-                parameters=held_out_arm_parameter_error_squares(
+                parameters=mean_square_held_out_arm_pose_errors_by_parameters(
                     found, corrected, agreed, configuration_folds(of_agreed, min(FOLDS, len(agreed)))
                 ),
             )
@@ -241,12 +241,14 @@ def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.ra
     if certified.left is None:
         return empty_claim_without_held_out_data(told, middle)
     stated = float(
-        extension_error_squares(correction, q, error_model_and_observations.joint_jacobian(q, correction.fitted))[0]
+        mean_square_pose_errors_of_extension(
+            correction, q, error_model_and_observations.joint_jacobian(q, correction.fitted)
+        )[0]
     )
-    own = certified.left.own_draws(stated, DRAWS, rng) + draw_common_error_squares(samples, DRAWS, rng)
+    own = certified.left.own_draws(stated, DRAWS, rng) + draw_mean_square_common_pose_errors(samples, DRAWS, rng)
     offset = pose_difference(error_model_and_observations.predicted_target_poses(q, correction.nominal), T)
     known = certified.found.covariance
-    return claim_of_drawn_machines(
+    return claim_from_machine_draws(
         Workspace(error_model_and_observations.parameter_jacobian(q, correction.fitted), offset, own, middle),
         np.zeros((DRAWS, len(known))),
         each,

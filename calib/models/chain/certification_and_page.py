@@ -14,7 +14,7 @@ from calib.certification.error_claim_over_workspace import (
     Claim,
     ConfigurationInformation,
     Workspace,
-    claim_of_drawn_machines,
+    claim_from_machine_draws,
     empty_claim_of_too_few_configurations,
 )
 from calib.certification.held_out_errors import (
@@ -153,7 +153,7 @@ def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.r
     )
     draws = rng.multivariate_normal(np.zeros(len(found.covariance)), found.covariance, DRAWS, method="eigh")
     return replace(
-        claim_of_drawn_machines(workspace, draws, each, told, rng),
+        claim_from_machine_draws(workspace, draws, each, told, rng),
         unexplained=unexplained_scatter_sentences(found.scatter, each.covariance),
     )
 

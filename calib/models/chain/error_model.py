@@ -25,7 +25,7 @@ from rig.model.pose import pose_difference
 
 
 def parameter_names(chain: Chain) -> tuple[str, ...]:
-    """Names of the parameters, in order: "stage 1 base x" .., "stage 2 base joint 1 x" .."""
+    """Names of a chain's parameters, in order: "stage 1 base x" .., "stage 2 base joint 1 x" .."""
     return tuple(
         f"stage {k + 1} {name}" for k, stage in enumerate(chain.stages) for name in _stage_parameter_names(stage)
     )

@@ -4,8 +4,8 @@ Each strut closes a vector loop: commanded length + zero = |R a + t - b|. The me
 predict is weighted by the poses' covariance; the errors that all poses share (cameras and lenses) are solved for
 together with the parameters, so that the struts' known lengths steady the cameras. Source: Masory, Wang and Zhuang, On
 the accuracy of a Stewart platform, ICRA 1993 (the loop); the shared errors as nuisance parameters are the linear form
-of one solve of cameras, lenses and geometry (calib/correction/joint_camera_fit.py). A hexapod has 42 parameters,
-two struts in a plane have 6.
+of one solve of cameras, lenses and geometry (calib/correction/simultaneous_camera_and_geometry_fit.py). A hexapod has
+42 parameters, two struts in a plane have 6.
 """
 
 from dataclasses import dataclass

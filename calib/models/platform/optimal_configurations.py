@@ -82,7 +82,7 @@ def choose_d_optimal_configurations(
         if len(existing_configurations)
         else np.zeros((0, 42))
     )
-    picked = exchange_configurations(G, known.T @ known, count, criterion, progress)
+    picked = choose_configurations_by_exchange(G, known.T @ known, count, criterion, progress)
     even = configuration_information(
         configuration_sets.sobol_configurations(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas
     )[1].reshape(-1, 42)
@@ -92,10 +92,10 @@ def choose_d_optimal_configurations(
     return DOptimalConfigurations(chosen[order], *(_root(rows) for rows in (parts[0], known, parts[1])))
 
 
-def exchange_configurations(
+def choose_configurations_by_exchange(
     G: Floats, M0: Floats, count: int, criterion: str, progress: Callable[[int, int], None] | None = None
 ) -> list[int]:
-    """Exchange of configurations: `count` candidates of rows G (c, m, p) that add most to information M0."""
+    """Choose `count` candidates of whitened rows G (c, m, p) by exchange: those that add most to information M0."""
     picked: list[int] = []
     gain = _determinant if criterion == "determinant" else _noise
     for k in range(count):  # greedily first, by volume: from nothing only that has a meaning
@@ -122,7 +122,7 @@ def exchange_configurations(
 
 
 def configuration_information(commands: Floats, hexapod: Hexapod, sigmas: tuple[float, float]) -> tuple[Floats, Floats]:
-    """Information of configurations: (commands (n, 6) m that close, rows (n, 6, 42) whitened by the pose's sigmas)."""
+    """Information of configurations: their whitened rows (n, 6, 42), and the commands (n, 6) m that close."""
     commands = np.asarray(commands, float)
     while True:
         try:

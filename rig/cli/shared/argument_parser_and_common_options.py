@@ -1,5 +1,6 @@
-"""Argument parser of the commands, with the nearest known word for a mistyped option or command; options that several
-commands share: outputs, calibrations, controllers, numbers of workers.
+"""Argument parser of the commands, and options that several commands share.
+
+With the nearest known word for a mistyped option or command; outputs, calibrations, controllers, numbers of workers.
 """
 
 from __future__ import annotations
@@ -267,7 +268,7 @@ def add_trust_option(parser: ArgumentParser) -> None:
 
 
 def require_share(speed: float) -> float:
-    """Require a share of the greatest speed. Raises RigError for anything else"""
+    """Require a share of the greatest speed to lie within (0, 1]. Raises RigError for anything else"""
     if not 0 < speed <= 1:
         raise RigError(f"--speed takes a share above 0 and up to 1, got {speed:g}")
     return speed
@@ -348,8 +349,10 @@ def add_worker_options(parser: ArgumentParser) -> None:
 
 @contextmanager
 def use_requested_workers(arguments: Namespace) -> Iterator[None]:
-    """Use the requested workers within it; BLAS takes one thread, so that their number does not change how sums are
-    Raises RigError for a number of workers that cannot be, and what `cluster` raises
+    """Context manager: use the requested number of workers.
+
+    BLAS takes one thread, so that their number does not change how sums are rounded.
+    Raises RigError for a number of workers that cannot be, and what `use_cluster` raises
     """
     if arguments.workers is not None and not 1 <= arguments.workers <= MOST:
         raise RigError(f"--workers takes 1 to {MOST}, not {arguments.workers}")

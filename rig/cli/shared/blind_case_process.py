@@ -110,7 +110,10 @@ def run_command_without_folder_access(folder: str, command_words: Sequence[str])
 
 
 def main(command_words: Sequence[str]) -> int:
-    """Exit status of what the words ask for: see the module."""
+    """Draw a blind case, or run a command without access to its truth, by command words; returns the exit status.
+
+    See the module.
+    """
     end_when_parent_ends(int(command_words[0]))
     if command_words[1] == "command":
         return run_command_without_folder_access(command_words[2], command_words[3:])

@@ -48,7 +48,10 @@ class EscapedStream:
 
 @contextmanager
 def escaped_output() -> Iterator[None]:
-    """Within it, control characters in standard output and error are escaped; either stream may be absent."""
+    """Context manager: control characters in standard output and error are escaped.
+
+    Either stream may be absent.
+    """
     with ExitStack() as stack:
         if sys.stdout is not None:
             stack.enter_context(redirect_stdout(cast(TextIO, EscapedStream(unescaped_stream(sys.stdout)))))

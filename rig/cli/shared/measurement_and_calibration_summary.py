@@ -22,7 +22,7 @@ from vision.measurement_result import MeasurementResult
 
 
 def print_measurement(result: MeasurementResult) -> None:
-    """Print what was measured, the verdict first."""
+    """Print the summary of a measurement, the verdict first."""
     print(result.verdict.line)
     _print_figures(result)
     print_frames_without_pose(result.measurement)
@@ -55,7 +55,10 @@ def print_uncertainty_of_poses_from_limbs(poses_from_limbs: MeasuredLimbPoses) -
 
 
 def print_online_learning_result(result: LearningResult, verdict_first: bool = True) -> None:
-    """Print what poses taught. verdict_first : whether the verdict leads"""
+    """Print the result of on-line learning.
+
+    verdict_first : whether the verdict leads
+    """
     print("\n".join([*([result.verdict.line] if verdict_first else []), *result.found.lines]))
     print_frames_without_pose(result.sampled.measurement)
 
@@ -125,7 +128,7 @@ MOST_NAMED = 10  # frames
 
 
 def print_verdict(result: CalibrationResult) -> None:
-    """Print the verdict, first of all, and what was found of one kind of machine."""
+    """Print the verdict of a calibration, then its held-out errors and corrections."""
     claim, done = result.calibration.claim, result.done
     print(
         "\n".join(
@@ -147,8 +150,9 @@ def print_verdict(result: CalibrationResult) -> None:
 
 
 def print_calibration(result: CalibrationResult, promise: float | None) -> None:
-    """Print what a calibration confounds, whether it keeps a promise (m), what becomes of the workspace, and which
-    frames have no pose.
+    """Print the summary of a calibration: confounds, promise, workspace and frames without a pose.
+
+    promise : m, whether it is kept
     """
     calibration = result.calibration
     if calibration.confounds is not None:

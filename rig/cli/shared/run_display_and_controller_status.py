@@ -87,7 +87,7 @@ class TerminalBlockDisplay:
 
     def show(self, view: View) -> None:
         """Draw the block anew over the one before."""
-        lines = [escape_unprintable(line).replace("\n", "\\n") for line in view_lines(view)]
+        lines = [escape_unprintable(line).replace("\n", "\\n") for line in run_view_lines(view)]
         up = f"\x1b[{self._height}A" if self._height else ""
         self._out.write(up + "".join(f"\x1b[2K{line}\n" for line in lines) + "\x1b[J")
         self._out.flush()
@@ -97,8 +97,8 @@ class TerminalBlockDisplay:
         """Leave the block where it is."""
 
 
-def view_lines(view: View) -> list[str]:
-    """Lines of a RunView for the terminal: progress, strut bars, latest pose, alarms."""
+def run_view_lines(view: View) -> list[str]:
+    """Lines of a run's view (RunView) for the terminal: progress, strut bars, latest pose, alarms."""
     left = f", {_minutes_and_seconds(view.left)} left" if np.isfinite(view.left) and view.left > 0 else ""
     lines = [f"frame {view.frame} of {view.frames}, step {view.step} of {view.steps}{left}", view.phase]
     for i, (length, goal, (low, high)) in enumerate(zip(view.lengths, view.goal, view.ranges), 1):

@@ -112,7 +112,7 @@ def pause_dialogue(seconds: float = POLL) -> Dialogue[None]:
 
 
 def never_complete(lines: Sequence[str]) -> bool:
-    """False: no lines are the whole answer, so that the time runs out."""
+    """Whether answer lines are complete: never, so that the whole timeout is awaited."""
     return False
 
 

@@ -85,7 +85,7 @@ BY_NAME: dict[str, type[Effect]] = {effect.name: effect for effect in ALL}
 
 
 def effect_of_tolerance(tolerance: Tolerance | tuple[float, float]) -> type[Effect]:
-    """The effect of the catalogue that what lies beyond a manufacturing tolerance is."""
+    """Effect of the catalogue that corresponds to a manufacturing tolerance that is exceeded."""
     return next(kind for kind in ALL if kind.tolerance == tolerance)
 
 

@@ -73,26 +73,27 @@ class EncoderInterpolation(Effect):
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
         amplitude, phase = (draw_number(p, drawing, rng) for p in cls.parameters[:2])
-        return cls(place, amplitude, phase, float(rng.uniform(fewest_periods(drawing.motion), MOST)))
+        return cls(place, amplitude, phase, float(rng.uniform(fewest_encoder_periods_per_metre(drawing.motion), MOST)))
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         motion = context.moved()
         lengths = motion.lengths[:, motion.places.index(place)]
         spacing = FINE / max(np.ptp(lengths), SHORTEST)
-        periods = np.arange(fewest_periods(motion) + spacing, MOST, spacing)
-        grid = [{"periods": float(w)} for w in periods[~aliased(np.unique(lengths.round(SAME)), periods)]]
+        periods = np.arange(fewest_encoder_periods_per_metre(motion) + spacing, MOST, spacing)
+        grid = [{"periods": float(w)} for w in periods[~are_periods_aliased(np.unique(lengths.round(SAME)), periods)]]
         return [Candidate(cls, place, grid, cls.linear(place), extra=1)] if grid else []
 
 
-def fewest_periods(motion: Motion) -> float:
-    """Periods in a metre up to which it would be the cyclic error of the screw, where its lead is stated."""
+def fewest_encoder_periods_per_metre(motion: Motion) -> float:
+    """Fewest periods per metre of an encoder; with fewer it would be the screw's cyclic error."""
     return max(FEWEST, OF_SCREW / (motion.actuator.screw_lead or np.inf))
 
 
-def aliased(lengths: Floats, periods: Floats) -> Booleans:
-    """(k,) bool, which of evenly spaced periods (k,) 1/m look like a slow function at lengths (n,) m: steps that are
-    whole multiples of a pitch show nothing of what is within it.
+def are_periods_aliased(lengths: Floats, periods: Floats) -> Booleans:
+    """Whether periods (k,) 1/m are are_periods_aliased to a slow function by evenly spaced lengths (n,) m.
+
+    Steps that are whole multiples of a pitch show nothing of what is within it.
     """
     window = np.abs(np.exp(2j * np.pi * periods[:, None] * lengths).mean(axis=1))
     return binary_dilation(window > ALIAS, iterations=round(SLOWEST / FINE))

@@ -50,7 +50,7 @@ class LensDistortion(Effect):
     warps: ClassVar = True
 
     def problem(self) -> str | None:
-        sizes = [0, *(warp_number_count(degree) for degree in range(2, 31))]
+        sizes = [0, *(warp_coefficient_count(degree) for degree in range(2, 31))]
         return (
             None
             if len(self.warp) in sizes
@@ -84,8 +84,8 @@ class LensDistortion(Effect):
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "LensDistortion":
         size, which = log_uniform(rng, *SIZES), rng.integers(3)
-        free = range(warp_number_count(WARPS[0])) if which == 2 else LACKING[("radial", "thin prism")[which]]
-        unit = np.zeros(warp_number_count(WARPS[0]) if which == 2 else 12)
+        free = range(warp_coefficient_count(WARPS[0])) if which == 2 else LACKING[("radial", "thin prism")[which]]
+        unit = np.zeros(warp_coefficient_count(WARPS[0]) if which == 2 else 12)
         unit[list(free)] = rng.normal(size=len(free)) * 1e-3
         name, camera = "warp" if which == 2 else "terms", drawing.design.camera(Place.parse(place).name)
         moved = drawing.displaced(cls(place, **{name: tuple(unit.tolist())}), camera)
@@ -103,8 +103,8 @@ class LensDistortion(Effect):
             Candidate(
                 cls,
                 place,
-                [{COUNT: warp_number_count(d)}],
-                [Linear("warp", j, 1e-2) for j in range(warp_number_count(d))],
+                [{COUNT: warp_coefficient_count(d)}],
+                [Linear("warp", j, 1e-2) for j in range(warp_coefficient_count(d))],
                 f"warp {d}",
             )
             for d in WARPS
@@ -116,6 +116,6 @@ def _degree(numbers: int) -> int:
     return round((np.sqrt(25 + 4 * numbers) - 3) / 2)
 
 
-def warp_number_count(degree: int) -> int:
-    """Count of the numbers of a warp of a degree."""
+def warp_coefficient_count(degree: int) -> int:
+    """Number of coefficients of an image warp of a degree."""
     return (degree + 1) * (degree + 2) - 6

@@ -43,13 +43,16 @@ class TravelHeating(Effect):
         path = motion.path
         return motion.once(
             ("warming", self.time_constant),
-            lambda: path.walked(lambda t, lengths: fading_travel(t, lengths, self.time_constant))[path.at],
+            lambda: path.walked(lambda t, lengths: exponentially_fading_travel(t, lengths, self.time_constant))[
+                path.at
+            ],
         )
 
 
-def fading_travel(t: Floats, lengths: Floats, time_constant: float) -> Floats:
-    """Travel (m, axes) along lengths (m, axes) m or rad, linear between knots t (m,) s, that fades by a time constant.
+def exponentially_fading_travel(t: Floats, lengths: Floats, time_constant: float) -> Floats:
+    """Travel (m, axes) along lengths (m, axes) m or rad that fades exponentially with a time constant.
 
+    Lengths are linear between knots t (m,) s.
     Exact: at a steady speed v it nears v * time_constant exponentially. It starts from none.
     """
     return _fade(np.ascontiguousarray(t, dtype=float), np.ascontiguousarray(lengths, dtype=float), float(time_constant))

@@ -287,9 +287,10 @@ EXAMPLE = Written(
 )  # a strut that follows another one's travel
 
 
-def load_suggestion(folder: Path, place: str | None) -> tuple[str, Written]:
-    """(place, Written) that a diagnosis in a folder suggests. Raises RigError where it suggests nothing there, or
-    several things anywhere.
+def load_suggested_formula(folder: Path, place: str | None) -> tuple[str, Written]:
+    """Load the formula that a diagnosis in a folder suggests: (place, Written).
+
+    Raises RigError where it suggests nothing there, or several things anywhere.
     """
     table = json_toml_and_yaml_loading.load_json(folder / "diagnosis.json", "diagnosis", "diagnosis/1")
     found = {
@@ -333,18 +334,20 @@ class NewEffect:
 
 
 def new_effect(name: str, path: Path, diagnosis_folder: Path | None = None, place: str | None = None) -> NewEffect:
-    """A new effect of a name, of the formula that a diagnosis suggests at a place, or of an example.
+    """New effect of a name, by the formula that a diagnosis suggests at a place, or by an example.
 
     path : of its file, to be named in errors; diagnosis_folder : with diagnosis.json, or None for the example
     place : None where the diagnosis suggests one formula
-    Raises RigError for an invalid name, a place without a diagnosis, and as `load_suggestion`
+    Raises RigError for an invalid name, a place without a diagnosis, and as `load_suggested_formula`
     """
     problem = effect_name_problem(name)
     if problem:
         raise RigError(f"--new {problem}")
     if place is not None and diagnosis_folder is None:
         raise RigError("--place selects a suggestion of a diagnosis: state its folder with --from")
-    found, formula = ("strut 1", EXAMPLE) if diagnosis_folder is None else load_suggestion(diagnosis_folder, place)
+    found, formula = (
+        ("strut 1", EXAMPLE) if diagnosis_folder is None else load_suggested_formula(diagnosis_folder, place)
+    )
     source = formula.source(name)
     (kind,) = effects_of_source(source, path)
     return NewEffect(name, found, kind.places, formula, source)

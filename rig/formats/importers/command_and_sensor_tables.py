@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from rig.array_and_json_types import Floats, Integers
-from rig.checks.mistake_and_clock_mistakes import FASTEST, SLOWEST, USUAL
+from rig.checks.mistake_dataclass_and_clock_mistakes import FASTEST, SLOWEST, USUAL
 from rig.errors import FileError, RigError
 from rig.formats.checked_entries import name_problem
 from rig.formats.importers.csv_dialect import read_foreign_table

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.checks.mistake_and_clock_mistakes import dwell_clock_shift
+from rig.checks.mistake_dataclass_and_clock_mistakes import dwell_clock_shift
 from rig.errors import RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.importers import image_file_frames

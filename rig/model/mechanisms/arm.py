@@ -157,18 +157,24 @@ def axis_deviation_and_sway_by_growth(T: RigidTransform, q: Floats, arm: Arm, sh
     return np.zeros(share.shape), np.pad((moved[:, None] @ chain[:, -1, :3, :3])[:, 0], ((0, 0), (0, 3)))
 
 
-def axis_changes_by_pose(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
-    """(m, n, 6) least change of the joint values (rad or m) with the pose's tangent, at joint values q (m, n)."""
+def inverse_kinematics_jacobian(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
+    """Jacobian (m, n, 6) of inverse kinematics: least change of joint values with the pose's tangent.
+
+    q : (m, n) rad or m
+    """
     return np.asarray(np.linalg.pinv(jacobian(q, arm)))
 
 
 def jacobian_rows_by_axis(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
-    """(m, n, 6) the columns of the Jacobian at joint values q (m, n), which coincide where the arm is singular."""
+    """Rows (m, n, 6) of the Jacobian, one for each joint, at joint values q (m, n).
+
+    They are its columns, which coincide where the arm is singular.
+    """
     return np.swapaxes(jacobian(q, arm), 1, 2)
 
 
 def link_points(q: Floats, arm: Arm) -> Floats:
-    """(..., n + 2, 3) m of the line along the links at joint values q (..., n), in the frame of poses."""
+    """Points (..., n + 2, 3) m of the line along the links at joint values q (..., n), in the frame of poses."""
     return link_frames(q, arm)[..., :3, 3]
 
 

@@ -120,13 +120,16 @@ def axis_deviation_and_sway_by_growth(
     return share * lengths, np.zeros((len(share), 6))
 
 
-def axis_changes_by_pose(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
-    """(n, 6, 6) change of the strut lengths with the pose's tangent, at poses T (n,)."""
+def inverse_kinematics_jacobian(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
+    """Jacobian (n, 6, 6) of inverse kinematics: change of strut lengths with the pose's tangent, at poses T (n,)."""
     return jacobian(T, hexapod)
 
 
 def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
-    """(n, 6, 6) the rows of the Jacobian at poses T (n,), which coincide where the machine is singular."""
+    """Rows (n, 6, 6) of the Jacobian, one for each strut, at poses T (n,).
+
+    They coincide where the machine is singular.
+    """
     return jacobian(T, hexapod)
 
 

@@ -175,13 +175,13 @@ def axis_deviation_and_sway_by_growth(
     return np.concatenate(deviations, axis=1), sway
 
 
-def axis_changes_by_pose(T: RigidTransform, values: Floats, chain: Chain) -> Floats:
-    """(n, axes of all, 6) least change of the axes with the pose's tangent, at values (n, axes of all)."""
+def inverse_kinematics_jacobian(T: RigidTransform, values: Floats, chain: Chain) -> Floats:
+    """Jacobian (n, axes of all, 6) of inverse kinematics: least change of the axes with the pose's tangent."""
     return np.asarray(np.linalg.pinv(jacobian(values, chain)))
 
 
 def jacobian_rows_by_axis(T: RigidTransform, values: Floats, chain: Chain) -> Floats:
-    """(n, axes of all, 6) the columns of the Jacobian at values (n, axes of all)."""
+    """Rows (n, axes of all, 6) of the Jacobian, one for each axis, at values (n, axes of all)."""
     return np.swapaxes(jacobian(values, chain), 1, 2)
 
 

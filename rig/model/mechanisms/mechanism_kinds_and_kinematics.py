@@ -1,5 +1,6 @@
-"""Mechanism kinds, as predicates and requirements; the kinematics module of each, their common interface, axis names
-and units; singularity of a hexapod's geometry, and its cardan twist.
+"""Mechanism kinds, as predicates and requirements, and the kinematics module of each kind.
+
+Their common interface, axis names and units; singularity of a hexapod's geometry, and its cardan twist.
 """
 
 from __future__ import annotations
@@ -143,7 +144,7 @@ def _least(hexapod: Hexapod, move: Floats, size: float) -> float:
 
 
 def cardan_twist(T: RigidTransform, mechanism: Hexapod) -> Floats:
-    """(..., 6) rad twist of each strut's platform-side cardan against its base-side one, about the strut.
+    """Twist (..., 6) rad of each strut's platform-side cardan against its base-side one, about the strut.
 
     A cardan's first axis lies in its plate, tangential, (-y, x, 0) of the joint in the plate's frame; its second is
     perpendicular to the first and to the strut. Right-handed about u, from base to platform.
@@ -160,8 +161,9 @@ def cardan_twist(T: RigidTransform, mechanism: Hexapod) -> Floats:
 
 
 def cardan_plate_axes(joints: Floats) -> Floats:
-    """(6, 3) first axes of the cardans at joints (6, 3) m of a plate, in its frame: tangential, as long as the joint is
-    off its middle.
+    """First axes (6, 3) of the cardans at joints (6, 3) m of a plate, in its frame.
+
+    Tangential, as long as the joint is off its middle.
     """
     return np.stack([-joints[:, 1], joints[:, 0], np.zeros(len(joints))], axis=1)
 
@@ -222,7 +224,7 @@ class MechanismKinematics(Protocol[M]):
         """
         ...
 
-    def axis_changes_by_pose(self, T: RigidTransform, values: Floats, mechanism: M, /) -> Floats:
+    def inverse_kinematics_jacobian(self, T: RigidTransform, values: Floats, mechanism: M, /) -> Floats:
         """(n, axes, 6) change of the axes (m or rad) with the pose's tangent (m, rad) at poses T (n,), values (n,
         axes).
         """

@@ -1,6 +1,4 @@
-"""Templates of HTML pages and standalone SVG files; HTML elements of pages (headings, lists, tables, notes) and SVG
-elements of figures (text, tooltip, ticks); the index page of all pages below a folder, with verdicts.
-"""
+"""Templates of HTML pages, HTML and SVG elements of pages and figures, and the index page with verdicts."""
 
 import html
 import math
@@ -263,9 +261,9 @@ BETWEEN, EDGE, LINE = 10, 6, 18  # units between figures, around them, and of a 
 
 
 def standalone_svg(title: str, words: str, figures: Sequence[str]) -> str:
-    """Standalone SVG text of figures, one below the other. title : for those who cannot see it; words :
-    above them
-    Raises ValueError for what is no figure
+    """Standalone SVG text of figures, one below the other.
+
+    title : for those who cannot see it; words : above them. Raises ValueError for what is no figure
     """
     lines = wrap_text(words, TEXT, WIDTH)
     parts = [

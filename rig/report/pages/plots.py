@@ -73,8 +73,9 @@ def axis_scale_of_values(
     limits: tuple[float, float] | None = None,
     whole: bool = False,
 ) -> Scale:
-    """Scale of an axis for all finite values (n,). ends : (2,) on the figure; limits : replace the values' own
-    whole : whether they are whole numbers
+    """Scale of an axis for all finite values (n,).
+
+    ends : (2,) on the figure; limits : replace the values' own; whole : whether they are whole numbers
     """
     known = np.asarray(values, float).ravel()
     known = known[np.isfinite(known) & ((known > 0) | (not log))]

@@ -9,7 +9,11 @@ import pytest
 
 from calib.api.correction_over_configuration_or_pose_space import CorrectionPass, certify_additional_pass
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.error_claim_over_workspace import PLACES, ConfigurationInformation, claim_of_mean_squares
+from calib.certification.error_claim_over_workspace import (
+    PLACES,
+    ConfigurationInformation,
+    claim_from_mean_square_errors,
+)
 from calib.certification.extended_correction_certification import (
     ExtensionRequest,
     certify_extended_correction,
@@ -57,7 +61,7 @@ def test_noise_that_explains_all_leaves_nothing_and_what_was_not_measured_is_not
 @pytest.mark.parametrize("owners", [0.0, 1e-9])
 def test_a_factor_is_finite_where_noise_explains_all_that_is_left(design, owners):
     samples, _ = sampled(design, 0, 10, None)
-    claim = claim_of_mean_squares(
+    claim = claim_from_mean_square_errors(
         np.full((100, 2), owners),
         np.zeros((100, 2)),
         "here",

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from calib.correction import interpolation_methods_and_correction_summand_fields
-from calib.correction.interpolation.field_interface_and_combinations import FieldSamples, merge_repeats
+from calib.correction.interpolation.field_interface_and_combinations import FieldSamples, merge_repeated_samples
 from calib.correction.interpolation.grid import grid_lattice_of_configurations
 from rig.errors import FileError, NotConverged, RigError
 from rig.formats.checked_entries import Entries
@@ -209,7 +209,7 @@ def test_repeats_count_once_and_samples_beside_the_grid_are_left_out():
             known.values,
             atol=1e-16,
         )
-    assert len(merge_repeats(twice).values) == len(known.values) + 9
+    assert len(merge_repeated_samples(twice).values) == len(known.values) + 9
 
 
 def test_a_grid_that_lacks_a_vertex_is_refused_by_name():

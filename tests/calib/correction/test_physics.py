@@ -15,7 +15,7 @@ from calib.correction.physics_compensation import (
     Machine,
     Physics,
     Unknown,
-    commands_at_poses,
+    compensated_commands_at_poses,
     unknown_history_uncertainty,
 )
 from calib.diagnosis.findings_refit import Findings
@@ -237,7 +237,7 @@ def test_no_commands_are_said_to_be_none(design):
     route = timed_route(
         Pace(t, 0.0, 0.02, None), hexapod.inverse(T, design.mechanism), hexapod.home_values(design.mechanism)
     )
-    commands = commands_at_poses(of, T, route, hexapod.inverse(T, design.mechanism))
+    commands = compensated_commands_at_poses(of, T, route, hexapod.inverse(T, design.mechanism))
     np.testing.assert_allclose(
         of.effective(route.commands(commands), t, T), hexapod.inverse(T, design.mechanism), atol=1e-10
     )

@@ -13,7 +13,7 @@ from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidates
 from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import ranked_covariates
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearise_poses
-from calib.diagnosis.problems.arm.projected_pose_residuals import fit_poses
+from calib.diagnosis.problems.arm.projected_pose_residuals import fit_terms_to_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from calib.diagnosis.report.report_sentences import covariate_table
@@ -58,7 +58,10 @@ def test_a_dwell_counts_from_the_last_move():
 
 def test_of_an_arm_too(arm_with_play):
     problem, arms = arm_with_play
-    told = {c.name: c for c in ranked_covariates(fit_poses(arms), select_terms(problem).fit, problem.policy.cluster)}
+    told = {
+        c.name: c
+        for c in ranked_covariates(fit_terms_to_poses(arms), select_terms(problem).fit, problem.policy.cluster)
+    }
     assert next(iter(told)) == "direction" and {"time", "order", "step", "way travelled"} <= set(told)
     assert told["direction"].before["joints"].share > 0.1 > 0.01 > told["direction"].after["joints"].share
 

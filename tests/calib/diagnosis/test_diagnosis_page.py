@@ -12,12 +12,12 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.problems.platform import platform_recording_evidence as platform
 from calib.diagnosis.report.diagnosis_json_entries import AlternativeEntry, NotAskedEntry
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
-from calib.diagnosis.report.machine_outline import MARKS, rig_outline_figure
 from calib.diagnosis.report.residual_figures_and_contributions import (
     effect_residual_figures,
     model_residuals,
     residuals_without_effects,
 )
+from calib.diagnosis.report.rig_and_arm_outline_figures import MARKS, rig_outline_figure
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.texts.effect_text_and_dict import parse_effect
 from rig.model.effect_places_and_part_tolerances import Place
@@ -187,7 +187,7 @@ def test_every_effect_says_what_to_do():
 def test_poses_alone_make_a_page(diagnosed, tmp_path, monkeypatch):
     found, diagnosis = diagnosed
     monkeypatch.setattr(
-        platform, "without_distant_corners", lambda point: point
+        platform, "operating_point_without_distant_corners", lambda point: point
     )  # there are no corners that could be out of reach
     k = diagnosis.selection.fit.refined.point
     for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):

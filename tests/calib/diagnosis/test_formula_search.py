@@ -15,7 +15,7 @@ from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidates
 from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import find_lack_of_fit_by_joint as arm_left
 from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import suggest_joint_formulas as arm_suggestions
-from calib.diagnosis.problems.arm.projected_pose_residuals import fit_poses
+from calib.diagnosis.problems.arm.projected_pose_residuals import fit_terms_to_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
@@ -258,7 +258,7 @@ def test_nothing_is_suggested_where_nothing_is_left(tmp_path, measured):
 @pytest.mark.slow
 def test_a_joint_that_follows_another_is_suggested_once(tmp_path):
     (arms, _), _ = arm_recorded(lambda q: 3e-4 * np.sin(1.3 * q[:, [3]] + 0.5) * (np.arange(6) == 1))
-    now = fit_poses(arms)
+    now = fit_terms_to_poses(arms)
     left = arm_left(now)
     assert {Place("joint", "2"), Place("joint", "3")} <= {u.place for u in left}  # they turn about axes that are alike
     (found,) = arm_suggestions(now, left)

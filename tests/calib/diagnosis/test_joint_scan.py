@@ -15,12 +15,12 @@ from calib.diagnosis.problems.arm.arm_recording_evidence import pose_repeatabili
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidates
 from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import find_lack_of_fit_by_joint
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Columns, Part, linearise_poses
-from calib.diagnosis.problems.arm.projected_pose_residuals import Term, fit_poses
+from calib.diagnosis.problems.arm.projected_pose_residuals import Term, fit_terms_to_poses
 from calib.diagnosis.problems.arm.scores_of_all_candidates import (
-    joint_products,
+    joint_motion_inner_products,
     score_candidates,
-    solved_grid,
-    solved_nodes,
+    solve_candidate_at_all_nodes,
+    solve_candidate_at_nodes,
 )
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.identify.least_squares_and_robust_fit import excess_scatter, robust_weights
@@ -45,15 +45,18 @@ def only(joint, function):
 @pytest.fixture(scope="module")
 def searched():
     arms = seen(only(2, lambda q: 3e-4 * np.sin(7 * q[:, 2])), 150)
-    return fit_poses(arms, (), np.arange(len(arms)) % 7 != 3), joint_candidates(arms, RequestedEffects())[0]
+    return fit_terms_to_poses(arms, (), np.arange(len(arms)) % 7 != 3), joint_candidates(arms, RequestedEffects())[0]
 
 
 @pytest.mark.parametrize("name", ["cyclic_error", "missed_steps"])
 def test_short_cuts_give_the_best_nodes_their_score_and_the_others_a_bound(searched, name):
     now, candidates = searched
     candidate = next(c for c in candidates if c.name == name and c.joint == 2)
-    products = joint_products(now, 2)
-    quick, long = solved_grid(now, candidate, products), solved_nodes(now, candidate, products, candidate.grid)
+    products = joint_motion_inner_products(now, 2)
+    quick, long = (
+        solve_candidate_at_all_nodes(now, candidate, products),
+        solve_candidate_at_nodes(now, candidate, products, candidate.grid),
+    )
     top = np.argsort(long.delta_chi2)[-20:]
     assert quick.delta_chi2[top] == pytest.approx(long.delta_chi2[top], rel=1e-6)
     assert np.array(quick.coefficients)[top] == pytest.approx(np.array(long.coefficients)[top], abs=1e-9)
@@ -151,13 +154,15 @@ def test_sinusoid_is_found_with_its_order(searched):
 
 
 def test_repeats_tell_noise_from_what_comes_again():
-    quiet = pose_repeatability(fit_poses(seen(None, again=60)))
+    quiet = pose_repeatability(fit_terms_to_poses(seen(None, again=60)))
     assert quiet.pairs == 60 and quiet.rms == pytest.approx(SIGMA * np.sqrt(3), rel=0.15) and quiet.p_value > 1e-3
-    wavy = pose_repeatability(fit_poses(seen(only(1, lambda q: 2e-4 * np.sin(9 * q[:, 1] + 5 * q[:, 3])), again=60)))
+    wavy = pose_repeatability(
+        fit_terms_to_poses(seen(only(1, lambda q: 2e-4 * np.sin(9 * q[:, 1] + 5 * q[:, 3])), again=60))
+    )
     assert (
         wavy.rms == pytest.approx(SIGMA * np.sqrt(3), rel=0.15) and wavy.recurring_share > 0.8 and wavy.p_value < 1e-4
     )
-    assert pose_repeatability(fit_poses(seen(None))) is None
+    assert pose_repeatability(fit_terms_to_poses(seen(None))) is None
 
 
 def test_what_the_catalogue_lacks_is_unknown_at_its_joint():

@@ -14,7 +14,7 @@ from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.finding_and_nonlinear_parameters import _under, term_errors_by_temperature_logs
 from calib.diagnosis.problems.arm.joint_candidates import NO_CORNERS, POSES_ALONE, joint_candidates
-from calib.diagnosis.problems.arm.projected_pose_residuals import Term, fit_poses
+from calib.diagnosis.problems.arm.projected_pose_residuals import Term, fit_terms_to_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
@@ -125,12 +125,12 @@ def test_thermometers_errors_leave_an_arms_sizes_open():
     size = 1e-5 * np.ones(term.weights.shape[2])
     shown = warm.directions(candidate.joint) @ (term.weights @ size)[..., None]
     warm = replace(warm, left=warm.left + shown[..., 0])
-    fit = fit_poses(warm, [term])
+    fit = fit_terms_to_poses(warm, [term])
     error = 0.02 * np.cos(t / np.ptp(t) * 5)[:, None]
     off = term_errors_by_temperature_logs(fit, 0, {channel: error})
     other = _under(warm, Sensors(t, {channel: sensors.channels[channel] + error[:, 0]}))
     moved, _ = [c for c in joint_candidates(other, RequestedEffects(("thermal_expansion",)))[0] if c.place == "rig"]
-    change = (fit_poses(other, [Term.at(moved, moved.grid[0])]).theta - fit.theta)[fit.slices[0]]
+    change = (fit_terms_to_poses(other, [Term.at(moved, moved.grid[0])]).theta - fit.theta)[fit.slices[0]]
     assert off.shape == (len(size), 1) and np.abs(off).max() > 0
     np.testing.assert_allclose(np.abs(off[:, 0]), np.abs(change), rtol=0.1)
     assert term_errors_by_temperature_logs(fit, 0, {}).shape == (len(size), 0)

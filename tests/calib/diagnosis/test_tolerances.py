@@ -19,7 +19,7 @@ from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.platform.scores_of_all_candidates import (
     candidate_column,
     constant_displacement_normal_equations,
-    corner_products,
+    corner_displacement_inner_products,
     score_candidates,
 )
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
@@ -143,7 +143,7 @@ def test_what_lasts_is_scored_by_sums_as_frame_by_frame(tmp_path, design):
         rows, quads = sensitivities.seen(candidate, candidate.grid[0])
         short = constant_displacement_normal_equations(model, *sensitivities.touched(rows, quads))
         whole = normal_equations_by_common_weights(
-            corner_products(model, sensitivities.corners(rows, quads)), np.ones((1, model.frames))
+            corner_displacement_inner_products(model, sensitivities.corners(rows, quads)), np.ones((1, model.frames))
         )
         for one, other in zip(short, whole):
             assert one == pytest.approx(other, abs=1e-9 * np.abs(whole.raw).max())

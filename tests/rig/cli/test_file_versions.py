@@ -21,7 +21,7 @@ from calib.experiment import investigation_folder_and_report
 from calib.files import calibration_file
 from calib.online import filter_state, learners, measuring_limbs_file
 from rig.cli.command_line import main
-from rig.effects.texts.effect_file_from_formula import load_suggestion
+from rig.effects.texts.effect_file_from_formula import load_suggested_formula
 from rig.errors import FileError
 from rig.formats.importers import import_recipe
 from rig.formats.local_and_remote_input_files import NAMED
@@ -67,7 +67,7 @@ def held(path: Path) -> None:
 def suggesting(path: Path) -> None:
     """A diagnosis that suggests a formula."""
     path.rename(path.parent / "diagnosis.json")
-    load_suggestion(path.parent, None)
+    load_suggested_formula(path.parent, None)
 
 
 def refuted(path: Path) -> None:

@@ -16,7 +16,7 @@ from calib.online.measuring_limbs_file import Accepted
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.platform_poses_from_measuring_limbs import LiveLimbPoses
 from calib.online.run_options_and_equipment import compile_kernels_for_run
-from rig.cli.shared.run_display_and_controller_status import PlainLineDisplay, TerminalBlockDisplay, view_lines
+from rig.cli.shared.run_display_and_controller_status import PlainLineDisplay, TerminalBlockDisplay, run_view_lines
 from rig.driving.cameras.camera_interface_and_grabbing import Frame
 from rig.driving.clock import SimulatedClock
 from rig.driving.move_and_record_loop import RecordedFrame
@@ -243,7 +243,7 @@ def test_a_terminal_says_what_happened(design):
         and "[6/6] ended: stopped from the page" in text
     )
     assert "frame 5: 0.000 0.000 450.000 mm" in text and "\x1b" not in text
-    lines = view_lines(looking.view)
+    lines = run_view_lines(looking.view)
     assert (
         lines[0].startswith("frame 6 of 6, step 7 of 13")
         and sum(line.startswith("strut") for line in lines) == 6

@@ -74,13 +74,17 @@ def test_a_folder_to_which_others_can_write_is_not_taken(mode, locked, monkeypat
     (theirs / "below").mkdir(parents=True)
     theirs.chmod(mode)
     own = tmp_path / "home" / ".cache" / "rig"
-    assert numba_kernels_and_lazy_exports.private_or_user_folder(theirs) == own and own.stat().st_mode & 0o077 == 0
+    assert (
+        numba_kernels_and_lazy_exports.private_folder_or_user_cache(theirs) == own and own.stat().st_mode & 0o077 == 0
+    )
     assert numba_kernels_and_lazy_exports.is_private_folder(theirs / "below") == (mode == 0o775), (
         "who can write above can put another folder in its place"
     )
     forget()
     own.chmod(mode)
-    assert numba_kernels_and_lazy_exports.private_or_user_folder(theirs) == tmp_path / f"rig-kernels-{os.getuid()}"
+    assert (
+        numba_kernels_and_lazy_exports.private_folder_or_user_cache(theirs) == tmp_path / f"rig-kernels-{os.getuid()}"
+    )
     assert f"others can write to {theirs}, and {own.parent} can be written to by others" in capsys.readouterr().err
 
 

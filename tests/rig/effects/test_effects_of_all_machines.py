@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.problems.platform.vibration_frequency import rank_one_least_squares
+from calib.diagnosis.problems.platform.vibration_frequency import rank_one_direction_and_phase_fit
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Context
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
@@ -230,7 +230,7 @@ def test_one_direction_is_found_among_twelve_numbers():
         rng.normal(size=6),
     )
     x = np.outer(phase, direction).ravel()
-    drop, found = rank_one_least_squares(X.T @ X @ x, X.T @ X)
+    drop, found = rank_one_direction_and_phase_fit(X.T @ X @ x, X.T @ X)
     np.testing.assert_allclose(found, x, rtol=1e-6)
     assert drop == pytest.approx(x @ X.T @ X @ x)
 

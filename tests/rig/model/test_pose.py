@@ -2,7 +2,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.model.pose import (
-    angle_sigmas,
     covariance_from_triangle,
     exp,
     log,
@@ -10,6 +9,7 @@ from rig.model.pose import (
     pose_difference,
     pose_to_vector,
     roll_pitch_yaw,
+    roll_pitch_yaw_sigmas,
     transform_points,
 )
 from tests.numerical_derivatives import jacobian
@@ -53,11 +53,13 @@ def test_roll_pitch_and_yaw_are_about_the_static_axes():
     covariance = np.diag([1e-5, 1e-5, 1e-5, 1e-3, 2e-3, 3e-3]) ** 2
     for one in range(4):
         J = jacobian(lambda xi, one=one: roll_pitch_yaw(T[one] * exp(xi)), np.zeros(6))
-        np.testing.assert_allclose(angle_sigmas(T[one], covariance), np.sqrt(np.diag(J @ covariance @ J.T)), rtol=1e-6)
+        np.testing.assert_allclose(
+            roll_pitch_yaw_sigmas(T[one], covariance), np.sqrt(np.diag(J @ covariance @ J.T)), rtol=1e-6
+        )
 
 
 def test_at_a_quarter_turn_of_pitch_roll_is_told_and_no_uncertainty():
     for pitch in (np.pi / 2, -np.pi / 2):
         T = pose([0, 0, 0], (Rotation.from_euler("y", pitch) * Rotation.from_euler("x", 0.3)).as_rotvec())
         np.testing.assert_allclose(roll_pitch_yaw(T), [0.3, pitch, 0], atol=1e-7)
-        assert np.isinf(angle_sigmas(T, np.eye(6)))[[0, 2]].all()
+        assert np.isinf(roll_pitch_yaw_sigmas(T, np.eye(6)))[[0, 2]].all()

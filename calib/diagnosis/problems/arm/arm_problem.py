@@ -34,11 +34,11 @@ from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import (
     refine_knots_and_parameters,
     simplify_profiles,
 )
-from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_terms_to_poses
 from calib.diagnosis.problems.arm.scores_of_all_candidates import (
     candidate_with_grid_nodes,
+    column_of_score,
     score_candidates,
-    score_column,
 )
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import HeldOutPoses
 from calib.identify.least_squares_and_robust_fit import time_block_folds
@@ -68,7 +68,7 @@ class ArmProblem:
     geometry: Geometry | None = None
 
     def start(self) -> Fit:
-        return fit_poses(self.arms, (), self.train)
+        return fit_terms_to_poses(self.arms, (), self.train)
 
     def terms(self, fit: Fit) -> list[JointCandidate]:
         return [term.candidate for term in fit.terms]
@@ -115,7 +115,7 @@ class ArmProblem:
         return [other for i in best for other in self.search(model, [candidate_with_grid_nodes(candidate, [grid[i]])])]
 
     def column(self, model: Fit, score: JointScore) -> Column:
-        return score_column(model, score)
+        return column_of_score(model, score)
 
     def add_term(self, fit: Fit, score: JointScore) -> Fit:
         return fit.with_terms([Term.of(score)])
@@ -131,7 +131,7 @@ class ArmProblem:
         return self._weighed(fit, [*fit.terms[:number], fit.terms[-1], *fit.terms[number:-1]])
 
     def _weighed(self, now: Fit, terms: list[Term]) -> Fit:
-        return fit_poses(self.arms, terms, self.train, now.weighing, rounds=QUICK)
+        return fit_terms_to_poses(self.arms, terms, self.train, now.weighing, rounds=QUICK)
 
     def refine_terms(self, fit: Fit) -> Fit:
         return refine_knots_and_parameters(fit, self.train, self.policy)
@@ -140,7 +140,7 @@ class ArmProblem:
         now = merge_sinusoids_into_profiles(now, self.candidates, self.train, self.policy, self.given)
         now = remove_redundant_terms(self, simplify_profiles(now, self.candidates, self.train, self.policy, self.given))
         now = optimise_terms(now, [term for term in now.terms if has_continuous_parameters(term)])
-        return fit_poses(self.arms, now.terms, self.train, now.weighing)
+        return fit_terms_to_poses(self.arms, now.terms, self.train, now.weighing)
 
     def wald(self, fit: Fit, number: int) -> Wald:
         one, here = fit.terms[number], fit.slices[number]
@@ -217,15 +217,20 @@ class ArmProblem:
 def nested_held_out_poses(
     problem: ArmProblem, counts: tuple[int, ...], progress: Progress | None = None
 ) -> list[HeldOutPoses]:
-    """HeldOutPoses of what a problem may fit, over each number of stretches of time: effects are chosen, and all is
-    fitted, on two thirds of them at a time."""
+    """Held-out poses (HeldOutPoses) by nested selection, over each number of time stretches in counts.
+
+    Effects are chosen, and all is fitted, on two thirds of the stretches at a time.
+    """
     arms, kept = problem.arms, np.ones(len(problem.arms), bool) if problem.train is None else problem.train
     parts = [time_stretch_folds(len(arms), count) % PARTS for count in counts]
 
     def predicted(one: tuple[int, int]) -> tuple[Floats, Floats, tuple[str, ...]]:
         part = parts[one[0]] == one[1]
         with threadpool_limits(1):
-            chosen, bare = fit_selected_terms(replace(problem, train=kept & ~part)), fit_poses(arms, (), kept & ~part)
+            chosen, bare = (
+                fit_selected_terms(replace(problem, train=kept & ~part)),
+                fit_terms_to_poses(arms, (), kept & ~part),
+            )
         return (
             bare.left[part],
             chosen.left[part],

@@ -81,7 +81,7 @@ ArmSelection = Selection[Fit, JointCandidate]
 
 
 def outlier_poses(arms: Arms, residuals: Floats, gate: float) -> Outliers:
-    """Outliers by residuals left (n, k), m and rad, beyond a gate."""
+    """Poses that are outliers: whose residuals (n, k), m and rad, lie beyond a gate."""
     W = np.linalg.inv(np.linalg.cholesky(arms.own))
     columns = np.concatenate([arms.freedoms, _smooth(arms)], axis=2)[..., : residuals.size // ROWS]
     found = robust_fit([((W @ residuals[..., None])[..., 0], W @ columns)])
@@ -253,8 +253,9 @@ def arm_evidence(
     sampled: Sampled | None = None,
     progress: Progress | None = None,
 ) -> ArmEvidence:
-    """ArmEvidence of a Recording of an arm or a chain, as `diagnose` takes it. Raises RigError for a calibration,
-    NotEnoughData where too little was measured, and what calibrating raises.
+    """ArmEvidence of a Recording of an arm or a chain, as `diagnose` takes it.
+
+    Raises RigError for a calibration, NotEnoughData where too little was measured, and what calibrating raises.
     """
     if calibration is not None:
         raise RigError(

@@ -1,5 +1,7 @@
-"""Parameters of what was found at an arm's joints, with intervals that allow for how residuals scatter and for what
-thermometers leave open; nonlinear parameters, optimised between grid values, and their uncertainty.
+"""Parameters of findings at an arm's joints, with intervals, and optimisation of nonlinear parameters.
+
+Intervals allow for how residuals scatter and for what thermometers leave open; nonlinear parameters are optimised
+between grid values.
 """
 
 from collections.abc import Callable, Mapping
@@ -21,7 +23,7 @@ from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares impor
 from calib.diagnosis.problems.arm.joint_candidates import SPAN, Form, JointCandidate, joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
-from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_products, solved_nodes
+from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_motion_inner_products, solve_candidate_at_nodes
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value, bounded_value, onset_time_value
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect_parameters_and_covariates import Parameter
@@ -57,7 +59,7 @@ def has_continuous_parameters(term: Term) -> bool:
 
 def optimise_nonlinear_parameters(fit_without_term: Fit, term: Term) -> Term:
     """Optimise a term's nonlinear parameters on the residuals of a Fit without it; returns the term."""
-    products = joint_products(fit_without_term, term.candidate.joint)
+    products = joint_motion_inner_products(fit_without_term, term.candidate.joint)
 
     def loss(node: Node) -> float:
         weights = term.candidate.weights(node)[fit_without_term.used]
@@ -112,7 +114,9 @@ def onset_time_interval(fit: Fit, number: int, dispersion: float) -> tuple[float
     here = int(np.argmin(np.abs(values - term.node[name])))
     around = values[max(here - AROUND, 0) : here + AROUND + 1]
     nodes = [{**term.node, name: float(value)} for value in around]
-    found = solved_nodes(rest, term.candidate, joint_products(rest, term.candidate.joint), nodes).delta_chi2
+    found = solve_candidate_at_nodes(
+        rest, term.candidate, joint_motion_inner_products(rest, term.candidate.joint), nodes
+    ).delta_chi2
     likely = around[found >= found.max() - ONE_IN_TWENTY * dispersion]
     return float(likely.min()), float(likely.max())
 

@@ -34,8 +34,8 @@ from calib.diagnosis.problems.arm.finding_and_nonlinear_parameters import (
 from calib.diagnosis.problems.arm.joint_candidates import joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import optimise_terms
-from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
-from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_products
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_terms_to_poses
+from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_motion_inner_products
 from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
     AGREE,
     NAME,
@@ -95,7 +95,7 @@ def _best(now: Fit, joint: int, library: Library) -> Formula | None:
     """The Formula of what a Fit leaves of a joint on the poses that it used."""
     own = float(np.einsum("nkk->nk", now.arms.own)[now.used, :3].mean())
     floor = own / (own + float(np.mean(now.scatter[:3] ** 2)))
-    return Search(library, Reduced.of(joint_products(now, joint), np.flatnonzero(now.used)), floor).best()
+    return Search(library, Reduced.of(joint_motion_inner_products(now, joint), np.flatnonzero(now.used)), floor).best()
 
 
 def _written(now: Fit, found: Found, formula: Formula) -> Written:
@@ -113,7 +113,9 @@ def _term(now: Fit, found: Found, formula: Formula) -> Term:
 def _suggested(now: Fit, found: Found) -> tuple[Suggestion, Fit] | None:
     """(Suggestion of what was found, the Fit with it); None where poses held out do not gain by such."""
     arms, fold = now.arms, time_stretch_folds(len(now.arms), STRETCHES) % FOLDS
-    without = [fit_poses(arms, now.terms, now.used & (fold != h), now.weighing, rounds=1) for h in range(FOLDS)]
+    without = [
+        fit_terms_to_poses(arms, now.terms, now.used & (fold != h), now.weighing, rounds=1) for h in range(FOLDS)
+    ]
     chosen = [_best(part, found.joint, found.library) for part in without]
     before, after = np.empty(arms.left.shape), np.empty(arms.left.shape)
     fall = np.zeros(len(arms))
@@ -124,7 +126,7 @@ def _suggested(now: Fit, found: Found) -> tuple[Suggestion, Fit] | None:
     gain = signed_rank_gain_in_standard_errors(fall[now.used])
     if gain < (ARM.final_gain or 0.0) or sum(one is not None for one in chosen) < AGREE * len(chosen):
         return None
-    last = fit_poses(arms, [*now.terms, _term(now, found, found.formula)], now.used)
+    last = fit_terms_to_poses(arms, [*now.terms, _term(now, found, found.formula)], now.used)
     last = optimise_terms(last, [last.terms[-1]]) if has_continuous_parameters(last.terms[-1]) else last
     number = len(last.terms) - 1
     term, theta, joint = last.terms[-1], last.theta[last.slices[-1]], term_parameter_covariance(last, number)
@@ -159,7 +161,7 @@ def find_lack_of_fit_by_joint(
     moved = arms.context.moved()
     axes = axis_places(moved.mechanism)
     for j in range(arms.q.shape[1]):
-        products = joint_products(fit, j)
+        products = joint_motion_inner_products(fit, j)
         information = float(products.gamma.sum())
         for depends, basis in _bases(arms, j):
             weights = basis[fit.used][:, None, :]
@@ -193,7 +195,7 @@ def _hats(t: Floats) -> Floats:
 
 
 def excess_scatter(fit: Fit, repeats: Repeats | None, covariates: Sequence[Covariate]) -> list[LackOfFit]:
-    """[LackOfFit] of excess scatter of positions and of rotations beyond their stated noise.
+    """Excess scatter of positions and of rotations beyond their stated noise ([LackOfFit]).
 
     repeats : Repeats, which show whether the scatter recurs with the same joint angles ("configuration"); where it does
     not, it depends on the covariates that explain some of it, or on nothing known. Where the noise is not stated, only
@@ -225,7 +227,7 @@ def _explains(covariate: Covariate, count: int) -> bool:
 
 
 def ranked_covariates(before: Fit, after: Fit, cluster: int) -> list[Covariate]:
-    """[Covariate] ranked by the share of residuals they explain, without effects and with them.
+    """Covariates ranked by the share of residuals that they explain, without effects and with them.
 
     cluster : poses in a row whose errors may be alike
     """
@@ -235,7 +237,7 @@ def ranked_covariates(before: Fit, after: Fit, cluster: int) -> list[Covariate]:
 def _shares(fit: Fit, cluster: int) -> dict[str, dict[str, Share]]:
     arms, used = fit.arms, fit.used
     count = arms.q.shape[1]
-    products = [joint_products(fit, j) for j in range(count)]
+    products = [joint_motion_inner_products(fit, j) for j in range(count)]
     asked = {
         **time_and_sensor_functions(arms.t, arms.context.sensors),
         **motion_functions(arms.context.moved().path, arms.commands, arms.t),

@@ -1,6 +1,6 @@
-"""Measured poses of an arm or chain, linearised about its calibrated geometry, with their residuals; whitened columns
-of its freedoms and terms, stored as joint directions times pose weights.
+"""Measured poses of an arm linearised about its calibrated geometry, and whitened columns of its parameters.
 
+The columns are of its freedoms and terms, stored as joint directions times pose weights; of a chain too.
 A term of hundreds of numbers at one joint moves each pose along one direction, so that products of two such terms are
 sums over poses of their weights times one number; no column is ever written out.
 """
@@ -111,7 +111,7 @@ def linearise_poses(
     sensors: Sensors | None = None,
     least_poses: int = FEWEST,
 ) -> tuple[Arms, Geometry]:
-    """(Arms, Geometry) of Samples: calibrated, and linear about it.
+    """Linearise the poses of Samples about the calibrated geometry: (Arms, Geometry).
 
     design : whose mechanism is the nominal Arm or Chain; commands : the whole path; the samples' own commands in their
         order where None
@@ -143,9 +143,9 @@ def linearise_poses(
 def linearise_planned_poses(
     arms: Arms, geometry: Geometry, commands: Commands, t: Floats, sensors: Sensors | None
 ) -> Arms:
-    """Arms of a recording of the same arm that is not there yet, exposed at t (n,) s, of which nothing is left; its
-    instrument sees as before.
+    """Linearise the planned poses of an arm at commands and exposures t (n,) s, with no residuals: Arms.
 
+    Of a recording that is not there yet; its instrument sees as before.
     frame : of cameras those exposures alone that they will see, numbers among the n
     Raises RigError for a chain, where commands leave the arm's limits, or where cameras see none of it
     """

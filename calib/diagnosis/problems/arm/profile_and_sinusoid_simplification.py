@@ -12,7 +12,7 @@ from calib.diagnosis.problems.arm.finding_and_nonlinear_parameters import (
     optimise_nonlinear_parameters,
 )
 from calib.diagnosis.problems.arm.joint_candidates import OWN_ANGLE, SPAN, Form, JointCandidate
-from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_poses
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_terms_to_poses
 from calib.diagnosis.problems.arm.scores_of_all_candidates import score_candidates
 from rig.array_and_json_types import Booleans
 from rig.effects.framework.effect_parameters_and_covariates import COUNT
@@ -82,7 +82,7 @@ def merge_sinusoids_into_profiles(
         best = score_candidates(rest, [candidate], correlated_frames=policy.cluster)
         trial = rest.with_terms([Term.of(best[0])]) if best else rest
         if trial.criterion() < fit.criterion() + policy.delta_bic * len(cycles):
-            fit = fit_poses(fit.arms, trial.terms, train, fit.weighing, rounds=QUICK)
+            fit = fit_terms_to_poses(fit.arms, trial.terms, train, fit.weighing, rounds=QUICK)
     return fit
 
 
@@ -100,7 +100,7 @@ def refine_knots_and_parameters(fit: Fit, train: Booleans | None, policy: Select
             [replace(Term.at(one.candidate, best[0].node) if better else one, level=float(fit.scatter[0]))]
         )
         fit = trial if not better or one.candidate.form is Form.PROFILE or trial.criterion() < fit.criterion() else fit
-    return fit_poses(fit.arms, fit.terms, train, fit.weighing, rounds=QUICK)
+    return fit_terms_to_poses(fit.arms, fit.terms, train, fit.weighing, rounds=QUICK)
 
 
 def optimise_terms(fit: Fit, terms: list[Term]) -> Fit:
@@ -146,7 +146,7 @@ def simplify_profiles(
                 break  # later ones seldom bring more than the first
             here = here.with_terms([Term.of(scores[0])])
             if here.criterion() < worth:
-                fit = fit_poses(fit.arms, here.terms, train, fit.weighing, rounds=QUICK)
+                fit = fit_terms_to_poses(fit.arms, here.terms, train, fit.weighing, rounds=QUICK)
                 break
     return fit
 

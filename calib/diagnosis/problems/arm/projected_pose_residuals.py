@@ -221,15 +221,16 @@ class Fit:
         return moved[:, 0] if self.terms[number].candidate.joint is not None else np.linalg.norm(moved[:, :3], axis=1)
 
 
-def fit_poses(
+def fit_terms_to_poses(
     arms: Arms,
     terms: Sequence[Term] = (),
     train: Booleans | None = None,
     start: Weighing | None = None,
     rounds: int = ROUNDS,
 ) -> Fit:
-    """Fit of terms on the poses of a mask train (n,), all by default; start : Weighing to begin with; rounds : of
-    weighing anew.
+    """Fit of terms to an arm's poses, those of a mask train (n,), all by default.
+
+    start : Weighing to begin with; rounds : of weighing anew
     """
     used = np.ones(len(arms), bool) if train is None else train
     raw, k = term_columns(arms, terms), arms.left.shape[1]
@@ -265,7 +266,7 @@ def _weighed(arms: Arms, left: Floats, used: Booleans, share: float) -> Weighing
 
 
 def term_columns(arms: Arms, terms: Sequence[Term]) -> Columns:
-    """Columns of the freedoms, then of terms, m and rad per unit."""
+    """Columns of terms, after those of the freedoms, m and rad per unit."""
     return Columns(arms.joints, (Part(None, arms.freedoms), *(term.part for term in terms)))
 
 

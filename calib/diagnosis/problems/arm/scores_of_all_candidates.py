@@ -42,13 +42,14 @@ def score_candidates(
     correlated_frames: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[JointScore]:
-    """[Score] of all candidates, the greatest raw delta BIC first. least_delta_bic : raw delta BIC of those listed;
-    progress : called with (done, of)
+    """Scores of all candidates, the greatest raw delta BIC first.
+
+    least_delta_bic : raw delta BIC of those listed; progress : called with (done, of)
     """
     known, out = {}, []
     for i, candidate in enumerate(candidates):
         if candidate.joint not in known:
-            known[candidate.joint] = joint_products(fit, candidate.joint)
+            known[candidate.joint] = joint_motion_inner_products(fit, candidate.joint)
         score = _score(fit, candidate, known[candidate.joint], least_delta_bic, correlated_frames)
         if score is not None:
             out.append(score)
@@ -57,15 +58,15 @@ def score_candidates(
     return sorted(out, key=lambda s: -s.raw_delta_bic(fit.size))
 
 
-def joint_products(fit: Fit, joint: int | None) -> FrameProducts:
-    """FrameProducts of a joint's turn (index), or of the measured tangents (None), for the fitted poses."""
+def joint_motion_inner_products(fit: Fit, joint: int | None) -> FrameProducts:
+    """Inner products (FrameProducts) of a joint's motion, or of the measured tangents (None), for the fitted poses."""
     A = _directions(fit, joint)
     turned = np.swapaxes(A, 1, 2)
     return FrameProducts((turned @ fit.y[fit.used][..., None])[..., 0], turned @ A, fit.X.along(A), fit.inverse)
 
 
-def score_column(fit: Fit, score: JointScore) -> Column:
-    """Column (1) of what a Score's candidate does as scanned, whitened, freedoms not yet taken out."""
+def column_of_score(fit: Fit, score: JointScore) -> Column:
+    """Column (1) of a Score's candidate at its scanned parameters, whitened, freedoms not yet projected out."""
     w = score.candidate.weights(score.node)[fit.used] @ score.coefficients
     return Column(((_directions(fit, score.candidate.joint) @ w[..., None]).reshape(-1, 1),))
 
@@ -79,7 +80,7 @@ def _score(
     fit: Fit, candidate: JointCandidate, products: FrameProducts, least: float, cluster: int
 ) -> JointScore | None:
     log = np.log(fit.size)
-    solved = solved_grid(fit, candidate, products, least)
+    solved = solve_candidate_at_all_nodes(fit, candidate, products, least)
     best = int(np.argmax(solved.delta_chi2 - solved.rank * log))
     node, penalty = candidate.grid[best], (np.ceil(solved.rank[best]) + candidate.extra) * log
     if candidate.step and BETWEEN * solved.delta_chi2[best] - penalty > least:
@@ -109,19 +110,24 @@ def _node_weights(fit: Fit, candidate: JointCandidate, node: Node) -> Floats:
     return candidate.weights(node)[fit.used]
 
 
-def solved_grid(fit: Fit, candidate: JointCandidate, products: FrameProducts, least_gain: float = 0.0) -> Solved:
-    """Solved of all nodes of a candidate's grid, by short cuts for even orders and time steps."""
+def solve_candidate_at_all_nodes(
+    fit: Fit, candidate: JointCandidate, products: FrameProducts, least_gain: float = 0.0
+) -> Solved:
+    """Least-squares solution (Solved) of a candidate at all nodes of its grid.
+
+    By short cuts for even orders and time steps.
+    """
     if candidate.step:
         long = _orders(candidate, fit.arms.q[fit.used, candidate.joint], products)
     elif candidate.form is Form.STEP:
         long = _steps(candidate, fit.arms.t[fit.used], products)
     else:
-        return solved_nodes(fit, candidate, products, candidate.grid)
+        return solve_candidate_at_nodes(fit, candidate, products, candidate.grid)
     return _promising(long, candidate.prior(candidate.grid[0]), least_gain)
 
 
-def solved_nodes(fit: Fit, candidate: JointCandidate, products: FrameProducts, nodes: list[Node]) -> Solved:
-    """Solved of the given nodes, one by one."""
+def solve_candidate_at_nodes(fit: Fit, candidate: JointCandidate, products: FrameProducts, nodes: list[Node]) -> Solved:
+    """Least-squares solution (Solved) of a candidate at the given nodes, one by one."""
     parts = []
     for start in range(0, len(nodes), CHUNK):
         chunk = nodes[start : start + CHUNK]

@@ -135,7 +135,7 @@ def lacks_temperature_log(point: OperatingPoint, needed_channels: tuple[tuple[st
 
 
 def platform_candidate(spec: EffectCandidate) -> PlatformCandidate:
-    """PlatformCandidate of an effect's statement, with the usual ranges of its parameters."""
+    """PlatformCandidate of what an effect states (spec), with the usual ranges of its parameters."""
     node, parameters = spec.grid[0], spec.kind.parameters_at(spec.place)
     named = {column.name for column in spec.linear} | set(node)
     usual = tuple(

@@ -24,12 +24,12 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
 )
 from calib.diagnosis.problems.platform.effect_candidates import effect_context, lacks_temperature_log
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
-from calib.diagnosis.problems.platform.linearised_corners import MEDIAN, edge_pixels
+from calib.diagnosis.problems.platform.linearised_corners import MEDIAN, edge_shift_pixel_derivatives
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.scores_of_all_candidates import (
-    axis_products,
+    axis_elongation_inner_products,
     constant_displacement_normal_equations,
-    corner_products,
+    corner_displacement_inner_products,
 )
 from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions import (
     FAST,
@@ -42,7 +42,7 @@ from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions 
 )
 from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
     motion_functions,
-    separate_weights,
+    separate_weights_for_each_direction,
     time_and_sensor_functions,
 )
 from rig.array_and_json_types import Floats, Integers
@@ -78,7 +78,7 @@ def find_lack_of_fit_by_place(
     if k.seen is not None:
         asked += [partial(_camera, model, i) for i in range(len(k.design.cameras))]
         ids, counts = np.unique(k.observed.markers.id[k.observed.sightings.marker], return_counts=True)
-        edges = edge_pixels(k)
+        edges = edge_shift_pixel_derivatives(k)
         asked += [partial(_marker, model, edges, number, count) for number, count in zip(ids.tolist(), counts.tolist())]
     found = [u for several in parallel_map(lambda question: question(), asked) for u in several]
     return significant_lack_of_fit(
@@ -88,7 +88,7 @@ def find_lack_of_fit_by_place(
 
 def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
     k = model.point
-    products = axis_products(model)
+    products = axis_elongation_inner_products(model)
     each = np.einsum("fii->i", products.gamma)
     out = [
         test_lack_of_fit(
@@ -140,7 +140,7 @@ def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
     out: list[LackOfFit | None] = []
     at, information = Place("camera", camera.name), count / model.corner_noise() ** 2
     if i not in k.moving:
-        products = corner_products(model, camera_mount_and_focal_pixel_derivatives(model, at))
+        products = corner_displacement_inner_products(model, camera_mount_and_focal_pixel_derivatives(model, at))
         out += [
             test_lack_of_fit(
                 model.linear,
@@ -172,7 +172,7 @@ def _apart(k: OperatingPoint, place: Place, count: int) -> list[slice]:
 
 
 def _marker(model: LinearisedModel, edges: Floats, number: int, count: int) -> list[LackOfFit | None]:
-    """Of a marker seen so many times. edges : see `edge_pixels`"""
+    """Of a marker seen so many times. edges : see `edge_shift_pixel_derivatives`"""
     hit, moved = corner_shift_pixel_derivatives(model.point, edges, number)
     return [
         _still(
@@ -200,7 +200,7 @@ def _still(
         )
     pixels = np.zeros((len(model.point.observed.row), *moved.shape[1:]))
     pixels[hit] = moved
-    products = corner_products(model, pixels)
+    products = corner_displacement_inner_products(model, pixels)
     weights = np.broadcast_to(np.eye(products.beta.shape[1]), products.gamma.shape)
     return test_lack_of_fit(model.linear, products, Test(place, "px", (depends,), weights, information))
 
@@ -218,7 +218,7 @@ def _following(products: FrameProducts, order: Integers, place: Place, informati
 
 
 def excess_scatter(model: LinearisedModel, left: list[LackOfFit]) -> list[LackOfFit]:
-    """[LackOfFit] of excess scatter of struts and corners, at places with no other lack of fit.
+    """Excess scatter of struts and corners ([LackOfFit]), at places with no other lack of fit.
     left : what functions
     explain
     """
@@ -234,12 +234,12 @@ def excess_scatter(model: LinearisedModel, left: list[LackOfFit]) -> list[LackOf
 
 
 def closure_residuals(model: LinearisedModel) -> Floats:
-    """(F, axes) m that a model as it is leaves of the closures."""
+    """Loop closure residuals (F, axes) m of a model as it is."""
     return closures_in_metres(model, model.closure_residual)
 
 
 def closures_in_metres(model: LinearisedModel, closures: Floats) -> Floats:
-    """(F, axes) m of whitened closures (F axes + .,)."""
+    """Loop closures (F, axes) in metres, of whitened closures (F axes + .,)."""
     F, axes = model.frames, model.point.axes
     return (
         cast(Floats, np.linalg.solve(model.closures.W, closures[: F * axes].reshape(F, axes, 1))[..., 0])
@@ -274,7 +274,7 @@ def _corners(model: LinearisedModel) -> LackOfFit | None:
 
 
 def ranked_covariates(before: LinearisedModel, after: LinearisedModel) -> list[Covariate]:
-    """[Covariate] ranked by the share of residuals they explain, without effects and with them."""
+    """Covariates ranked by the share of residuals that they explain, without effects and with them."""
     return rank_covariates(*parallel_map(_shares, [before, after], items_per_process=1))
 
 
@@ -282,24 +282,26 @@ def _shares(model: LinearisedModel) -> dict[str, dict[str, Share]]:
     k = model.point
     out: dict[str, dict[str, Share]] = {}
     if k.axes:
-        products = axis_products(model)
+        products = axis_elongation_inner_products(model)
         for name, functions in {
             **time_and_sensor_functions(k.t, k.sensors),
             **motion_functions(k.motion(()).path, k.commanded, k.t),
         }.items():
             out.setdefault(name, {})[STRUTS] = share_explained_by_functions(
-                model.linear, CLOSURES, [(products, separate_weights(functions, k.axes))]
+                model.linear, CLOSURES, [(products, separate_weights_for_each_direction(functions, k.axes))]
             )
     if k.seen is not None and len(k.moving) < len(k.design.cameras):
         seen = np.unique(k.seen.observations.camera)
         views = [
-            corner_products(
+            corner_displacement_inner_products(
                 model, camera_mount_and_focal_pixel_derivatives(model, Place("camera", k.design.cameras[i].name))
             )
             for i in seen
             if i not in k.moving
         ]
         for name, functions in time_and_sensor_functions(k.t, k.sensors).items():
-            parts = [(products, separate_weights(functions, products.beta.shape[1])) for products in views]
+            parts = [
+                (products, separate_weights_for_each_direction(functions, products.beta.shape[1])) for products in views
+            ]
             out.setdefault(name, {})[IMAGES] = share_explained_by_functions(model.linear, CORNERS, parts)
     return out

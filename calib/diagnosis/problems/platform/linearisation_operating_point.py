@@ -196,9 +196,9 @@ def operating_point_of_recording(
     places: str = "auto",
     sampled: Sampled | None = None,
 ) -> tuple[OperatingPoint, str, Measurement | None]:
-    """(OperatingPoint, source in words, Measurement or None) of a recording with nothing admitted: calibrated, and all
-    corners back in.
+    """OperatingPoint of a recording, calibrated, with no effects admitted; its source in words, and its Measurement.
 
+    All corners are back in; the Measurement may be None.
     calibration : of another recording of the same hexapod, whose joints are then known beforehand, or None
     places : whether a free body's markers are taken as adjusted, see vision.recording_measurement; where something was
         commanded they are as stated
@@ -298,8 +298,8 @@ def _seen(measured: Measurement, point: OperatingPoint) -> SeenCorners:
     return group_sightings(kept, measured.adjustment.state.placed if measured.places_free else marker_map(point.stated))
 
 
-def without_distant_corners(point: OperatingPoint) -> OperatingPoint:
-    """The same without corners so far from where they should be that they belong to something else."""
+def operating_point_without_distant_corners(point: OperatingPoint) -> OperatingPoint:
+    """OperatingPoint without corners so distant from their predicted places that they belong to something else."""
     seen = point.seen
     if seen is None:
         return point
@@ -318,8 +318,9 @@ def group_sightings(observations: Observations, markers: MarkerMap) -> SeenCorne
 
 
 def move_operating_point(point: OperatingPoint, cameras: list[Camera], local: Floats) -> OperatingPoint:
-    """OperatingPoint with cameras replaced and each frame's poses moved by local (F, 6 + 6 per moving camera)
-    tangents.
+    """OperatingPoint moved: its cameras replaced, and each frame's poses moved by local tangents.
+
+    local : (F, 6 + 6 per moving camera)
     """
     moving = {i: T * exp(local[:, 6 + 6 * k : 12 + 6 * k]) for k, (i, T) in enumerate(sorted(point.moving.items()))}
     return replace(

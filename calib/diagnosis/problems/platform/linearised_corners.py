@@ -70,8 +70,8 @@ class _Nuisances:
         self.priors += priors
 
 
-def corner_rows(point: OperatingPoint) -> CornerRows:
-    """CornerRows of an OperatingPoint that has seen corners."""
+def linearised_corner_rows(point: OperatingPoint) -> CornerRows:
+    """Linearised rows (CornerRows) of the corners seen at an OperatingPoint: whitened residuals and derivatives."""
     o = point.observed.observations
     n, L = len(o), 6 + 6 * len(point.moving)
     weights = _weights(o, point)
@@ -204,7 +204,7 @@ def _weights(o: Observations, k: OperatingPoint) -> Floats:
 
 
 def repeated_corner_error(point: OperatingPoint) -> float:
-    """px by which standing corners are off in the same way in every frame, 0 where noise suffices.
+    """Error, px, by which standing corners are off alike in every frame; 0 where noise suffices.
 
     The middle of all of them tells it, so that a marker out of its place or a lens that bends one camera's image does
     not pass for it. See vision.bundle.robust_adjustment.inflate_repeated_corner_covariance, which asks the same of
@@ -226,7 +226,7 @@ def repeated_corner_error(point: OperatingPoint) -> float:
     return float(np.sqrt(excess)) if excess > STANDING_PROOF * chance / np.sqrt(many.sum()) else 0.0
 
 
-def edge_pixels(point: OperatingPoint) -> Floats:
+def edge_shift_pixel_derivatives(point: OperatingPoint) -> Floats:
     """Derivatives (n, 2, 2) of corner pixels by shifts along the two edges of their marker, per side."""
     seen, quads = point.observed, point.pixels(rows=np.arange(len(point.observed.sightings.frame)))
     depth = _depths(quads)

@@ -15,8 +15,8 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     MEDIAN,
     CornerRows,
     camera_edge_bias_freedoms,
-    corner_rows,
     cube_seat_freedoms,
+    linearised_corner_rows,
 )
 from calib.models.platform.identification import PRIOR
 from rig.array_and_json_types import Floats, Integers
@@ -123,7 +123,7 @@ class LinearisedModel:
         """
         c = self.corners
         V = np.einsum("nij,njk->nik", c.whiten, pixels[c.order]).reshape(2 * len(c.order), -1) / c.sigma
-        inner, out = split_by_frames(V, c.local, c.edges)
+        inner, out = split_rows_by_frame_bases(V, c.local, c.edges)
         closures = (
             self.on_closures(np.einsum("fij,fjk->fik", self.closures.to_rows, inner))
             if self.point.axes
@@ -165,12 +165,13 @@ class LinearisedModel:
 
 
 def linearise(point: OperatingPoint, clip: float = CLIP) -> LinearisedModel:
-    """LinearisedModel of an OperatingPoint: cameras, lenses and geometry are the nuisances, each frame's pose is free
-    in the image. clip : standard deviations for which a corner's residual counts at most
+    """LinearisedModel of an OperatingPoint: cameras, lenses and geometry are its nuisances.
+
+    Each frame's pose is free in the image. clip : standard deviations for which a corner's residual counts at most
     """
     k = point
     if k.seen is not None:
-        rows = corner_rows(k)
+        rows = linearised_corner_rows(k)
         frames, table = _without_poses(k, rows, clip)
         names: list[tuple[str, str | int]] = list(rows.names)
         priors, camera_columns = list(rows.priors), rows.camera_columns
@@ -219,14 +220,14 @@ def _without_poses(k: OperatingPoint, rows: CornerRows, clip: float) -> tuple[Co
     """
     table, local, edges = rows.rows, rows.local, rows.edges
     rho = table[:, 0].copy()
-    inner, table = split_by_frames(table, local, edges)
+    inner, table = split_rows_by_frame_bases(table, local, edges)
     sigma = _noise(table[:, 0], table[:, 1:], rows.priors, rows.own, local.shape[1] * len(k.t))
     far = np.abs(rho / sigma)
     excess = float((2 * clip * np.maximum(far - clip, 0)).sum())
     reach = float(np.quantile(far, REACHED)) if len(far) else 0.0
     table /= sigma
     inner /= sigma
-    inner[..., :1], table[:, :1] = split_by_frames(np.clip(rho / sigma, -clip, clip)[:, None], local, edges)
+    inner[..., :1], table[:, :1] = split_rows_by_frame_bases(np.clip(rho / sigma, -clip, clip)[:, None], local, edges)
     return (
         CornerFrames(rows.order, edges, rows.whiten, local, rows.to_local * sigma, inner, sigma, excess, clip, reach),
         table,
@@ -255,9 +256,10 @@ def _no_closures(k: OperatingPoint, frames: CornerFrames, table: Floats) -> _Clo
     return _Closures(np.zeros((F, 0, 0)), np.zeros((F, 0, table.shape[1])), np.zeros((F, 0, frames.to_local.shape[1])))
 
 
-def split_by_frames(rows: Floats, local: Floats, edges: Integers) -> tuple[Floats, Floats]:
-    """(coordinates in each frame's own basis (F, L, k), what is orthogonal to it (2n, k)) of rows (2n, k), which are
-    overwritten.
+def split_rows_by_frame_bases(rows: Floats, local: Floats, edges: Integers) -> tuple[Floats, Floats]:
+    """Rows (2n, k) split into coordinates in each frame's own basis (F, L, k) and the orthogonal rest (2n, k).
+
+    The rows are overwritten.
     """
     inner = np.empty((len(edges) - 1, local.shape[1], rows.shape[1]))
     for f, (a, b) in enumerate(zip(2 * edges[:-1], 2 * edges[1:])):

@@ -94,7 +94,7 @@ class SignificantTolerance:
 
 
 def tolerance_model(model: LinearisedModel, sensitivities: Sensitivities) -> ToleranceModel | None:
-    """ToleranceModel of a LinearisedModel; None where nothing of the kind could be seen."""
+    """ToleranceModel of a LinearisedModel: columns of the tolerances that can be seen; None where none can."""
     k, c, n = model.point, model.corners, 2 * len(model.corners.order)
     sites, sigma, table = _markers(model, sensitivities.at(k)) if k.seen is not None else ([], [], csr_array((n, 0)))
     kinds = [TOGETHER, *VARIED * (len(sigma) // len(VARIED))][: len(sigma)]
@@ -222,8 +222,9 @@ def model_with_tolerances(model: LinearisedModel, tolerance_effects: ToleranceMo
 
 
 def significant_tolerances(model: LinearisedModel, tolerance_effects: ToleranceModel) -> list[SignificantTolerance]:
-    """[SignificantTolerance] of what tolerances are beyond chance, the surest first; what is admitted belongs among the
-    nuisances.
+    """Tolerances that are significant, beyond chance, the surest first ([SignificantTolerance]).
+
+    What is admitted belongs among the nuisances.
     """
     seen = tolerance_effects.projected(model)
     covariance = np.linalg.inv(seen.gram + np.diag(tolerance_effects.sigma**-2.0))

@@ -1,5 +1,6 @@
-"""Misplaced markers and frames of a platform: wild poses, misread or exchanged markers, before any search; and the
-held-out validation of its effects, in px of corners or m of closures.
+"""Misplaced markers and frames of a platform found before any search, and held-out validation of its effects.
+
+Wild poses, misread or exchanged markers; validation in px of corners or m of closures.
 """
 
 from collections.abc import Sequence
@@ -205,7 +206,10 @@ def _near(k: OperatingPoint, middle: Floats, i: int) -> Floats:
 
 
 def find_marker_swaps(point: OperatingPoint, kinds: Sequence[type[Effect]]) -> list[Effect]:
-    """Effects of discrete kinds found from corners that lie whole marker sides from where they should be."""
+    """Marker swaps found from corners that lie whole marker sides from where they should be.
+
+    kinds : of effects with discrete parameters
+    """
     seen = point.seen
     if seen is None or not kinds:
         return []
@@ -306,7 +310,7 @@ def _both(refined: Refinement, numbers: set[int], fold: Integers | None = None) 
 
 
 def sides_of_sudden_changes(effects: Sequence[Effect], t: Floats) -> list[Booleans]:
-    """[(F,) bool] sides, after and before, of each sudden change of what is seen, at times t (F,) s."""
+    """Frames (F,) bool after and before each sudden change of what is seen, at times t (F,) s."""
     moments = [
         getattr(e, p.name)
         for e in effects
@@ -318,7 +322,7 @@ def sides_of_sudden_changes(effects: Sequence[Effect], t: Floats) -> list[Boolea
 
 
 def residual_change_with_only_effects(model: LinearisedModel, effects: Sequence[Effect]) -> Column:
-    """Column (1) of the change of residuals where only these effects are left."""
+    """Change of a model's residuals (Column) if only these effects were admitted."""
     k, left = model.point, tuple(effects)
     out = (
         model.lengthened((k.effective() - k.effective(left))[..., None]) if k.axes else Column((None, model.nothing(1)))

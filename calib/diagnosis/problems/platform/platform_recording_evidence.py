@@ -31,7 +31,7 @@ from calib.diagnosis.problems.platform.lack_of_fit import closure_residuals, exc
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     OperatingPoint,
     operating_point_of_recording,
-    without_distant_corners,
+    operating_point_without_distant_corners,
 )
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
@@ -93,7 +93,7 @@ class PlatformEvidence:
         return _find_outliers(self.point, self.covariance)
 
     def problem(self, outliers: Outliers) -> tuple[PlatformProblem, list[NotAsked]]:
-        point = without_distant_corners(_without_outliers(self.point, outliers))
+        point = operating_point_without_distant_corners(_without_outliers(self.point, outliers))
         candidates, not_asked = platform_candidates(point, self.requested)
         return PlatformProblem(
             point, candidates, given=require_assumed_effects_testable(self.given, candidates, not_asked)
@@ -232,8 +232,9 @@ def platform_evidence(
     sampled: Sampled | None = None,
     progress: Progress | None = None,
 ) -> PlatformEvidence:
-    """PlatformEvidence of a Recording, as `diagnose` takes it. Raises NotEnoughData where too little was measured, and
-    what measuring raises.
+    """PlatformEvidence of a Recording, as `diagnose` takes it.
+
+    Raises NotEnoughData where too little was measured, and what measuring raises.
     """
     faces = "auto" if requested.name(FACE_MOTION.name) else "stated"
     point, source, measured = operating_point_of_recording(recording, progress, calibration, faces, sampled)

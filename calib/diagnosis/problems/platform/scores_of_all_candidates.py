@@ -64,7 +64,7 @@ def score_candidates(
     """
     k = model.point
     motion = k.motion(k.effects) if k.axes else None
-    axes = axis_products(model) if k.axes else None
+    axes = axis_elongation_inner_products(model) if k.axes else None
     mounts: dict[str, FrameProducts] = {}
     held = set(sensitivities.pixels)
 
@@ -73,13 +73,13 @@ def score_candidates(
             if axes is None or motion is None:
                 raise ValueError(f"{candidate.name}: effects on strut motion require a recording with commands")
             score = (
-                vibration_frequency.best_frequency(model, candidate, axes)
+                vibration_frequency.best_vibration_frequency_score(model, candidate, axes)
                 if candidate.reach is Reach.SPECTRUM
                 else _along_axes(model, candidate, sensitivities, axes, motion, least_delta_bic)
             )
         elif candidate.reach is Reach.MOUNT:
             if candidate.place not in mounts:
-                mounts[candidate.place] = corner_products(
+                mounts[candidate.place] = corner_displacement_inner_products(
                     model, camera_mount_pixel_derivatives(model, Place.parse(candidate.place))
                 )
             score = _mounted(model, candidate, mounts[candidate.place], least_delta_bic)
@@ -107,7 +107,9 @@ def candidate_column(
     """Column of one node of a candidate: its displacement of corners and closures per unit of its parameters."""
     k = model.point
     if candidate.reach is Reach.SPECTRUM:
-        return model.lengthened(vibration_frequency.sinusoid_directions(model, np.array([node["frequency"]]))[0])
+        return model.lengthened(
+            vibration_frequency.sinusoidal_axis_elongations(model, np.array([node["frequency"]]))[0]
+        )
     if candidate.reach is Reach.AXES:
         return model.lengthened(sensitivities.deviation(candidate, node, motion or k.motion(k.effects)))
     if candidate.reach is Reach.MOUNT:
@@ -119,8 +121,8 @@ def candidate_column(
     return model.fold(sensitivities.corners(*sensitivities.seen(candidate, node)))
 
 
-def axis_products(model: LinearisedModel) -> FrameProducts:
-    """FrameProducts of axis elongations, one axis at a time, frame by frame (per m)."""
+def axis_elongation_inner_products(model: LinearisedModel) -> FrameProducts:
+    """Inner products (FrameProducts) of axis elongations, one axis at a time, frame by frame (per m)."""
     F, axes = model.frames, model.point.axes
     W = model.closures.W  # (F, a, a): column i is axis i
     y = model.closure_residual[: F * axes].reshape(F, axes)
@@ -128,8 +130,8 @@ def axis_products(model: LinearisedModel) -> FrameProducts:
     return FrameProducts(np.einsum("fij,fi->fj", W, y), np.swapaxes(W, 1, 2) @ W, np.einsum("fij,fip->fjp", W, Q))
 
 
-def corner_products(model: LinearisedModel, pixels: Floats) -> FrameProducts:
-    """FrameProducts of corner displacements (n, 2, a) px, in the observations' order, frame by frame.
+def corner_displacement_inner_products(model: LinearisedModel, pixels: Floats) -> FrameProducts:
+    """Inner products (FrameProducts) of corner displacements (n, 2, a) px, frame by frame.
 
     The residual and the basis stand square to each frame's own poses, so the displacements need not be freed of them
     first.
@@ -265,6 +267,6 @@ def _viewed(
     best = int(np.argmax(solved.delta_chi2 - solved.rank * np.log(model.size)))
     if solved.delta_chi2[best] < least:
         return insignificant_score(candidate, solved, best)
-    products = corner_products(model, sensitivities.corners(*seen[best]))
+    products = corner_displacement_inner_products(model, sensitivities.corners(*seen[best]))
     weights = np.broadcast_to(np.eye(products.beta.shape[1]), products.gamma.shape)
     return score_at_node(model.linear, candidate, best, candidate.grid[best], solved, products, weights)

@@ -27,7 +27,7 @@ from calib.diagnosis.problems.platform.linearised_residuals import (
     CORNERS,
     LinearisedModel,
     linearise,
-    split_by_frames,
+    split_rows_by_frame_bases,
 )
 from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
 from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
@@ -159,8 +159,9 @@ class _Freedom:
 
 
 def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensitivities) -> Refinement:
-    """Add a Score's effect to a Refinement, all that is free moved with it from the start. Raises ValueError where no
-    share of the step leaves the other effects within what they allow.
+    """Add a Score's effect as a term to a Refinement, all that is free moved with it.
+
+    Raises ValueError where no share of the step leaves the other effects within what they allow.
     """
     model, k = refinement.model, refinement.point
     column, theta = candidate_column(model, score.candidate, score.node, sensitivities), score.coefficients
@@ -194,7 +195,7 @@ def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensit
 
 
 def remove_term(refinement: Refinement, number: int) -> OperatingPoint:
-    """Remove an admitted effect from a Refinement: its OperatingPoint, all that is free moved to compensate."""
+    """Remove the term of an admitted effect from a Refinement: OperatingPoint, what is free moved to compensate."""
     model, effects = refinement.model, refinement.point.effects
     if refinement.column is None:
         return refinement.point.with_effects(e for i, e in enumerate(effects) if i != number)
@@ -219,7 +220,7 @@ def refine_operating_point(point: OperatingPoint, sensitivities: Sensitivities) 
 
 
 def refine_at_fixed_repeated_error(point: OperatingPoint, sensitivities: Sensitivities) -> Refinement:
-    """Refined as by `refine`, with the repeated error of standing corners fixed at the OperatingPoint's."""
+    """Refine an operating point with the repeated error of standing corners fixed."""
     model, far = linearise(point), True
     for _ in range(MAX_ITERATIONS):
         model = _model_with_fitting_clip(model) if far else model
@@ -305,7 +306,7 @@ def _cost_without_relinearisation(model: LinearisedModel, point: OperatingPoint,
         off = (point.seen.observations.uv - point.pixels())[c.order]
         rho = np.einsum("nij,nj->ni", c.whiten, off).reshape(-1, 1) / c.sigma
         excess = float((2 * c.clip * np.maximum(np.abs(rho) - c.clip, 0)).sum())
-        inner, out = split_by_frames(np.clip(rho, -c.clip, c.clip), c.local, c.edges)
+        inner, out = split_rows_by_frame_bases(np.clip(rho, -c.clip, c.clip), c.local, c.edges)
         corners = out[:, 0]
     closures = np.zeros(0)
     if point.axes:

@@ -7,7 +7,7 @@ from scipy.linalg import null_space
 
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
-from calib.diagnosis.problems.platform.linearised_corners import edge_pixels
+from calib.diagnosis.problems.platform.linearised_corners import edge_shift_pixel_derivatives
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.scores_of_all_candidates import camera_mount_pixel_derivatives
 from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
@@ -28,7 +28,7 @@ SEEN = 1e-3  # share of a function's square that the nuisances must leave for it
 
 
 def smooth_strut_functions(point: OperatingPoint) -> list[tuple[str, list[tuple[Place, Floats]]]]:
-    """[(depends on, [(place, (F, axes, q) m)])] of smooth functions of struts at an OperatingPoint."""
+    """Smooth functions of struts at an OperatingPoint: [(depends on, [(place, (F, axes, q) m)])]."""
     F, ones = len(point.t), np.ones(point.axes)
     bases = [
         ("pose", _alike(_pose(point), ones)),
@@ -83,13 +83,14 @@ def _camera_index(k: OperatingPoint, place: Place) -> int:
 
 
 def camera_time_functions(point: OperatingPoint, count: int) -> Floats:
-    """Time functions (F, 7, 7 count) of a camera: cosines of time for each of its mount and focal parameters."""
+    """Functions of time (F, 7, 7 count) of a camera's mount and focal length: cosines for each parameter."""
     return np.einsum("fk,ab->fabk", time_cosines(point.t, count), np.eye(7)).reshape(len(point.t), 7, -1)
 
 
 def image_warp_pixel_derivatives(point: OperatingPoint, camera: int) -> Floats:
-    """Derivatives (n, 2, q) of corner pixels by smooth warps of a camera's image, predicted ones: where they are
-    seen holds their noise.
+    """Derivatives (n, 2, q) of corner pixels by smooth warps of a camera's image.
+
+    At predicted pixels: where corners are seen holds their noise.
     """
     rows = point.observed.observations.camera == camera
     moved = warp_columns(point.design.cameras[camera], point.pixels()[rows], WARP)
@@ -100,7 +101,7 @@ def image_warp_pixel_derivatives(point: OperatingPoint, camera: int) -> Floats:
 
 def _marker_pixels(k: OperatingPoint, ids: Integers) -> Floats:
     """(n, 2, 8 len(ids)) px of corners: each corner of each marker moved along its two edges, per side."""
-    edges = edge_pixels(k)
+    edges = edge_shift_pixel_derivatives(k)
     out = np.zeros((len(edges), 2, 8 * len(ids)))
     for j, number in enumerate(ids):
         rows, moved = corner_shift_pixel_derivatives(k, edges, number)
@@ -109,8 +110,9 @@ def _marker_pixels(k: OperatingPoint, ids: Integers) -> Floats:
 
 
 def corner_shift_pixel_derivatives(point: OperatingPoint, edges: Floats, marker: int) -> tuple[Integers, Floats]:
-    """Derivatives (h, 2, 8), with rows (h,), of one marker's corner pixels by shifts along the marker's edges, as
-    `edge_pixels` has them.
+    """Derivatives (h, 2, 8) of one marker's corner pixels by shifts of corners along its edges, with rows (h,).
+
+    Edges as `edge_shift_pixel_derivatives` has them.
     """
     seen = point.observed
     rows = np.flatnonzero((seen.markers.id == marker)[seen.sightings.marker][seen.row])
@@ -133,8 +135,10 @@ def _distortions() -> Floats:
 def smooth_function_columns(
     model: LinearisedModel, lacks_of_fit: list[LackOfFit]
 ) -> tuple[Floats | None, Floats | None]:
-    """(pixels (n, 2, q) or None, weights (F, axes, r) or None) of all smooth functions of what is left depends on: at
-    all struts where it is struts, at all markers where it is one, else at the cameras themselves."""
+    """Columns of the smooth functions of a lack of fit: (pixels (n, 2, q) or None, weights (F, axes, r) or None).
+
+    At all struts where it is struts, at all markers where it is one, else at the cameras themselves.
+    """
     k = model.point
     weights = (
         {depends: strutwise for depends, strutwise in smooth_strut_functions(k) if len(strutwise) == k.axes}
@@ -165,9 +169,9 @@ def smooth_function_columns(
 def model_with_smooth_functions(
     model: LinearisedModel, pixels: Floats | None, weights: Floats | None
 ) -> LinearisedModel:
-    """LinearisedModel with smooth functions, pixels (n, 2, q) and weights (F, axes, r) as `smooth_function_columns`
-    gives them, among the nuisances.
+    """LinearisedModel with smooth functions among its nuisances.
 
+    pixels (n, 2, q) and weights (F, axes, r) as `smooth_function_columns` gives them
     What the functions explain is first taken off the pictures, so that corners far off, which count for less, do not
     keep their misfit.
     """

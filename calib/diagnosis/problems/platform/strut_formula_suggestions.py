@@ -23,7 +23,7 @@ from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation
     residual_change_with_only_effects,
 )
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
-from calib.diagnosis.problems.platform.scores_of_all_candidates import axis_products
+from calib.diagnosis.problems.platform.scores_of_all_candidates import axis_elongation_inner_products
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
 from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
     AGREE,
@@ -56,7 +56,7 @@ class Site:
 
     def products(self, model: LinearisedModel) -> FrameProducts:
         """FrameProducts of the directions."""
-        axes, D = axis_products(model), np.swapaxes(self.directions, 1, 2)
+        axes, D = axis_elongation_inner_products(model), np.swapaxes(self.directions, 1, 2)
         return FrameProducts(
             (D @ axes.beta[..., None])[..., 0], D @ axes.gamma @ self.directions, D @ axes.kappa, axes.half
         )

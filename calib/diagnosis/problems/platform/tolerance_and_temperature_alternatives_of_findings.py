@@ -1,6 +1,7 @@
-"""Tolerances and temperatures as alternatives of a platform's findings: findings no larger than tolerances may cause
-are separated as remarks; temperature effects, where a temperature log is missing or wrong, are added to
-the alternatives.
+"""Tolerances and temperatures as alternatives of a platform's findings.
+
+Findings no larger than tolerances may cause are separated as remarks; temperature effects, where a temperature log is
+missing or wrong, are added to the alternatives.
 """
 
 import inspect

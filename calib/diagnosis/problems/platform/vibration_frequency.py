@@ -28,17 +28,23 @@ ROUNDS = 30  # of one factor after the other; each brings them nearer
 SOFT = 1e-9  # of a direction's power, added so that those that move nothing can be solved for
 
 
-def sinusoid_directions(model: LinearisedModel, frequencies: Floats) -> Floats:
-    """(k, F, a, 12) m of axes under the sine, then the cosine of frequencies (k,) Hz along each of six directions."""
+def sinusoidal_axis_elongations(model: LinearisedModel, frequencies: Floats) -> Floats:
+    """Axis elongations (k, F, a, 12) m by sinusoidal platform motion at frequencies (k,) Hz.
+
+    Sine, then cosine, along each of six directions.
+    """
     k = model.point
     modes = np.stack([k.swayed(np.tile(unit, (len(k.t), 1))) for unit in np.eye(6)], axis=-1)
     angle = 2 * np.pi * frequencies[:, None] * k.t
     return np.concatenate([np.sin(angle)[:, :, None, None] * modes, np.cos(angle)[:, :, None, None] * modes], axis=-1)
 
 
-def best_frequency(model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts) -> PlatformScore:
-    """Score of the frequency at which one direction shakes most; p-value by the number of frequencies that can be told
-    apart.
+def best_vibration_frequency_score(
+    model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts
+) -> PlatformScore:
+    """Score of the best vibration frequency, at which one direction shakes most.
+
+    p-value by the number of frequencies that can be told apart.
     """
     t = model.point.t
     parameter = next(p for p in candidate.kind.parameters if p.role == "frequency")
@@ -66,14 +72,14 @@ def best_frequency(model: LinearisedModel, candidate: PlatformCandidate, product
     spectrum, frequency = spectrum[inside], frequency[inside]
     peaks = np.argsort(-spectrum)[:PEAKS]
     near = np.unique(np.concatenate([frequency[p] + np.linspace(-1, 1, 21) / (OVERSAMPLED * length) for p in peaks]))
-    normal = normal_equations_by_direction_weights(products, sinusoid_directions(model, near))
+    normal = normal_equations_by_direction_weights(products, sinusoidal_axis_elongations(model, near))
     deltas, coefficients = (
-        np.array(part) for part in zip(*(rank_one_least_squares(*pair) for pair in zip(normal.b, normal.G)))
+        np.array(part) for part in zip(*(rank_one_direction_and_phase_fit(*pair) for pair in zip(normal.b, normal.G)))
     )
     best = int(np.argmax(deltas))
     seen = solve_normal_equations(Normal(*(part[best : best + 1] for part in normal))).seen[0]
     ratio = residual_dispersion(
-        model.linear, products, sinusoid_directions(model, near[best : best + 1])[0], coefficients[best]
+        model.linear, products, sinusoidal_axis_elongations(model, near[best : best + 1])[0], coefficients[best]
     ).ratio
     delta = deltas[best] / ratio
     p = min(1.0, length * high * float(scipy.special.chdtrc(free, delta)))
@@ -90,8 +96,8 @@ def best_frequency(model: LinearisedModel, candidate: PlatformCandidate, product
     )
 
 
-def rank_one_least_squares(b: Floats, G: Floats) -> tuple[float, Floats]:
-    """(drop, coefficients (12,)) of rank-one least squares with normal equations G (12, 12) x = b (12,)."""
+def rank_one_direction_and_phase_fit(b: Floats, G: Floats) -> tuple[float, Floats]:
+    """Rank-one fit of a direction and a phase, normal equations G (12, 12) x = b (12,): (drop, coefficients (12,))."""
     own = np.diag(G)
     scale = np.sqrt(
         np.maximum(own, LEAST * max(own.max(), 0.0)) + 1e-300
@@ -123,7 +129,7 @@ def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tup
     aside.
     """
     t = model.point.t
-    modes = sinusoid_directions(model, np.zeros(1))[0, :, :, 6:]
+    modes = sinusoidal_axis_elongations(model, np.zeros(1))[0, :, :, 6:]
     beta, power = (
         np.einsum("fad,fa->fd", modes, products.beta),
         np.einsum("fad,fab,fbe->de", modes, products.gamma, modes),

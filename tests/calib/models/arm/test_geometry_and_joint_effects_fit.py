@@ -14,7 +14,7 @@ from calib.correction.command_route_and_pose_space_map import Pace
 from calib.correction.physics_compensation import Physics
 from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations
-from calib.models.arm.certification import start_arm
+from calib.models.arm.certification import start_arm_of_fit
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import sample_observations
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, Prior, fit_geometry_and_effects
@@ -126,7 +126,7 @@ def fitted(read, effects, before=None, rows=slice(None)):
     """Together of a recording's samples, from rough effects on."""
     sampled = sample_recording(read)
     samples = sampled.samples.take(np.arange(len(sampled.samples))[rows])
-    start = start_arm(sample_observations(samples), read.design.mechanism, sampled.instrument)
+    start = start_arm_of_fit(sample_observations(samples), read.design.mechanism, sampled.instrument)
     return fit_geometry_and_effects(samples, History(read.design, read.commands, read.sensors), start, effects, before)
 
 

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from rig.checks.mistake_and_clock_mistakes import dwell_clock_offset_mistake, dwell_clock_shift
+from rig.checks.mistake_dataclass_and_clock_mistakes import dwell_clock_offset_mistake, dwell_clock_shift
 from rig.planning.plan import build_plan
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import said

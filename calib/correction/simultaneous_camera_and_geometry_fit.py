@@ -127,7 +127,7 @@ def fit_cameras_and_geometry(
     )
 
 
-def joint_fit_inputs(measured: Measurement, samples: Samples) -> tuple[Observations, Floats, State]:
+def inputs_of_camera_and_geometry_fit(measured: Measurement, samples: Samples) -> tuple[Observations, Floats, State]:
     """Inputs of the joint fit: (Observations, commanded (F, 6) m, State) in the commanded frames.
 
     measured : vision Measurement; samples : Samples of it
@@ -169,7 +169,9 @@ def refine_correction_with_cameras(
             f"a joint solve requires struts that follow their commands; strut {i + 1} scatters by "
             f"{identified.scatter[i] * 1e6:.1f} um beyond the poses"
         )
-    corners, commanded, state = joint_fit_inputs(sampled.measurement, sampled.samples.take(identified.inliers))
+    corners, commanded, state = inputs_of_camera_and_geometry_fit(
+        sampled.measurement, sampled.samples.take(identified.inliers)
+    )
     done = fit_cameras_and_geometry(
         corners,
         commanded - correction.rho(commanded),

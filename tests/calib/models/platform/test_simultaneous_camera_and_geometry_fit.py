@@ -5,8 +5,8 @@ without.
 import numpy as np
 import pytest
 
-from calib.correction import joint_camera_fit
-from calib.correction.joint_camera_fit import refine_correction_with_cameras
+from calib.correction import simultaneous_camera_and_geometry_fit
+from calib.correction.simultaneous_camera_and_geometry_fit import refine_correction_with_cameras
 from calib.models.platform.identification import identify_platform
 from calib.samples.pose_samples import sample_recording
 from rig.errors import RigError
@@ -21,12 +21,14 @@ def solved(tmp_path_factory, design, rig_text):
     secret, _ = make_recording(folder, design, rig_text, 5, count=40)
     read = recording_folder.load_recording(folder)
     sampled = sample_recording(read)
-    corners, commanded, state = joint_camera_fit.joint_fit_inputs(sampled.measurement, sampled.samples)
+    corners, commanded, state = simultaneous_camera_and_geometry_fit.inputs_of_camera_and_geometry_fit(
+        sampled.measurement, sampled.samples
+    )
     return (
         secret,
         read,
         sampled,
-        joint_camera_fit.fit_cameras_and_geometry(
+        simultaneous_camera_and_geometry_fit.fit_cameras_and_geometry(
             corners, commanded, state, read.design.cameras, read.design.mechanism
         ),
         corners,
@@ -54,10 +56,14 @@ def test_the_truth_lies_where_the_covariance_says(solved):
 
 def test_moving_cameras_and_missing_base_targets_are_refused(solved):
     _, read, sampled, _, corners = solved
-    _, commanded, state = joint_camera_fit.joint_fit_inputs(sampled.measurement, sampled.samples)
+    _, commanded, state = simultaneous_camera_and_geometry_fit.inputs_of_camera_and_geometry_fit(
+        sampled.measurement, sampled.samples
+    )
     on = corners.take(corners.on_platform)
     with pytest.raises(RigError, match="targets on the base"):
-        joint_camera_fit.fit_cameras_and_geometry(on, commanded, state, read.design.cameras, read.design.mechanism)
+        simultaneous_camera_and_geometry_fit.fit_cameras_and_geometry(
+            on, commanded, state, read.design.cameras, read.design.mechanism
+        )
 
 
 def test_a_calibration_is_refined_or_the_reason_said(solved, design):

@@ -1,5 +1,7 @@
-"""Mistake of a user in a recording or rig.toml: what is wrong, what to do, and the order of several; mistakes of
-clocks: times in wrong units, repeated or apart; a shift between frames' and commands' clocks.
+"""Mistake of a user as a data type, sorting of mistakes, and mistakes of clocks and times.
+
+A Mistake says what is wrong in a recording or rig.toml and what to do; times may be in wrong units, repeated or apart,
+or a shift lies between frames' and commands' clocks.
 """
 
 from collections.abc import Iterable, Iterator
@@ -194,7 +196,7 @@ class DwellShift:
 
 
 def dwell_clock_shift(frames: Floats, t: Floats, values: Floats) -> DwellShift | None:
-    """DwellShift: the clock shift that puts the most frames into dwells of the commands; None if none is distinct.
+    """Clock shift (DwellShift) that puts the most frames into dwells of the commands; None if none is distinct.
 
     frames : (m,) s; t : (n,) s of the commands, increasing; values : (n, axes) m or rad
     """
