@@ -68,24 +68,25 @@ def residual_dispersion(
     correlated_frames : frames in a row that are taken together
     """
     F, a, q = weights.shape
-    turned = np.swapaxes(weights, 1, 2)
     pushed = products.gamma * weights if a == 1 else products.gamma @ weights
-    K = products.onto(weights.reshape(F * a, q).T @ products.kappa.reshape(F * a, -1))
+    rows = weights.reshape(F * a, q)
+    K = products.onto(rows.T @ products.kappa.reshape(F * a, -1))
     reach = K.T @ coefficients
-    along = products.kappa @ products.of_columns(np.column_stack([reach, K.T]))  # (F, a, 1 + q)
-    own = products.beta - pushed @ coefficients + along[..., 0]  # products with what the fit leaves
-    moved = ((weights @ coefficients)[..., None] * along[..., 1:]).sum(axis=1)
-    contributions = (turned @ own[..., None])[..., 0] - model.leakage(reach, K) + moved
-    own_rows = turned @ pushed
-    across = turned @ along[..., 1:]
-    squares = (
-        own_rows - across - np.swapaxes(across, 1, 2) + model.carried(K)
-    )  # (F, q, q) of the directions, nuisances taken out
-    half = _seen(own_rows.sum(axis=0), K)
+    half = _seen(rows.T @ pushed.reshape(F * a, q), K)
     rank = half.shape[1]
     if not rank:
         return Dispersion(1.0, 1.0)
-    shares = half.T @ squares @ half
+    # from here on in orthonormal combinations of the directions
+    onto, seen = half.T @ K, (rows @ half).reshape(F, a, rank)
+    along = products.kappa @ products.of_columns(np.column_stack([reach, onto.T]))  # (F, a, 1 + r)
+    own = products.beta - pushed @ coefficients + along[..., 0]  # products with what the fit leaves
+    turned = np.swapaxes(seen, 1, 2)
+    moved = ((weights @ coefficients)[..., None] * along[..., 1:]).sum(axis=1)
+    contributions = (turned @ own[..., None])[..., 0] - model.leakage(reach, onto) + moved
+    freed = (pushed.reshape(F * a, q) @ half).reshape(F, a, rank) - along[..., 1:]
+    shares = turned @ freed  # (F, r, r) of the directions, nuisances taken out
+    shares -= np.swapaxes(along[..., 1:], 1, 2) @ seen
+    shares += model.carried(onto)
     expected, freedom = _expected(shares)
     if correlated_frames > 1:
         starts = np.arange(0, F, correlated_frames)
@@ -94,7 +95,7 @@ def residual_dispersion(
             (expected, freedom), contributions = several, np.add.reduceat(contributions, starts, axis=0)
     if expected < SWALLOWED * rank:  # one frame shows it all, and nothing of how frames differ
         return Dispersion(1.0, 1.0)
-    ratio = float(((contributions @ half) ** 2).sum()) / expected
+    ratio = float((contributions**2).sum()) / expected
     return Dispersion(max(1.0, ratio), max(1.0, freedom))
 
 
@@ -113,10 +114,11 @@ def _expected(shares: Floats) -> tuple[float, float]:
     candidate fitted: r - r / F and r (F - 1) where F frames say as much of r directions each; less of both where a few
     frames say most.
     shares : (F, r, r) that frames have in what is known of the directions"""
-    square = shares @ shares
-    total = square.sum(axis=0)
+    stacked = shares.reshape(-1, shares.shape[1])  # each is symmetric
+    total = stacked.T @ stacked
     mean = shares.shape[1] - np.trace(total)
-    variance = np.trace(total) - 2 * np.einsum("fij,fji->", square, shares) + np.einsum("ij,ji->", total, total)
+    cubes = float(np.vdot(shares @ shares, shares))
+    variance = np.trace(total) - 2 * cubes + np.einsum("ij,ji->", total, total)
     return float(mean), float(mean**2 / variance) if mean > 0 and variance > 0 else 0.0
 
 
