@@ -147,7 +147,10 @@ def learn_from_samples(
     progress: Progress = lambda *_: None,
     notice: Notice = ignore_notice,
 ) -> LearningResult:
-    """LearningResult of poses measured otherwise, by the filter. state : as of LearnOptions; sampled : of recording"""
+    """LearningResult of samples measured otherwise, by the filter.
+
+    state : as of LearnOptions; sampled : of recording
+    """
     known = Online.load(state) if state is not None and state.exists() else None
     found = learn_by_filter(recording, lambda: sampled, known, None, progress, notice)
     return LearningResult(recording, found, replace(found.online, confounds=confounds_of_recordings([recording])))

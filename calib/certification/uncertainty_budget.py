@@ -98,7 +98,7 @@ def rms_length_uncertainty(covariance: Floats) -> tuple[float, float]:
 
 
 def camera_and_lens_covariance(measured: Sequence[tuple[Samples, Measurement | None]]) -> tuple[Floats, Floats] | None:
-    """(camera, lens) covariance (n, 6, 6) that their uncertainty adds to the poses, None without images.
+    """Covariances (n, 6, 6) of poses by the uncertainty of cameras and of lenses; None without images.
 
     Where a camera stands and what its lens does go together: cameras' part is what is left were all lenses known,
     lenses' part the rest, so that both make up what all poses share
@@ -225,7 +225,7 @@ def _alike(errors: Floats, sizes: Sequence[float]) -> Floats:
 
 
 def thermometer_covariance(calibration: Calibration, poses: Sequence[tuple[Recording, Samples]]) -> Floats | None:
-    """Covariance (n, 6, 6) of poses by thermometer noise through compensated physics; None where there is none.
+    """Covariance (n, 6, 6) of poses by thermometer noise, None where there is none.
 
     The noise is what a log shows against the straight line through a row's neighbours.
     """

@@ -164,7 +164,7 @@ PLACES = 500  # at which a single step is held against the fixed point
 
 
 def measured_correction_summands(samples: Samples, model: Struts) -> FieldSamples:
-    """Correction summands measured at samples (KSF_PM), with variances by the poses' covariance.
+    """Correction summands (KSF_PM) measured at samples, with variances by the poses' covariance.
 
     Source: configuration-space patent, [0130]
     """

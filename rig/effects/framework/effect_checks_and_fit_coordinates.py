@@ -129,7 +129,7 @@ def _changed(effect: Effect, name: str, value: float | tuple[float, ...]) -> Eff
 
 
 def coordinates_of_effects(effects: tuple[Effect, ...]) -> list[Coordinate]:
-    """[Coordinate] of the effects' parameters that a fit may change, in order."""
+    """Coordinates ([Coordinate]) of the effects' parameters that a fit may change, in order."""
     return [
         Coordinate(number, p.name, index, p.role, _step(p), p.bounds, prior_precision(p, index))
         for number, effect in enumerate(effects)

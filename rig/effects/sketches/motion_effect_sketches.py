@@ -310,7 +310,7 @@ def enlargement_text(text: str, factor: float) -> str:
 
 
 def largest_suitable_unit(size: float, units: dict[float, str]) -> tuple[float, str]:
-    """(value, unit) of a size in the largest of the units in which it is 2 or more."""
+    """Largest of the units in which a size is 2 or more: (value, unit)."""
     return next(
         ((value, name) for value, name in sorted(units.items(), reverse=True) if size >= 2 * value), min(units.items())
     )

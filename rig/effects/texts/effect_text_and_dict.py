@@ -136,7 +136,7 @@ def require_nonzero_effect(effect: Effect) -> Effect:
 
 
 def require_known_effect(text: str, design: Design, known_effects: Kinds = BY_NAME) -> str:
-    """The text "EFFECT" or "EFFECT PLACE", required to name a known effect and place. Raises RigError otherwise."""
+    """Require that a text "EFFECT" or "EFFECT PLACE" names a known effect and place. Raises RigError otherwise."""
     name, _, place = text.partition(" ")
     kind = _named(name, name, known_effects)
     if not place:
@@ -149,7 +149,7 @@ def require_known_effect(text: str, design: Design, known_effects: Kinds = BY_NA
 
 
 def parse_effect_and_place(text: str, design: Design, known_effects: Kinds = BY_NAME) -> tuple[str, str]:
-    """(effect, place) parsed from "EFFECT PLACE", of known effects. Raises RigError otherwise."""
+    """Parse an effect and its place from "EFFECT PLACE", of known effects. Raises RigError otherwise."""
     name, _, place = text.partition(" ")
     kind = _named(name, text, known_effects)
     if kind.discrete:

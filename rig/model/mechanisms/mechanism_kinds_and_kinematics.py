@@ -216,7 +216,7 @@ class MechanismKinematics(Protocol[M]):
         mass moment (kg m); c = 0 where their weight is not borne by the axes."""
         ...
 
-    def axis_deviation_and_sway_by_growth(
+    def axis_deviation_and_sway_by_member_growth(
         self, T: RigidTransform, values: Floats, mechanism: M, share: Floats, /
     ) -> tuple[Floats, Floats]:
         """(deviation (n, axes), sway (n, 6)) of the machine whose axes' members have grown by shares (n, axes) of their
