@@ -92,7 +92,7 @@ def _coverage_factor(covariance: Floats) -> float:
 
 
 def rms_length_uncertainty(covariance: Floats) -> tuple[float, float]:
-    """RMS standard uncertainty (m, rad) of the error lengths, of covariances (n, 6, 6)."""
+    """RMS standard uncertainty (m, rad) of the lengths of position and rotation errors, of covariances (n, 6, 6)."""
     position, rotation = (float(np.sqrt(np.trace(covariance[:, p, p], axis1=1, axis2=2).mean())) for p in PARTS)
     return position, rotation
 

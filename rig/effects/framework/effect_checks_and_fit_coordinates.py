@@ -16,7 +16,10 @@ MOST = 1000  # numbers of a parameter of any length
 
 
 def check_effect(effect: Effect) -> Effect:
-    """The effect, checked. Raises ValueError for a place where it cannot be or a parameter out of bounds."""
+    """Check an effect and return it.
+
+    Raises ValueError for a place where it cannot be or a parameter out of bounds.
+    """
     place = Place.parse(effect.place)
     kind = place.kind
     if kind not in effect.places and not ("axis" in effect.places and kind in AXES):

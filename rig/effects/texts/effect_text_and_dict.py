@@ -120,7 +120,7 @@ def _named(name: str, text: str, known: Kinds) -> type[Effect]:
 
 
 def require_nonzero_effect(effect: Effect) -> Effect:
-    """The effect, required to be nonzero. Raises RigError where its parameters amount to no effect."""
+    """Require that an effect is nonzero, and return it. Raises RigError where its parameters amount to no effect."""
     if effect.parameters and effect == type(effect)(effect.place):
         p = effect.parameters_at(effect.place)[0]
         usual = (
@@ -164,7 +164,7 @@ def parse_effect_and_place(text: str, design: Design, known_effects: Kinds = BY_
 
 
 def require_existing_place(effect: Effect, design: Design) -> Effect:
-    """The effect, its place required to exist in the design. Raises RigError otherwise."""
+    """Require that an effect's place exists in the design, and return the effect. Raises RigError otherwise."""
     site, places = effect.site, mechanisms.axis_places(design.mechanism)
     kind, name = site.kind, site.name
     slide = replace(site, kind="slide")
