@@ -187,7 +187,7 @@ def check(path: Path | str) -> CheckResult:
 
 
 def check_files(path: Path) -> tuple[Recording | None, CheckResult]:
-    """(Recording, CheckResult of its files) of a folder; None where the files show that no more can be learnt."""
+    """Check a recording's files: (Recording, CheckResult); None where the files show that no more can be learnt."""
     from rig.checks.implausible_values_and_image_mistakes import recording_file_mistakes
     from rig.checks.unreadable_recording import unreadable_recording_mistakes
 

@@ -1,4 +1,7 @@
-"""Blind cases of arms drawn at random: makes, instruments, protocols, unmodelled physics; a third made hard."""
+"""Blind cases of arms drawn at random: makes, instruments, protocols, unmodelled physics.
+
+A third is made hard.
+"""
 
 import tempfile
 from collections.abc import Sequence

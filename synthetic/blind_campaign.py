@@ -199,8 +199,11 @@ def truth_hash_path(folder: Path, index: int) -> Path:
     return folder / "hashes" / f"{index:04d}.sha256"
 
 
-def case_numbers(text: str | None, count: int) -> list[int]:
-    """Numbers of the cases of a list such as 3,7-9; None for all of 1..count. Raises RigError for anything else"""
+def parse_case_numbers(text: str | None, count: int) -> list[int]:
+    """Parse the numbers of cases of a list such as 3,7-9; None for all of 1..count.
+
+    Raises RigError for anything else
+    """
     if text is None:
         return list(range(1, count + 1))
     try:

@@ -72,7 +72,7 @@ class DrawnCase:
 def schedule_effects(
     seed: int, index: int, kinds: Sequence[str] = KINDS, catalogue: int = len(ALL)
 ) -> tuple[str, list[int], np.random.Generator]:
-    """Effects scheduled for case `index` of a campaign: (kind, their numbers in the catalogue, rng)."""
+    """Schedule the effects of case `index` of a campaign: (kind, their numbers in the catalogue, rng)."""
     deck = np.concatenate([[k] * TIMES[name] for k, name in enumerate(KINDS) if name in kinds])
     shuffled = np.random.default_rng([seed, 1]).permutation(deck)
     kind = KINDS[shuffled[index % len(deck)]]

@@ -173,8 +173,9 @@ def _axis(name: str) -> Floats:
 
 
 def cube_stl_files(design: Design, paper_thickness: float) -> dict[str, bytes]:
-    """{target's name: binary STL file} of the design's cubes, smaller by the paper glued around them.
+    """Binary STL files {target's name: bytes} of the design's cubes.
 
+    Smaller by the paper glued around them.
     Raises RigError where there is no cube, or nothing is left of one
     """
     import trimesh

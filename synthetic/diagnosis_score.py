@@ -210,7 +210,7 @@ def _place(table: Entries, effect: str, other: object) -> str:
 
 
 def interval_coverage(true_effect: Hidden, finding: Found | None) -> list[bool]:
-    """[bool] coverage of the truth by each interval of a finding's parameters."""
+    """Whether each interval of a finding's parameters covers the truth."""
     out: list[bool] = []
     if finding is None or (finding.effect, finding.place) != (true_effect.effect, true_effect.place):
         return out
@@ -229,7 +229,7 @@ def interval_coverage(true_effect: Hidden, finding: Found | None) -> list[bool]:
 
 
 def campaign_figures(cases: list[Case]) -> list[Figure]:
-    """[Figure] of a campaign's cases: rates of detection, naming and placing, in the order of the page."""
+    """Figures of a campaign's cases: rates of detection, naming and placing, in the order of the page."""
     done = [c for c in cases if c.failed is None]
     still = [c for c in done if c.kind == "nothing"]
     one = [c for c in done if c.kind == "one" and c.hidden[0].strength >= STRONG]
@@ -266,7 +266,7 @@ def campaign_figures(cases: list[Case]) -> list[Figure]:
 
 
 def campaign_medians(cases: list[Case]) -> dict[str, float]:
-    """{name: median} of a campaign's cases: sizes, held-out misfit over the noise floor, seconds."""
+    """Medians {name: median} of a campaign's cases: sizes, held-out misfit over the noise floor, seconds."""
     done = [c for c in cases if c.failed is None]
     one = [c.match(c.hidden[0]) for c in done if c.kind == "one" and c.hidden[0].strength >= STRONG]
     columns: dict[str, list[float]] = {

@@ -98,7 +98,10 @@ def require_renderable(effects: Iterable[Effect]) -> None:
 
 
 def is_renderable(kind: type[Effect]) -> bool:
-    """Whether an effect class can be rendered in images: it does not act on corners alone, and markers stay flat."""
+    """Whether an effect of a kind can be rendered in images.
+
+    It does not act on corners alone, and markers stay flat.
+    """
     return kind.bend is Effect.bend and kind.print_ is Effect.print_ and kind.flat
 
 

@@ -74,7 +74,7 @@ class PictureWriter(Protocol):
 
 
 def stage_poses_of_run(run: motion_simulation.MachineRun) -> list[RigidTransform]:
-    """[Pose T_base_stage (n,)] of each stage of a Run, the platform last."""
+    """Poses T_base_stage (n,) of each stage of a Run, the platform last."""
     return [*run.stages, run.T_base_platform]
 
 
@@ -117,7 +117,7 @@ def _with_limbs(log: Sensors, t: Floats, T: RigidTransform, limbs: MeasuringLimb
 
 
 def visible_markers(simulation: Simulation, max_viewing_angle: float = STEEPEST) -> tuple[Sightings, Floats]:
-    """(Sightings, corners (k, 4, 2) px) of visible markers: facing a camera, inside its image, not occluded."""
+    """Visible markers: (Sightings, corners (k, 4, 2) px) facing a camera, inside its image, not occluded."""
     world = simulation.world
     stated = real = marker_map(world.true)
     for effect in world.effects:
@@ -165,7 +165,7 @@ def _body(simulation: Simulation, stage: int) -> motion_simulation.MachineRun:
 
 
 def carried_camera_poses(cameras: tuple[Camera, ...], T_base_platform: RigidTransform) -> dict[int, RigidTransform]:
-    """{index: pose T_base_camera (F,)} of the cameras carried by a platform at poses (F,)."""
+    """Poses {index: T_base_camera (F,)} of the cameras carried by a platform at poses (F,)."""
     return {i: T_base_platform * camera.pose for i, camera in enumerate(cameras) if camera.mount == "hand"}
 
 

@@ -113,7 +113,7 @@ class StrutStage(NamedTuple):
 
 
 def strut_stages(mechanism: Mechanism) -> list[StrutStage]:
-    """[StrutStage] of a mechanism: the stages that stand on struts, from the base up; none for an arm."""
+    """Stages of a mechanism that stand on struts ([StrutStage]), from the base up; none for an arm."""
     stages, alone = mechanism.stages, not mechanism.bodies
     names = ["base", *(f"stage {k + 1}" for k in range(len(stages) - 1)), "platform"]
     return [
@@ -124,7 +124,7 @@ def strut_stages(mechanism: Mechanism) -> list[StrutStage]:
 
 
 def body_matrices(stage_poses: list[RigidTransform]) -> dict[str, Floats]:
-    """{body: (..., 4, 4) matrix to the base} of bodies between struts, from the stages' poses."""
+    """Matrices {body: (..., 4, 4)} to the base of bodies between struts, from the stages' poses."""
     *below, platform = (T.as_matrix() for T in stage_poses)
     return {
         "base": np.broadcast_to(np.eye(4), platform.shape),
@@ -134,7 +134,7 @@ def body_matrices(stage_poses: list[RigidTransform]) -> dict[str, Floats]:
 
 
 def mesh_body_matrices(mechanism: Mechanism, stage_poses: list[RigidTransform]) -> dict[str, Floats]:
-    """{body: (4, 4) matrix to the base} of all bodies that have meshes, at one pose, struts included."""
+    """Matrices {body: (4, 4)} to the base of all bodies that have meshes, at one pose, struts included."""
     poses = {"world": np.eye(4), **body_matrices(stage_poses)}
     for stands in strut_stages(mechanism):
         T_below = RigidTransform.from_matrix(poses[stands.base])

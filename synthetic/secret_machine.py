@@ -120,7 +120,7 @@ def strut_count(mechanism: Hexapod | Planar2 | Arm | Chain) -> int:
 
 
 def draw_temperatures(duration: float, rng: np.random.Generator, struts: int = 6) -> tuple[Sensors, Sensors]:
-    """(true Sensors, logged Sensors) of temperatures drawn at random over a duration (s).
+    """Temperatures drawn at random over a duration (s): (true Sensors, logged Sensors).
 
     Channels ambient_temperature_C and, for so many struts, strut1_temperature_C ..; the log is the truth every
     LOG_EVERY s, with noise.

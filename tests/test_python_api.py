@@ -49,7 +49,7 @@ CALLS = {
     "catalogue": "rig.api:effect_catalogue",
     "completion": "rig.cli.shared.argument_parser_and_common_options:completion_script",
     "print": "synthetic.print_sheets:write_sheets",
-    "check-print": "vision.printed_marker_size:measure_print",
+    "check-print": "vision.printed_marker_size:measure_printed_marker_scale",
     **dict.fromkeys(("design", "new"), "rig.planning.layout.shipped_arm_layout:layout_rig_toml"),
     "import": "rig.api:import_recording",
     "emulate": "rig.driving.emulators.controller_emulator_opening_and_ports:load_emulator",

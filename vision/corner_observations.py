@@ -200,7 +200,7 @@ def observations_from_corners(
 
 
 def merge_repeated_corners(observations: Observations, state: State) -> tuple[Observations, float]:
-    """(Observations with repeated corners merged into their weighted means, the lost sum of whitened squares).
+    """Merge repeated corners into their weighted means: (Observations, the lost sum of whitened squares).
 
     Corners whose errors are told to hang together in their marker stay as they are.
     """

@@ -304,7 +304,7 @@ def _stage_numbers(markers: MarkerMap) -> list[int]:
 
 
 def require_stated_marker_places(places: str) -> None:
-    """Require stated places of markers on a rig with targets on stages. Raises RigError where places are free."""
+    """Require that marker places are stated, not free, on a rig with targets on stages. Raises RigError otherwise."""
     if places == "free":
         raise RigError(
             "positions of markers cannot be adjusted on a rig with targets on stages of a chain: the stated "

@@ -42,7 +42,7 @@ def measure_recording(
     places: str = "stated",
     check_corners: Callable[[Corners], None] | None = None,
 ) -> tuple[Measurement, Collected | None]:
-    """(Measurement, Collected or None) of a recording.
+    """Measure a recording: (Measurement, Collected or None).
 
     free : what is adjusted, see vision.bundle.bundle_adjustment; places : whether the markers' places on their bodies
     are adjusted too: "stated", "free", or "auto": where the stated ones contradict what is seen in more than REFUSED of

@@ -89,7 +89,10 @@ class ArmKinematics:
 
 
 def load_arm_kinematics(text: str) -> ArmKinematics:
-    """ArmKinematics of a rig.toml, of a calibration.json or of a shipped arm's name. Raises RigError for other kinds"""
+    """Load ArmKinematics by a text: path of a rig.toml or calibration.json, or a shipped arm's name.
+
+    Raises RigError for other kinds
+    """
     if Path(text).suffix != ".json":
         return ArmKinematics(require_arm(shipped_arm_layout.load_shipped_arm(text).mechanism))
     calibration = calibration_file.load(text)

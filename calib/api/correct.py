@@ -12,7 +12,7 @@ from calib.correction.correction import require_reachable
 from calib.correction.physics_compensation import require_sensor_coverage
 from calib.models.arm import certification as arm_certification
 from calib.models.arm.correction import ArmCorrection
-from calib.models.wanted_pose_commands import RouteCommands, commands_along_route, pace_with_hold_times
+from calib.models.wanted_pose_commands import RouteCommands, commands_along_route, pace_that_holds_poses_at_times
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError, Unreachable
 from rig.model import mechanisms
@@ -218,7 +218,7 @@ def _commanded(
 ) -> RouteCommands:
     """Commanded for the wanted poses to keep. Raises Unreachable for those that cannot be."""
     T, correction = wanted.poses.T_base_platform[keep], calibration.correction
-    pace = None if wanted.t is None else pace_with_hold_times(calibration, wanted.t[keep], options.sensors)
+    pace = None if wanted.t is None else pace_that_holds_poses_at_times(calibration, wanted.t[keep], options.sensors)
     plain = None
     if options.uncorrected:
         plain = correction.uncorrected(T)

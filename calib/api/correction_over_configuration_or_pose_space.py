@@ -85,7 +85,7 @@ def certify_additional_pass(
     rng: np.random.Generator,
     progress: Progress | None = None,
 ) -> tuple[Certified, tuple[Tried, ...], int]:
-    """(Certified additional pass, methods tried, samples used): a pass of correction by samples measured anew.
+    """Additional pass of correction by samples measured anew, certified: (Certified, methods tried, samples used).
 
     Raises NotEnoughData where a part holds no samples; the rest as `certify_extended_correction`
     """

@@ -11,9 +11,9 @@ from calib.experiment.first_investigation_plans import FIRST, LOADED, STANDING
 from calib.experiment.investigation_folder_and_report import (
     InvestigationRound,
     diagnosis_path,
+    duration_of_plan_in_minutes,
     investigation_verdict,
     notebook_text,
-    plan_minutes,
     plan_path,
     read_investigation_rounds,
     recording_minutes_spent,
@@ -245,7 +245,7 @@ def _look(out: Path, rig: InvestigatedRig, number: int, so_far: Sequence[Investi
 
 def _diagnose(out: Path, rig: InvestigatedRig, number: int, so_far: Sequence[InvestigationRound]) -> None:
     """Diagnose the recordings up to a number together; the next plan is written with it. so_far : the looks before"""
-    taken = recording_minutes_spent(so_far) + plan_minutes(plan_path(out, number))
+    taken = recording_minutes_spent(so_far) + duration_of_plan_in_minutes(plan_path(out, number))
     left = max(rig.options.budget - taken, 0.1)
     words = [
         "diagnose",

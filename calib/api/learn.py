@@ -111,8 +111,9 @@ def learn(
     progress: Progress = lambda *_: None,
     notice: Notice = ignore_notice,
 ) -> LearningResult:
-    """LearningResult of a recording's poses that have not been learnt, as `rig online` makes it.
+    """LearningResult of a recording's poses, learnt one at a time, as `rig online` makes it.
 
+    Poses that have been learnt before are left out.
     progress : called with (label, done, of); notice : with what is found on the way, in words
     Raises RigError for other mechanisms than hexapods, for a state of another learner, and where no pose is left
     """
@@ -147,7 +148,10 @@ def learn_from_samples(
     progress: Progress = lambda *_: None,
     notice: Notice = ignore_notice,
 ) -> LearningResult:
-    """LearningResult of poses measured otherwise, by the filter. state : as of LearnOptions; sampled : of recording"""
+    """LearningResult of samples measured otherwise, by the filter.
+
+    state : as of LearnOptions; sampled : of recording
+    """
     known = Online.load(state) if state is not None and state.exists() else None
     found = learn_by_filter(recording, lambda: sampled, known, None, progress, notice)
     return LearningResult(recording, found, replace(found.online, confounds=confounds_of_recordings([recording])))

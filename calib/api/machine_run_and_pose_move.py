@@ -242,8 +242,9 @@ class PlannedRun:
 
 
 def plan_run(design: Design, path: Path, plan: str, options: RunOptions = STANDARD) -> PlannedRun:
-    """PlannedRun of a design, as `rig run` begins one. path : of its rig.toml; plan : as "sobol:40,ladder,repeat:20"
+    """PlannedRun of a design, as `rig run` begins one.
 
+    path : of its rig.toml; plan : as "sobol:40,ladder,repeat:20"
     Raises RigError for a plan of a cube put back turned, and for options that do not suit the design
     """
     found = build_plan(design, plan, options.seed)
@@ -260,7 +261,10 @@ def plan_run(design: Design, path: Path, plan: str, options: RunOptions = STANDA
 
 
 def move_checker(design: Design) -> Callable[[Floats, Floats], None]:
-    """Checker of moves: (start, goal (axes,) m) -> None, raises Unreachable where the driver would refuse the move."""
+    """Checker of moves: a function that raises Unreachable where the driver would refuse the move.
+
+    It takes start and goal, (axes,) m, and returns None.
+    """
     c, m = design.driver(), require_struts(design.mechanism)
 
     def check(start: Floats, goal: Floats) -> None:

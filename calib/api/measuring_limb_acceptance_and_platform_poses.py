@@ -142,20 +142,20 @@ def accept_limbs(
     Raises RigError for a recording without limbs' readings, and for other limbs than it has
     """
     design = recording.design
-    measuring_limb_calibration_and_slips.limb_hexapod(
+    measuring_limb_calibration_and_slips.hexapod_of_six_limbs(
         design
     )  # limbs that determine no pose are refused before anything is read
     frames, every = measuring_limb_calibration_and_slips.limb_readings(recording)
     stated = measuring_limb_calibration_and_slips.stated_limbs(design)
     requested = None if options.use is None else _limb_numbers(options.use, stated.channels)
     by_vision = sample_recording(recording, progress=progress)
-    sigma, home = stated.length_sigma, measuring_limb_calibration_and_slips.limb_hexapod(design).home
+    sigma, home = stated.length_sigma, measuring_limb_calibration_and_slips.hexapod_of_six_limbs(design).home
     chosen = (
         redundant_measuring_limb_checks.best_six_limbs(stated, home, by_vision.samples.T_base_platform)
         if requested is None
         else requested
     )
-    nominal = measuring_limb_calibration_and_slips.limb_hexapod(design, chosen)
+    nominal = measuring_limb_calibration_and_slips.hexapod_of_six_limbs(design, chosen)
     samples = measuring_limb_calibration_and_slips.samples_with_limb_readings_as_commands(
         by_vision.samples, frames, every[:, chosen]
     )

@@ -78,8 +78,9 @@ def informative_configurations(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> InformativeConfigurations:
-    """Informative configurations, `count` of them. sigmas : (m, rad) standard deviations of a measured pose, per axis
+    """Most informative configurations for a mechanism's parameters, `count` of them.
 
+    sigmas : (m, rad) standard deviations of a measured pose, per axis
     visible_marker_count : how many markers of what moves are seen at poses (n,), or None where an instrument sees it
         anywhere;
         progress : called with (done, of)

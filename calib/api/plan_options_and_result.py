@@ -138,7 +138,7 @@ class PlanResult:
 def geometry_and_excluded_configurations(
     options: PlanOptions, mechanism: Hexapod
 ) -> tuple[Hexapod, ConfigurationExclusion | None]:
-    """(geometry, which configurations are excluded) of a plan, by the calibration that its options name.
+    """Geometry for a plan, and the configurations excluded from it, by the calibration that its options name.
 
     The mechanism as it is where none is named. Raises RigError for a calibration of another kind of mechanism
     """

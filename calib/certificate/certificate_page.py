@@ -9,7 +9,7 @@ from calib.certificate import certificate_sentences
 from calib.certificate.certificate import Certificate, certificate_verdict
 from calib.certificate.certificate_sentences import micrometre_text
 from calib.certification.iso230_and_iso9283_tests import FEWEST
-from calib.report.platform_and_lens_calibration_pages import flattened_rows
+from calib.report.platform_and_lens_calibration_pages import rows_of_nested_dict
 from rig.array_and_json_types import Floats
 from rig.report.pages.page_templates_and_elements import (
     Link,
@@ -365,6 +365,6 @@ def _origin(c: Certificate) -> list[str]:
     return [
         heading_html("Provenance"),
         folding_section_html(
-            "Hashes, versions, arguments", table_html(("what", "value"), flattened_rows(c.provenance))
+            "Hashes, versions, arguments", table_html(("what", "value"), rows_of_nested_dict(c.provenance))
         ),
     ]

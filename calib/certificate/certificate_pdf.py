@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate import Certificate
-from calib.report.platform_and_lens_calibration_pages import flattened_rows
+from calib.report.platform_and_lens_calibration_pages import rows_of_nested_dict
 from rig.formats.output_files import write_bytes
 
 SIZE = (8.27, 11.69)  # inches, A4
@@ -208,5 +208,5 @@ def _rest(paper: _Paper, c: Certificate) -> None:
         ("logged", "least", "greatest"), [(name, f"{low:.2f}", f"{high:.2f}") for name, low, high in k.channels]
     )
     paper.head("Provenance")
-    for name, value in flattened_rows(c.provenance):
+    for name, value in rows_of_nested_dict(c.provenance):
         paper.line(f"{name}: {value}", 6.5)

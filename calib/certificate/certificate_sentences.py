@@ -193,7 +193,7 @@ def iso9283_line(certificate: Contents) -> str:
 
 
 def iso230_symbol_values(axis: AxisTest) -> list[tuple[str, float | None]]:
-    """(symbol of ISO 230-2:2014, value in m or rad) of one axis."""
+    """Values of one axis by symbol of ISO 230-2:2014: (symbol, value in m or rad)."""
     return [
         ("B", axis.B),
         ("mean B", axis.B_mean),

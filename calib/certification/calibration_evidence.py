@@ -206,7 +206,10 @@ class AgainstClaim:
 def check_claim_on_recording(
     calibration: Calibration, recording: str, samples: Samples, rng: np.random.Generator
 ) -> AgainstClaim | None:
-    """Check of a calibration's claim on a recording's samples, None where no factor is claimed. recording : its name"""
+    """Check of a calibration's claim on a recording's samples, None where no factor is claimed.
+
+    recording : its name
+    """
     found = verify_claim_on_samples(calibration, samples, rng)
     if found is None or calibration.claim is None or calibration.claim.after is None:
         return None

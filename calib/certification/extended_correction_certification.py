@@ -111,7 +111,7 @@ def certify_extended_correction(
     rng: np.random.Generator,
     progress: Progress | None = None,
 ) -> tuple[Certified, tuple[Tried, ...]]:
-    """(Certified, methods tried) of a correction extended over the space, judged at held-out configurations.
+    """Certify a correction extended over the space, on held-out configurations: (Certified, methods tried).
 
     Of samples on a grid whole levels are held out in turn, so that what remains is a grid, and where there are LEAST
     configurations besides it, these; else whole stretches. AUTO takes what leaves least there, weighed by the poses'

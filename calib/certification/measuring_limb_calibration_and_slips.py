@@ -75,7 +75,7 @@ def stated_limbs(design: Design) -> MeasuringLimbs:
     return design.insitu
 
 
-def limb_hexapod(design: Design, limb_numbers: Integers | None = None) -> Hexapod:
+def hexapod_of_six_limbs(design: Design, limb_numbers: Integers | None = None) -> Hexapod:
     """Hexapod of six of the measuring limbs as rig.toml has them.
 
     limb_numbers : (6,) their numbers, from 0, the first six by default
@@ -89,7 +89,7 @@ def limb_hexapod(design: Design, limb_numbers: Integers | None = None) -> Hexapo
 
 
 def limb_readings(recording: Recording) -> tuple[Integers, Floats]:
-    """(frames (f,), limb readings (f, limbs) m) of a recording's exposures.
+    """Readings (f, limbs) m of the measuring limbs at a recording's exposures, and their frames (f,).
 
     Raises RigError where sensors.csv lacks a channel, NotEnoughData where no exposure has readings within half a second
     """
@@ -143,7 +143,7 @@ def _add_reading_noise(samples: Samples, nominal: Hexapod, sigma: float) -> Samp
 
 
 def held_out_limb_poses(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[RigidTransform, Floats]:
-    """(T_limbs (n,), expected covariance): poses by limbs that were fitted to other stretches.
+    """Poses by limbs that were fitted to other stretches of samples: (T_limbs (n,), expected covariance).
 
     The expectation holds what the limbs' fit to the same cameras shares with vision once only: vision's shared errors
     go into the limbs, so that they do not show in the difference. Raises NotEnoughData for fewer than FEWEST poses

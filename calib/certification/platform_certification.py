@@ -140,7 +140,10 @@ def certify_platform(
 
 
 def uncertified_geometry(nominal: Struts, identified: Identified, label: Integers) -> Certified:
-    """Certified of a geometry alone, uncertified: nothing was held out. label : (n,) configuration of each sample"""
+    """Certified result of a geometry alone, of which nothing was held out.
+
+    label : (n,) configuration of each sample
+    """
     plain: Correction[Struts, Radial] = Correction(nominal, identified.mechanism, (None,) * len(nominal.axes))
     return Certified(plain, identified, label, None)
 

@@ -92,13 +92,13 @@ def _coverage_factor(covariance: Floats) -> float:
 
 
 def rms_length_uncertainty(covariance: Floats) -> tuple[float, float]:
-    """RMS standard uncertainty (m, rad) of the error lengths, of covariances (n, 6, 6)."""
+    """RMS standard uncertainty (m, rad) of the lengths of position and rotation errors, of covariances (n, 6, 6)."""
     position, rotation = (float(np.sqrt(np.trace(covariance[:, p, p], axis1=1, axis2=2).mean())) for p in PARTS)
     return position, rotation
 
 
 def camera_and_lens_covariance(measured: Sequence[tuple[Samples, Measurement | None]]) -> tuple[Floats, Floats] | None:
-    """(camera, lens) covariance (n, 6, 6) that their uncertainty adds to the poses, None without images.
+    """Covariances (n, 6, 6) of poses by the uncertainty of cameras and of lenses; None without images.
 
     Where a camera stands and what its lens does go together: cameras' part is what is left were all lenses known,
     lenses' part the rest, so that both make up what all poses share
@@ -225,7 +225,7 @@ def _alike(errors: Floats, sizes: Sequence[float]) -> Floats:
 
 
 def thermometer_covariance(calibration: Calibration, poses: Sequence[tuple[Recording, Samples]]) -> Floats | None:
-    """Covariance (n, 6, 6) of poses by thermometer noise through compensated physics; None where there is none.
+    """Covariance (n, 6, 6) of poses by thermometer noise, None where there is none.
 
     The noise is what a log shows against the straight line through a row's neighbours.
     """

@@ -319,7 +319,7 @@ def calibrate_correction(
     geometry: Identified | None = None,
     axes_with_remainder: Booleans | None = None,
 ) -> tuple[Correction[Struts, Radial], Identified]:
-    """(Correction, Identified) calibrated on samples: geometry fitted, then its remainder extended.
+    """Correction calibrated on samples: geometry fitted, then its remainder extended; (Correction, Identified).
 
     samples : Samples; nominal : the owner's
     remainder : "find" keeps a strut's where it stands out of the noise; "none" fits the geometry alone; a tuple of

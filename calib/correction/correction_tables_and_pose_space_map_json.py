@@ -83,8 +83,9 @@ def axis_correction_tables(correction: AnyCorrection, count: int) -> JointTables
 
 
 def grid_correction_table(correction: AnyCorrection, divisions: int, fill: float = FILL) -> tuple[Floats, Floats]:
-    """Correction table on an even grid: (x, k), both (vertices, axes) m or rad; x + k is to be commanded for x.
+    """Correction table on an even grid: (x, k), both (vertices, axes) m or rad.
 
+    x + k is to be commanded for x.
     Raises RigError where a vertex has no pose
     """
     strokes = mechanisms.kinematics_of(correction.nominal).travel_ranges(correction.nominal)

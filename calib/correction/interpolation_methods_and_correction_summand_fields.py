@@ -164,7 +164,7 @@ PLACES = 500  # at which a single step is held against the fixed point
 
 
 def measured_correction_summands(samples: Samples, model: Struts) -> FieldSamples:
-    """Correction summands measured at samples (KSF_PM), with variances by the poses' covariance.
+    """Correction summands (KSF_PM) measured at samples, with variances by the poses' covariance.
 
     Source: configuration-space patent, [0130]
     """
@@ -298,7 +298,7 @@ def fit_correction_summand_field(samples: FieldSamples, kind: str, smoothness_fr
 
 
 def correction_with_field(nominal: Struts, identified: Identified, field: Field | None) -> Correction[Struts, Radial]:
-    """Correction of a geometry with a Field for its remainder, or None."""
+    """Correction of an identified geometry with a Field for its remainder, or with none."""
     return Correction(nominal, identified.mechanism, (None,) * len(nominal.axes), extension=field)
 
 

@@ -222,8 +222,9 @@ def path_memory_length(machine: Machine) -> Floats:
 
 
 def unknown_history_uncertainty(machine: Machine, T: RigidTransform, route: Route, commands: Floats) -> Floats:
-    """Uncertainty (n, axes) by unknown history: half the change between a start approached from below and above.
+    """Uncertainty (n, axes) of commands by the unknown history of motion before them.
 
+    Half the change between a start approached from below and above.
     commands : (n, axes) at the poses
     """
     reach = path_memory_length(machine)

@@ -55,7 +55,7 @@ def fit_cameras_and_geometry(
     nominal: Hexapod,
     start: Hexapod | None = None,
 ) -> Joint:
-    """Joint fit of cameras and geometry to corners of commanded frames, every camera fixed.
+    """Simultaneous fit of cameras and geometry to corners of commanded frames, every camera fixed.
 
     observations : Observations, outliers taken out, covariance to weigh by; commanded : (F, 6) m of its frames
     state : State to start from (cameras as adjusted); stated : Cameras as their owner has them, the lenses' prior
@@ -155,7 +155,7 @@ def _camera(camera: Camera, q: Floats) -> Camera:
 def refine_correction_with_cameras(
     sampled: Sampled, design: Design, correction: Correction[Struts, Radial], identified: Identified
 ) -> tuple[Correction[Struts, Radial], Identified]:
-    """(Correction, Identified) refined with cameras, by the joint fit of a recording's corners.
+    """Correction refined with cameras, by a simultaneous fit to a recording's corners: (Correction, Identified).
 
     sampled : Sampled; design : Design as stated; correction, found : as `calibrate` gives them
     Raises RigError for a machine that is not a hexapod, for poses that no camera saw, or where struts

@@ -137,7 +137,7 @@ def _no_better(three: tuple[float, ...], errors: Floats, covariance: Floats) -> 
 def refuted_calibrations(
     report: Report, marks: Marks, paths: Iterable[Path], samples: Samples | None
 ) -> list[Refutation]:
-    """[Refutation] of calibrations of a recording that leave out what a Report of it finds.
+    """Calibrations of a recording that are refuted, since they leave out what a Report of it finds ([Refutation]).
 
     marks : marks of the recording; paths : files that may be calibrations, all else is passed over; samples : Samples
         of

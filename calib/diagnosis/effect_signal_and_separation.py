@@ -88,7 +88,7 @@ def _signal_separation(
 def platform_effect_signal_to_noise(
     recording: Recording, true_design: Design, noise: float, effects: tuple[Effect, ...], sensors: Sensors
 ) -> Floats:
-    """(effects,) signal-to-noise of each effect in a platform's corners, cameras and geometry projected out.
+    """Signal-to-noise (effects,) of each effect in a platform's corners, cameras and geometry projected out.
 
     recording : Recording with corners; true_design : Design as it really is; noise : px, standard deviation of a corner
     effects : all that are at work, of the catalogue or not; sensors : Sensors as they truly were
@@ -124,7 +124,7 @@ def platform_effect_signal_to_noise(
 def arm_effect_signal_to_noise(
     true_design: Design, commands: Commands, t: Floats, sigma: Floats, effects: tuple[Effect, ...], sensors: Sensors
 ) -> Floats:
-    """(effects,) signal-to-noise of each effect in an arm's poses, the arm's parameters projected out.
+    """Signal-to-noise (effects,) of each effect in an arm's poses, the arm's parameters projected out.
 
     true_design : Design as it really is; commands, t (n,) s : what was commanded, and when it was measured; sensors :
         as they truly were

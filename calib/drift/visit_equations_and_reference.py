@@ -152,7 +152,9 @@ def machine_change_columns(
 
     motion, nuts = moved(), np.eye(6)
     play = play_deviation(motion, GAP / 2)
-    growth = motion.kind.axis_deviation_and_sway_by_growth(T, motion.lengths, mechanism, np.full(play.shape, GROWTH))[0]
+    growth = motion.kind.axis_deviation_and_sway_by_member_growth(
+        T, motion.lengths, mechanism, np.full(play.shape, GROWTH)
+    )[0]
     out = [motion.lengths + deviation - goals for deviation in (*(nut * play for nut in nuts), growth)]
     out.append(sagging(moved(payload_mass_kg=np.ones(2))) - sagging(motion))
     return inverse_strut_length_jacobian(T, mechanism) @ np.stack(out, axis=-1)
@@ -197,7 +199,7 @@ class _Seen:
 def visit_equations(
     recording: Recording, calibration: Calibration, reference: Reference | None
 ) -> tuple[Equations, Reference]:
-    """(Equations of a visit, the Reference that they refer to: the visit itself where none is given).
+    """Equations of a visit, and the Reference that they refer to: the visit itself where none is given.
 
     Raises RigError for another machine than the calibration's or other cameras and targets than the reference's, and
         what measuring raises

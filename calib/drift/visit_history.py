@@ -75,7 +75,7 @@ class History:
 
 
 def add_visit(history: History, recording: Recording, calibration: Calibration) -> tuple[History, Verdict]:
-    """(History with one more visit added, its Verdict).
+    """Add a visit to a History: (History, Verdict of the visit).
 
     Raises RigError for data that were taken already or that the calibration was made from, and as `visit_equations`
         does

@@ -157,7 +157,7 @@ def rival_hypotheses(rivals: list[Rival[F]]) -> tuple[Hypothesis[F], ...]:
 
 
 def is_ruled_out(finding: Finding[C], alternative: Alternative[C], size: int) -> bool:
-    """Whether an alternative is ruled out by its odds, or by the data alone where its effect is nearly the same."""
+    """Whether an alternative to a finding is ruled out, by its odds or by the data alone."""
     same = abs(alternative.cosine) > PLATFORM.cosine
     return alternative.behind >= PLATFORM.alike and (
         not same or data_log_odds(finding, alternative, size) >= PLATFORM.alike

@@ -104,7 +104,7 @@ def diagnosis_path(folder: Path, number: int) -> Path:
     return folder / f"diagnosis{number}"
 
 
-def plan_minutes(plan: Path) -> float:
+def duration_of_plan_in_minutes(plan: Path) -> float:
     """Minutes that a plan takes. Raises FileError for what is no table in time."""
     t = csv_and_parquet_tables_and_time_origin.read_csv_table(plan, ("frame", "t")).numbers("t")
     return float(t.max() - t.min()) / 60 + SETTING_UP
@@ -152,7 +152,7 @@ def _look(folder: Path, number: int) -> InvestigationRound:
     return InvestigationRound(
         number,
         recording_path(folder, number).name,
-        plan_minutes(plan_path(folder, number)),
+        duration_of_plan_in_minutes(plan_path(folder, number)),
         tuple(map(_title, findings)),
         tuple(title for title in map(_title, findings) if title not in doubtful),
         tuple(f"something at {f.text('place')}" + _of(f) for f in unknown),

@@ -35,7 +35,7 @@ def operating_point_of_last_recording(point: OperatingPoint) -> OperatingPoint:
 
 
 def operating_point_with_turned_cubes(point: OperatingPoint, plan: Plan) -> OperatingPoint:
-    """OperatingPoint with the cubes that a plan turns, at unknown poses."""
+    """OperatingPoint after a plan has turned cubes, which then stand at unknown poses."""
     quarters, targets = dict(plan.turned), []
     for target in point.design.targets:
         name = target.name.partition("@")[0]

@@ -125,7 +125,7 @@ def _input_digests(recording: Recording, used_images: bool) -> dict[str, str]:
 
 
 def package_versions() -> dict[str, str]:
-    """{package name: version} of the packages that results depend on."""
+    """Versions {package name: version} of the packages that results depend on."""
     return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 

@@ -1,4 +1,7 @@
-"""Mechanism and physics entries of calibration.json, written, read and checked (pose space maps included)."""
+"""Mechanism and physics entries of calibration.json, written, read and checked.
+
+Pose space maps included.
+"""
 
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -230,7 +230,10 @@ class Visibility:
 
 
 def parameter_visibility(root: Floats, size: Floats) -> Visibility:
-    """Visibility of parameters from the square root of their information. root : (j, k); size : (k,) plausible sizes"""
+    """Visibility of parameters from the square root of their information.
+
+    root : (j, k); size : (k,) plausible sizes
+    """
     _, s, directions = np.linalg.svd(root * size, full_matrices=False)
     order = qr(root * size, mode="r", pivoting=True)[1]
     return Visibility(s, directions, float(s[0] / s[-1]) if s[-1] > 0 else np.inf, order)

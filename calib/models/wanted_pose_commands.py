@@ -54,7 +54,7 @@ class _Spread:
     missing: tuple[str, ...]
 
 
-def pace_with_hold_times(calibration: Calibration, hold_times: Floats, sensors: Sensors | None) -> Pace:
+def pace_that_holds_poses_at_times(calibration: Calibration, hold_times: Floats, sensors: Sensors | None) -> Pace:
     """Pace of a route whose poses are held at the hold times (n,) s."""
     top = calibration.physics.actuator.max_speed if calibration.physics is not None else None
     unstated = min(UNSTATED_SPEED[unit] for unit in mechanisms.axis_units(calibration.correction.nominal))

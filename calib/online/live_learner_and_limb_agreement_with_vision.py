@@ -123,7 +123,7 @@ class LimbWatch:
 
     def __init__(self, design: Design) -> None:
         self._design, self._stated = design, measuring_limb_calibration_and_slips.stated_limbs(design)
-        self._home = measuring_limb_calibration_and_slips.limb_hexapod(design).home
+        self._home = measuring_limb_calibration_and_slips.hexapod_of_six_limbs(design).home
         self.channels = self._stated.channels
         self._read: list[tuple[Floats, RigidTransform, Floats]] = []
         self._limbs: redundant_measuring_limb_checks.Limbs | None = None
@@ -148,7 +148,7 @@ class LimbWatch:
                 )
                 limbs, _ = measuring_limb_calibration_and_slips.calibrate_limbs(
                     samples,
-                    measuring_limb_calibration_and_slips.limb_hexapod(self._design, chosen),
+                    measuring_limb_calibration_and_slips.hexapod_of_six_limbs(self._design, chosen),
                     self._stated.length_sigma,
                 )
                 self._limbs = replace(limbs, chosen=chosen)

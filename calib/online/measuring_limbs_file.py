@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.measuring_limb_calibration_and_slips import Agreement, limb_hexapod, stated_limbs
+from calib.certification.measuring_limb_calibration_and_slips import Agreement, hexapod_of_six_limbs, stated_limbs
 from calib.certification.redundant_measuring_limb_checks import Checks, Limbs
 from calib.files.calibration_file import covariance_from_entries
 from calib.files.mechanism_and_physics_entries_of_calibration_json import mechanism_dict, mechanism_from_entries
@@ -137,7 +137,7 @@ def accepted_limbs(path: Path | str, design: Design) -> Accepted:
             f"{path} is of other limbs than rig.toml states in [insitu]: of {len(six) + spare}, not of "
             f"{len(limbs.channels)}"
         )
-    other = limb_hexapod(design, six)
+    other = hexapod_of_six_limbs(design, six)
     if found.verdict == "refused":
         raise RigError(f"{path}: these limbs did not pass the comparison with vision; `rig insitu` reports by how much")
     if found.withdrawn is not None:

@@ -269,8 +269,9 @@ def sample_by_limbs(recording: Recording, source: LimbSource, progress: Progress
 def checked_limb_poses(
     recording: Recording, source: LimbSource, progress: Progress | None, notice: Notice
 ) -> tuple[LimbPoses, Accepted]:
-    """(LimbPoses of a recording, the Accepted they are from). notice : called with how many vision looked at
+    """Limb poses of a recording, checked, and the accepted limbs they are from: (LimbPoses, Accepted).
 
+    notice : called with how many vision looked at
     Raises RigError for limbs that were not accepted, that are others than rig.toml states, or with which vision no
         longer agrees: their acceptance is withdrawn in their file first
     """

@@ -99,7 +99,10 @@ class RunOptions:
 
 
 def compile_kernels_for_run(design: Design) -> None:
-    """Compile the kernels that a run needs, by measuring one drawn image of a hexapod at home."""
+    """Compile the kernels that a run needs.
+
+    By measuring one drawn image of a hexapod at home.
+    """
     m = design.mechanism
     if not has_plates(m) or not design.cameras or not any(target.body == "platform" for target in design.targets):
         return

@@ -196,16 +196,16 @@ def provenance_html(calibration: Calibration) -> str:
         f"pass {k + 1}": {name: one[name] for name in ("recording", "created", "pass") if name in one}
         for k, one in enumerate(calibration.provenance.get("passes", ()))
     }
-    return table_html(("what", "value"), flattened_rows(before | rows))
+    return table_html(("what", "value"), rows_of_nested_dict(before | rows))
 
 
-def flattened_rows(tree: Json, prefix: str = "") -> list[tuple[str, object]]:
+def rows_of_nested_dict(tree: Json, prefix: str = "") -> list[tuple[str, object]]:
     """Rows (name, value) of a nested dict, flattened for a table."""
     rows: list[tuple[str, object]] = []
     for key, value in tree.items():
         name = f"{prefix}{key}"
         rows += (
-            flattened_rows(value, name + " / ")
+            rows_of_nested_dict(value, name + " / ")
             if isinstance(value, dict)
             else [(name, " ".join(map(str, value)) if isinstance(value, list) else value)]
         )

@@ -89,7 +89,7 @@ def _times(value: float | tuple[float, ...], factor: float) -> float | tuple[flo
 
 
 def pose_coverage_figures(vectors: Floats) -> str:
-    """Figures of pose coverage: vectors (n, 6) position (m) and rotation vector (rad)."""
+    """Figures of how poses cover the workspace: vectors (n, 6) position (m) and rotation vector (rad)."""
     mm = vectors[:, :3] * 1e3
     places = [
         plot_panel_svg(f"seen {seen}", (f"{'xyz'[i]}, mm", f"{'xyz'[j]}, mm"), [Series(mm[:, i], mm[:, j])])
@@ -268,8 +268,9 @@ PLACES = {
 
 
 def effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
-    """Sketch of an effect of a kind, at `factor` times the largest size on real rigs.
+    """Sketch of an effect of a kind.
 
+    factor : of the largest size on real rigs
     Raises RigError for an effect that neither the rig of the sketches nor its camera can have
     """
     if kind.stage in MOTION_STAGES:

@@ -13,7 +13,7 @@ import tomlkit
 
 from docs.make.told import fields_told, headline
 from rig.formats.checked_entries import REQUIRED, Entries, Key
-from rig.formats.json_toml_and_yaml_loading import value_positions
+from rig.formats.json_toml_and_yaml_loading import toml_value_positions
 from rig.formats.rig_toml import arm_dynamics_entries, design_file
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
 from rig.formats.rig_toml.mechanism_entries import Joint
@@ -242,7 +242,7 @@ def asked() -> dict[tuple[str, Key], Asked]:
     found: dict[tuple[str, Key], Asked] = {}
     for tree in samples():
         text = tomlkit.dumps({key: value for key, value in tree.items() if value is not None})
-        root = Log(tomllib.loads(text), (), Path("rig.toml"), value_positions(text), found)
+        root = Log(tomllib.loads(text), (), Path("rig.toml"), toml_value_positions(text), found)
         mechanism = design_file.design_of_entries(root).mechanism
         if has_links(mechanism):
             arm_dynamics_entries.dynamics_of_table(root.table("dynamics", optional=True), len(mechanism.axes))

@@ -99,7 +99,7 @@ def commands_and_measured_poses(
 
 
 def written_pose_columns(recording: Recording) -> Floats:
-    """(n, 6) m and rad pose columns of poses.csv as written, rotation vectors longer than pi included."""
+    """Pose columns (n, 6) m and rad of poses.csv as written, rotation vectors longer than pi included."""
     return csv_and_parquet_tables_and_time_origin.read_csv_table(recording.folder / "poses.csv", POSE_COLUMNS).matrix(
         POSE_COLUMNS
     )

@@ -297,7 +297,7 @@ def _angles(q: Floats, limits: Floats) -> Iterator[Mistake]:
 
 
 def poses_in_other_conventions(columns: Floats) -> Iterator[tuple[str, RigidTransform]]:
-    """(convention, RigidTransform (n,)) of poses whose columns (n, 6) are read in other conventions."""
+    """Poses whose columns (n, 6) are read in other conventions: (convention, RigidTransform (n,))."""
     p, r = columns[:, :3], columns[:, 3:]
     vectors = Rotation.from_rotvec(r)
     yield "poses are inverted (base in platform)", RigidTransform.from_components(p, vectors).inv()

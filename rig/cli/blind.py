@@ -83,12 +83,12 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Run `rig blind`: draw blind cases, diagnose each without its truth, and score the campaign."""
-    from synthetic.blind_campaign import Campaign, CampaignOptions, case_numbers
+    from synthetic.blind_campaign import Campaign, CampaignOptions, parse_case_numbers
 
     a = arguments
     arm = a.mechanism == "arm"
     options = CampaignOptions(a.season, a.seed, a.frames, a.hide, a.effects, a.withhold, arm, a.images)
-    settings, indices = options.settings(), case_numbers(a.cases, a.season)
+    settings, indices = options.settings(), parse_case_numbers(a.cases, a.season)
     out = a.outputs.growing(a.out, own=(a.out / "campaign.json").exists()).resolve()
     campaign = Campaign(out, lambda text: print(text, file=sys.stderr))
     campaign.begin(settings)

@@ -46,10 +46,10 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Run `rig check-print`: check a printed marker sheet by a photograph and print the true side of its markers."""
     from rig.formats.rig_toml import design_file
-    from vision.printed_marker_size import measure_print
+    from vision.printed_marker_size import measure_printed_marker_scale
 
     design = design_file.load_design(arguments.design)
-    found = measure_print(arguments.photo, design, arguments.sheet, arguments.ruler)
+    found = measure_printed_marker_scale(arguments.photo, design, arguments.sheet, arguments.ruler)
     if arguments.json:
         print_json(_tree(found, design))
     else:

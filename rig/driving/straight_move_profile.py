@@ -66,7 +66,7 @@ FEWEST, MOST = 3, 200  # of them, beside the start
 
 
 def require_lengths_in_range(lengths: Floats, mechanism: Hexapod | Planar2) -> Floats:
-    """The lengths (n,) m, if they are finite and in the strut ranges; raises Unreachable for those out of range.
+    """Require lengths (n,) m within the strut ranges, and return them; raises Unreachable for those out of range.
     Raises ValueError, Unreachable naming each strut beyond its range.
     """
     lengths = np.array(lengths, float)

@@ -28,7 +28,7 @@ _STRING = re.compile(r'''"""(?:[^\\]|\\.)*?"{3,5}|\'\'\'.*?\'{3,5}|"(?:[^"\\\n]|
 _SCALAR = re.compile(r"[^,\]}\s#]+(?: [0-9:.]+)?")
 
 
-def value_positions(text: str) -> dict[tuple[str | int, ...], tuple[int, int]]:
+def toml_value_positions(text: str) -> dict[tuple[str | int, ...], tuple[int, int]]:
     """Positions of all values in a TOML text: {path: (line, column)}.
 
     A path is a tuple of keys and indices, as in ("camera", 0, "matrix", 2, 1); lines and columns count from 1.
@@ -285,7 +285,7 @@ def toml_entries(text: str, path: Path) -> Entries:
     """
     try:
         tree = tomllib.loads(text)
-        places = value_positions(text)
+        places = toml_value_positions(text)
     except tomllib.TOMLDecodeError as error:
         where = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
         line, column = map(int, where.groups()) if where else (len(text.splitlines()), None)

@@ -339,7 +339,7 @@ class Design:
 
 
 def quarter_turns_of_cubes(design: Design) -> dict[str, int]:
-    """{cube: quarter turns} of a design's remounted cubes; of several recordings, the last."""
+    """Quarter turns {cube: quarter turns} of a design's remounted cubes; of several recordings, the last."""
     return {target.name.partition("@")[0]: target.turned for target in design.targets if target.turned is not None}
 
 

@@ -77,7 +77,7 @@ WORDS = ("as it was", "turned by a quarter turn", "turned by a half turn", "turn
 
 
 def find_cube(text: str, targets: Sequence[Target]) -> tuple[str, str | None]:
-    """(name, None) of the cube that a text names or numbers among targets, or ("", problem in words)."""
+    """Find the cube that a text names or numbers among targets: (name, None), or ("", problem in words)."""
     names = [target.name for target in targets]
     numbered = text.isascii() and text.isdigit() and text not in names and 0 < int(text[:6]) <= len(targets)
     if text not in names and not numbered:
@@ -99,7 +99,7 @@ def find_cube(text: str, targets: Sequence[Target]) -> tuple[str, str | None]:
 
 
 def parse_cube_turn_permission(word: str, targets: Sequence[Target]) -> tuple[str, str | None]:
-    """(permission with the cube's name, None) of a word of [experiment] may, or ("", problem in words)."""
+    """Parse a word of [experiment] may: (permission with the cube's name, None), or ("", problem in words)."""
     if not word.startswith(TURN):
         return word, None
     name, problem = find_cube(word.removeprefix(TURN), targets)

@@ -186,7 +186,7 @@ def _cubes(rows: csv_and_parquet_tables_and_time_origin.Table, design: Design) -
 
 
 def require_commands_in_range(table: csv_and_parquet_tables_and_time_origin.Table, design: Design) -> Floats:
-    """Commands (n, axes) m or rad of a table. Raises FileError with the line of one out of range.
+    """Commands (n, axes) m or rad of a table, required in range. Raises FileError with the line of one that is not.
     Raises FileError with the line of what is out of the axes' range.
     """
     values = table.matrix(design.mechanism.axes)

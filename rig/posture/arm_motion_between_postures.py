@@ -143,7 +143,7 @@ class VisitedPostures:
     back: Floats
 
 
-def best_visited_posture(
+def best_visited_posture_and_motion_to_it(
     recording: Recording,
     arm: Arm,
     objective: TransmissionObjective | ExertionObjective,

@@ -128,7 +128,7 @@ def _best_visited(arm: Arm, options: PostureOptions) -> PostureResult:
     """The best of the postures of a recording, and the motion back to it."""
     recording, objective = options.recording, options.maximised
     assert recording is not None
-    found = arm_motion_between_postures.best_visited_posture(
+    found = arm_motion_between_postures.best_visited_posture_and_motion_to_it(
         recording, arm, objective, options.fixed, options.T_base_hand
     )
     best, first = found.best, found.q[0]

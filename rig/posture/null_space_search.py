@@ -50,7 +50,10 @@ class SearchResult:
 
 
 def postures_without_search(q: Floats, arm: Arm, objective: TransmissionObjective | ExertionObjective) -> SearchResult:
-    """SearchResult of postures q (m, n) rad as they are, without a search. Raises RigError outside the joint limits."""
+    """Postures q (m, n) rad as they are, as a SearchResult, without a search.
+
+    Raises RigError outside the joint limits.
+    """
     q = np.array(q, float, ndmin=2)
     value = arm_force_transmission_and_exertable_wrench.transmission_measure(q, arm, objective)
     return _found(q, value, value, q, arm, 0)

@@ -96,7 +96,10 @@ def momentum_observer_model(
 
 
 def observe_wrench(model: ObserverModel, rates: Floats) -> ObservedWrench:
-    """ObservedWrench of an ObserverModel over time. rates : (6,) N/sqrt(s), Nm/sqrt(s), of the wrench's random walk."""
+    """Observe the external wrench over time by an ObserverModel: ObservedWrench.
+
+    rates : (6,) N/sqrt(s), Nm/sqrt(s), of the wrench's random walk
+    """
     records, count, n = model.motion.q.shape
     size = 3 * n + 6
     state = np.zeros((records, size))

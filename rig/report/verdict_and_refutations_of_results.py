@@ -140,7 +140,7 @@ def judge_evidence(evidence: Evidence) -> Verdict:
 
 
 def worst_state(states: Sequence[State]) -> State:
-    """Worst of several states; check where there is none."""
+    """Worst of several states of verdicts; CHECK where there is none."""
     return next((state for state in WORST if state in states), State.CHECK)
 
 

@@ -135,7 +135,7 @@ def _rendered(design, rng):
 
 def _score(pictures, markers):
     """{kind: px, RMS per axis of corners fitted with a spread learnt from the pictures themselves}."""
-    from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, empty_profile, learn_edge_spread
+    from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, empty_residual_profile, learn_edge_spread
     from vision.corners.marker_detection import fit_read_markers, grey_image_at_full_depth
     from vision.corners.whole_image_marker_reader import ReadMarkers
     from vision.reading.recording_corners import ROUNDS
@@ -149,7 +149,7 @@ def _score(pictures, markers):
         first = [fit_read_markers(full, view, markers, ReadMarkers(ids, true)) for full, view, ids, true in start]
         spread = PLAIN_EDGE_SPREAD
         for _ in range(ROUNDS):
-            profile, widths = empty_profile(), []
+            profile, widths = empty_residual_profile(), []
             for (full, view, _, _), d in zip(start, first):
                 widths.append(
                     fit_read_markers(

@@ -213,7 +213,7 @@ def _limbs():
             measuring_limb_calibration_and_slips.samples_with_limb_readings_as_commands(
                 sample_recording(read).samples, frames, lengths
             ),
-            measuring_limb_calibration_and_slips.limb_hexapod(design),
+            measuring_limb_calibration_and_slips.hexapod_of_six_limbs(design),
         )
     T, expected = measuring_limb_calibration_and_slips.held_out_limb_poses(samples, nominal, 1e-6)
     found = measuring_limb_calibration_and_slips.limb_agreement(samples.T_base_platform, T, expected, (5e-5, 2e-4))

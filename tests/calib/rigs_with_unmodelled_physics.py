@@ -10,7 +10,7 @@ from calib.certification.calibration_dataclass_and_accuracy_claim_sentences impo
 from calib.certification.platform_certification import Certified
 from calib.correction.correction import calibrate_correction
 from calib.diagnosis.findings_refit import findings_of_diagnosis, refit_platform_with_findings
-from calib.models.wanted_pose_commands import commands_along_route, pace_with_hold_times
+from calib.models.wanted_pose_commands import commands_along_route, pace_that_holds_poses_at_times
 from calib.samples.pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES
@@ -82,7 +82,7 @@ def driven(calibration, secret, seed, sensed=True, approach="auto", poses=POSES)
         calibration,
         T,
         mechanisms.kinematics_of(m).home_values(m),
-        pace_with_hold_times(calibration, t, log),
+        pace_that_holds_poses_at_times(calibration, t, log),
         log if sensed else None,
         approach,
     )

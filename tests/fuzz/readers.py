@@ -32,7 +32,7 @@ from rig.recording import recording_folder
 from rig.recording.image_file_check_and_reading import image_file_problem
 from rig.recording.recording_tables import COVARIANCE_COLUMNS, load_corners, load_exposures, load_poses
 from synthetic import diagnosis_score, recording_simulation, secret_machine
-from synthetic.blind_campaign import Campaign, case_numbers
+from synthetic.blind_campaign import Campaign, parse_case_numbers
 from tests.fuzz.laws import laws
 from vision.lenses import calibration_board
 
@@ -197,7 +197,7 @@ def _texts(design):
             (b"charuco:8x6:0.03:0.022:DICT_5X5_100", b"aruco:8x6:0.03:0.01:DICT_5X5_100"),
             of(calibration_board.parse_board),
         ),
-        Reader("trials", (b"3,7-9", b"1"), of(lambda text: case_numbers(text, 100))),
+        Reader("trials", (b"3,7-9", b"1"), of(lambda text: parse_case_numbers(text, 100))),
     ]
 
 

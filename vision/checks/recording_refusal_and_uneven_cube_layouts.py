@@ -57,7 +57,10 @@ def refuse_spoilt_files(recording: Recording, allow_mistakes: bool, notice: Noti
 
 
 def make_spoilt_corner_refusal(recording: Recording, allow_mistakes: bool, notice: Notice) -> Callable[[Corners], None]:
-    """Make the function that refuses spoilt Corners of a recording once they are read, as `refuse_mistakes` does"""
+    """Make the function that refuses a recording whose corners, once read, are spoilt by mistakes.
+
+    As `refuse_mistakes` does.
+    """
 
     def look(corners: Corners) -> None:
         refuse_mistakes(find_corner_mistakes(recording, corners), allow_mistakes, notice)

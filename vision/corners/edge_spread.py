@@ -94,8 +94,8 @@ PLAIN_EDGE_SPREAD = EdgeSpread()
 NO_PROFILE = np.zeros((1, 0, 3))
 
 
-def empty_profile() -> Floats:
-    """Empty residual profile (DIRECTIONS, BINS, 3): count, sum, sum of squares."""
+def empty_residual_profile() -> Floats:
+    """Empty residual profile (DIRECTIONS, BINS, 3) of edges: count, sum, sum of squares."""
     return np.zeros((DIRECTIONS, BINS, 3))
 
 

@@ -101,8 +101,9 @@ def save_image(path: Path, image: Pixels) -> None:
 
 
 def marker_white_level(image: Pixels, camera: Camera, markers: MarkerMap) -> tuple[float, float]:
-    """(level of white, of 255; share that clips) of the markers in an image; of the whole image where none is read.
+    """White level of the markers in an image: (level of 255, share that clips).
 
+    Of the whole image where none is read.
     Raises CameraError for an image of another size.
     """
     eight, full = grey_images_for_reader_and_fit(image)

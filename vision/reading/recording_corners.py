@@ -17,7 +17,7 @@ from rig.recording.image_file_check_and_reading import read_image, unusable_imag
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners, undecodable_images
 from vision.corner_observations import corner_correlation_rows
-from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread, empty_profile, learn_edge_spread
+from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread, empty_residual_profile, learn_edge_spread
 from vision.corners.marker_detection import (
     Detection,
     detect_markers,
@@ -252,7 +252,7 @@ def learn_camera_edge_spread(
 
         def again(item: tuple[Floats, ReadMarkers], spread: EdgeSpread = spread) -> tuple[Detection, Floats]:
             full, read = item
-            profile = empty_profile()
+            profile = empty_residual_profile()
             return fit_read_markers(
                 full, camera, marker_map, read, spread, search_distance=0.0, profile=profile
             ), profile

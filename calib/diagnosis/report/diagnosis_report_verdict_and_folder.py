@@ -214,7 +214,10 @@ def diagnosis_verdict(report: Report) -> Verdict:
 
 
 def unexplained_sentences(report: Report, known_physics: Collection[tuple[str, str]] = ()) -> tuple[str, ...]:
-    """Sentences on what a Report leaves unexplained by the model. known_physics : (effect, place) already modelled"""
+    """Sentences on what a Report leaves unexplained by the model.
+
+    known_physics : (effect, place) already modelled
+    """
     named = [
         f"the model omits {report_sentences.finding_title(f)}"
         for f in report.mattering

@@ -233,8 +233,9 @@ def _enough(samples: Samples, found: Identified, label: Integers, parts: Integer
 def calibrate_arm(
     samples: Samples, nominal: Arm, instrument: Instrument | None, profiles: bool, start: Arm | None = None
 ) -> tuple[ArmCorrection, Identified]:
-    """(ArmCorrection, Identified) of an arm calibrated on samples; profiles : whether joint profiles are fitted.
+    """Arm calibrated on samples: (ArmCorrection, Identified).
 
+    profiles : whether joint profiles are fitted
     start : Arm, as `start_arm_of_fit` has it where None. Raises what `identify` raises
     """
     plain = _geometry(samples, nominal, instrument, start)

@@ -128,8 +128,9 @@ def certify_extended_arm(
     rng: np.random.Generator,
     progress: Progress | None = None,
 ) -> tuple[CertifiedArm, tuple[Tried, ...]]:
-    """(Certified, methods tried) of an arm's correction extended over the joint space, on held-out configurations.
+    """Certify an arm's correction extended over the joint space, on held-out configurations.
 
+    Returns (Certified, methods tried).
     Raises RigError where the way asked for does not take these samples, or where too little of their poses was
         measured; NotEnoughData
     """
@@ -186,7 +187,7 @@ def certify_extended_arm(
 def nominal_arm_correction(
     samples: Samples, nominal: Arm, instrument: Instrument | None, start: Arm
 ) -> tuple[ArmCorrection, Identified]:
-    """(ArmCorrection, Identified) of the nominal arm: nothing fitted but the instrument's placement."""
+    """Correction of the nominal arm: nothing fitted but the instrument's placement; (ArmCorrection, Identified)."""
     o = sample_observations(samples)
     arm = placed_nominal_arm(o, nominal, instrument, start)
     p, k = 12 + 5 * len(arm.joints), o.common.shape[1]

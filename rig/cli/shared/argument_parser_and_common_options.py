@@ -300,7 +300,10 @@ def _cell(value: float) -> str:
 
 
 def require_matplotlib(drawings: str) -> None:
-    """Require matplotlib: raise MissingLibrary where it is not installed. drawings : is to be drawn, in the plural"""
+    """Require matplotlib: raise MissingLibrary where it is not installed.
+
+    drawings : what is to be drawn, in the plural
+    """
     problem = missing_matplotlib_reason()
     if problem:
         raise MissingLibrary(f"{drawings} {problem}")
@@ -370,7 +373,10 @@ def use_requested_workers(arguments: Namespace) -> Iterator[None]:
 
 @contextmanager
 def worker_pool() -> Iterator[Executor]:
-    """Pool of workers: threads that wait for processes, or the cluster; calls not begun are dropped at its end."""
+    """Context manager: pool of workers, threads that wait for processes, or the cluster.
+
+    Calls not begun are dropped at its end.
+    """
     there = parallel_map_and_dask_cluster.current_cluster()
     if there is not None:
         yield there.executor()

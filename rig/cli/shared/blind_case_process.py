@@ -48,7 +48,10 @@ def forbid_this_process_to_read_folder(folder: str | Path) -> None:
 
 
 def draw_blind_case(campaign_folder: Path, index: int, settings: Json) -> None:
-    """Draw a case and write its recording, its truth, and last the truth's hash: from then on the case is blinded."""
+    """Draw a blind case and write its recording, its truth and the hash of the truth.
+
+    The hash comes last: from then on the case is blinded.
+    """
     from rig.formats.output_files import CommandOutputs, write_text
     from synthetic.blind_campaign import truth_hash_path
 

@@ -21,7 +21,7 @@ from rig.driving.protocols.protocol_interface import (
     Segment,
     State,
     Verdict,
-    never_complete,
+    is_never_complete,
     pause_dialogue,
     query_dialogue,
 )
@@ -133,7 +133,7 @@ class GCS:
         return Verdict(None, f"not referenced after {timeout:g} s")
 
     def stop(self) -> Dialogue[Verdict]:
-        yield Exchange(b"HLT\n", never_complete, 0.0)
+        yield Exchange(b"HLT\n", is_never_complete, 0.0)
         for _ in range(int(REST / POLL)):
             if not (yield from self._moving()):
                 error = yield from self._error()

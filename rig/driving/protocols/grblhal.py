@@ -19,7 +19,7 @@ from rig.driving.protocols.protocol_interface import (
     Segment,
     State,
     Verdict,
-    never_complete,
+    is_never_complete,
     pause_dialogue,
     query_dialogue,
 )
@@ -203,7 +203,7 @@ class GrblHAL:
 
     def stop(self) -> Dialogue[Verdict]:
         word, self._homing = "Home" if self._homing else "Run", False
-        yield Exchange(b"!", never_complete, 0.0)
+        yield Exchange(b"!", is_never_complete, 0.0)
         for _ in range(int(HOLD / POLL) if word != "Home" else 0):
             try:
                 lines = yield from query_dialogue(b"?", lambda lines: _STATUS.search(lines[-1]) is not None, *ASKED)

@@ -108,10 +108,10 @@ class Protocol(Interface):
 
 def pause_dialogue(seconds: float = POLL) -> Dialogue[None]:
     """Dialogue that sends nothing and takes so many seconds."""
-    yield Exchange(b"", never_complete, seconds)
+    yield Exchange(b"", is_never_complete, seconds)
 
 
-def never_complete(lines: Sequence[str]) -> bool:
+def is_never_complete(lines: Sequence[str]) -> bool:
     """Whether answer lines are complete: never, so that the whole timeout is awaited."""
     return False
 

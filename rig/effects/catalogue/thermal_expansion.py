@@ -50,7 +50,7 @@ class ThermalExpansion(Effect):
         for i in np.flatnonzero(self.axes(motion.places)):
             warm = motion.lagged_channel(self.lag, *_channels(motion.places[i]))
             share[:, i] = self.coefficient * (warm - REFERENCE_TEMPERATURE)
-        return motion.kind.axis_deviation_and_sway_by_growth(motion.T, motion.lengths, motion.mechanism, share)
+        return motion.kind.axis_deviation_and_sway_by_member_growth(motion.T, motion.lengths, motion.mechanism, share)
 
     def covariate(self, motion: Motion) -> Covariate:
         warm = [

@@ -16,7 +16,10 @@ MOST = 1000  # numbers of a parameter of any length
 
 
 def check_effect(effect: Effect) -> Effect:
-    """The effect, checked. Raises ValueError for a place where it cannot be or a parameter out of bounds."""
+    """Check an effect and return it.
+
+    Raises ValueError for a place where it cannot be or a parameter out of bounds.
+    """
     place = Place.parse(effect.place)
     kind = place.kind
     if kind not in effect.places and not ("axis" in effect.places and kind in AXES):
@@ -129,7 +132,7 @@ def _changed(effect: Effect, name: str, value: float | tuple[float, ...]) -> Eff
 
 
 def coordinates_of_effects(effects: tuple[Effect, ...]) -> list[Coordinate]:
-    """[Coordinate] of the effects' parameters that a fit may change, in order."""
+    """Coordinates ([Coordinate]) of the effects' parameters that a fit may change, in order."""
     return [
         Coordinate(number, p.name, index, p.role, _step(p), p.bounds, prior_precision(p, index))
         for number, effect in enumerate(effects)

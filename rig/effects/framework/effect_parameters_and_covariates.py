@@ -246,7 +246,7 @@ class Linear(NamedTuple):
 def parameter_values(
     linear: Sequence[Linear], node: Node, coefficients: Floats, parameters: Sequence[Parameter]
 ) -> dict[str, object]:
-    """{parameter: value} of an effect, from a grid node and coefficients (q,) of its linear columns."""
+    """Values {parameter: value} of an effect, from a grid node and coefficients (q,) of its linear columns."""
     values, by = dict(node), {p.name: p for p in parameters}
     vectors = {name: np.zeros(by[name].size or node[COUNT]) for name, index, _ in linear if index is not None}
     for (name, index, _), c in zip(linear, coefficients):

@@ -1,4 +1,4 @@
-"""Table of markers (identities, poses on bodies, sides) that effects change, and a copy with columns replaced."""
+"""Table of markers that effects change: identities, poses on bodies, sides."""
 
 from dataclasses import replace
 from typing import Any, Protocol, TypeVar, cast

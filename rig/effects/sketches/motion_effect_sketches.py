@@ -206,7 +206,10 @@ TIMES = {1e-3: "ms", 1.0: "s", 60.0: "min", 3600.0: "h"}
 
 
 def draw_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
-    """Sketch drawn of an effect of a kind, `factor` times its largest usual size."""
+    """Draw the sketch of an effect of a kind.
+
+    factor : of its largest usual size
+    """
     place = str(Place.axis("strut", AXIS)) if "axis" in kind.places else kind.places[0]
     way = effect_example(kind, place, factor)
     error = _strut_errors(way)
@@ -310,7 +313,7 @@ def enlargement_text(text: str, factor: float) -> str:
 
 
 def largest_suitable_unit(size: float, units: dict[float, str]) -> tuple[float, str]:
-    """(value, unit) of a size in the largest of the units in which it is 2 or more."""
+    """Largest of the units in which a size is 2 or more: (value, unit)."""
     return next(
         ((value, name) for value, name in sorted(units.items(), reverse=True) if size >= 2 * value), min(units.items())
     )

@@ -120,7 +120,7 @@ def _named(name: str, text: str, known: Kinds) -> type[Effect]:
 
 
 def require_nonzero_effect(effect: Effect) -> Effect:
-    """The effect, required to be nonzero. Raises RigError where its parameters amount to no effect."""
+    """Require that an effect is nonzero, and return it. Raises RigError where its parameters amount to no effect."""
     if effect.parameters and effect == type(effect)(effect.place):
         p = effect.parameters_at(effect.place)[0]
         usual = (
@@ -136,7 +136,7 @@ def require_nonzero_effect(effect: Effect) -> Effect:
 
 
 def require_known_effect(text: str, design: Design, known_effects: Kinds = BY_NAME) -> str:
-    """The text "EFFECT" or "EFFECT PLACE", required to name a known effect and place. Raises RigError otherwise."""
+    """Require that a text "EFFECT" or "EFFECT PLACE" names a known effect and place. Raises RigError otherwise."""
     name, _, place = text.partition(" ")
     kind = _named(name, name, known_effects)
     if not place:
@@ -149,7 +149,7 @@ def require_known_effect(text: str, design: Design, known_effects: Kinds = BY_NA
 
 
 def parse_effect_and_place(text: str, design: Design, known_effects: Kinds = BY_NAME) -> tuple[str, str]:
-    """(effect, place) parsed from "EFFECT PLACE", of known effects. Raises RigError otherwise."""
+    """Parse an effect and its place from "EFFECT PLACE", of known effects. Raises RigError otherwise."""
     name, _, place = text.partition(" ")
     kind = _named(name, text, known_effects)
     if kind.discrete:
@@ -164,7 +164,7 @@ def parse_effect_and_place(text: str, design: Design, known_effects: Kinds = BY_
 
 
 def require_existing_place(effect: Effect, design: Design) -> Effect:
-    """The effect, its place required to exist in the design. Raises RigError otherwise."""
+    """Require that an effect's place exists in the design, and return the effect. Raises RigError otherwise."""
     site, places = effect.site, mechanisms.axis_places(design.mechanism)
     kind, name = site.kind, site.name
     slide = replace(site, kind="slide")

@@ -66,7 +66,7 @@ def load_effect_file(path: Path) -> Plugin:
 
 
 def catalogue_with_files(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
-    """{name: class} of the catalogue with the effects of user files (plugins). Raises FileError for a name twice."""
+    """Catalogue {name: class} with the effects of user files (plugins) added. Raises FileError for a name twice."""
     out: dict[str, type[Effect]] = dict(BY_NAME)
     where: dict[str, Path] = {}
     for plugin in plugins:

@@ -194,7 +194,7 @@ def tum_trajectory(recording: Recording) -> str:
 
 
 def parquet_tables(recording_folder: Path) -> dict[str, bytes]:
-    """{name: bytes of a Parquet file} of the tables in a recording's folder.
+    """Parquet files {name: bytes} of the tables in a recording's folder.
 
     Raises MissingLibrary without pyarrow, FileError for a table that cannot be read
     """

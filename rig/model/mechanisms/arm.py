@@ -145,7 +145,9 @@ def link_weight_loads(T: RigidTransform, q: Floats, arm: Arm, gravity: Floats) -
     return out.reshape(len(chain), n, 4 * n)
 
 
-def axis_deviation_and_sway_by_growth(T: RigidTransform, q: Floats, arm: Arm, share: Floats) -> tuple[Floats, Floats]:
+def axis_deviation_and_sway_by_member_growth(
+    T: RigidTransform, q: Floats, arm: Arm, share: Floats
+) -> tuple[Floats, Floats]:
     """Deviation (m, n) and sway (m, 6) by the growth of links, lengths d and a by shares (m, n).
     A slide's scale is its travel with it.
     """

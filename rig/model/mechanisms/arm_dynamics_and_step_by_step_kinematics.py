@@ -58,7 +58,7 @@ class LinkMasses:
 def joint_torques(
     q: Floats, speed: Floats, acceleration: Floats, arm: Arm, links: LinkMasses, gravity: Floats
 ) -> Floats:
-    """(..., n) N m (slides: N) joint torques for an arm's weight and motion alone, with nothing at the hand.
+    """Joint torques (..., n) N m (slides: N) for an arm's weight and motion alone, with nothing at the hand.
 
     q : (..., n) rad, of slides m; speed, acceleration : (..., n) of these per s and s^2; gravity : (3,) m/s^2 in the
         axes of poses
@@ -141,7 +141,7 @@ def hand_points_at_zero(arm: Arm) -> Floats:
 
 
 def forward_steps(q: Floats, arm: Arm) -> list[KinematicsStep]:
-    """[Step] of the forward kinematics of any Arm at q (axes,) rad or m.
+    """Steps of the forward kinematics of any Arm at q (axes,) rad or m.
 
     Points at zero, then after each joint, the last first
     """
@@ -157,7 +157,7 @@ def forward_steps(q: Floats, arm: Arm) -> list[KinematicsStep]:
 
 
 def inverse_steps(T_base_platform: RigidTransform, six_arm: SixJointArm, q: Floats) -> list[KinematicsStep]:
-    """[Step] of the closed-form inverse of a pose for a solution q (6,) rad, from joint 1 to 6.
+    """Steps of the closed-form inverse of a pose for a solution q (6,) rad, from joint 1 to 6.
 
     q : of rig.model.mechanisms.closed_form_and_numerical_arm_inverse.inverse: of two readings the one near it is
         taken, and what a singular pose leaves free
@@ -190,7 +190,7 @@ def inverse_steps(T_base_platform: RigidTransform, six_arm: SixJointArm, q: Floa
 
 
 def inverse_steps_of_numerical_solution(T_base_platform: RigidTransform, arm: Arm, q: Floats) -> list[KinematicsStep]:
-    """[Step] of the inverse of a pose () for a numerical solution q (n,), from joint 1 to n.
+    """Steps of the inverse of a pose () for a numerical solution q (n,), from joint 1 to n.
 
     The last leaves A, B, C where they are at zero, but for what the solution leaves of the pose.
     """

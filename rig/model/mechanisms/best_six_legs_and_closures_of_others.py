@@ -125,7 +125,7 @@ def _slope(to_base: Floats, T: RigidTransform) -> Floats:
 
 
 def best_six_legs(legs: RedundantLegs, T: RigidTransform) -> Integers:
-    """(6,) indices of the six legs that determine poses T (n,) best in the worst direction and pose.
+    """Indices (6,) of the six legs that determine poses T (n,) best in the worst direction and pose.
     Raises RigError
     where none of them holds the platform
     """

@@ -27,7 +27,7 @@ LONGEST = 0.25  # of a travel, of one step
 
 
 def stages_and_values(values: Floats, chain: Chain) -> Iterator[tuple[Stage, Floats]]:
-    """(stage, its values (..., axes)) of each stage, from commanded values (..., axes of all).
+    """Stages of a chain, each with its values (..., axes), from commanded values (..., axes of all).
     Raises ValueError for another number of values
     """
     values = np.asarray(values, float)
@@ -40,12 +40,12 @@ def stages_and_values(values: Floats, chain: Chain) -> Iterator[tuple[Stage, Flo
 
 
 def stage_transforms(values: Floats, chain: Chain) -> list[RigidTransform]:
-    """[Transform (...)] of every stage's platform in the stage's own base at commanded values."""
+    """Transforms (...) of every stage's platform in the stage's own base at commanded values."""
     return [KINDS[stage.kind].forward(own, stage) for stage, own in stages_and_values(values, chain)]
 
 
 def stage_poses(values: Floats, chain: Chain) -> list[RigidTransform]:
-    """[Pose T_base_stage (...)] of every stage's platform in the chain's base at commanded values."""
+    """Poses T_base_stage (...) of every stage's platform in the chain's base at commanded values."""
     out: list[RigidTransform] = []
     for T in stage_transforms(values, chain):
         out.append(out[-1] * T if out else T)
@@ -58,7 +58,7 @@ def forward(values: Floats, chain: Chain, guess: RigidTransform | None = None) -
 
 
 def stage_tangent_maps(transforms: list[RigidTransform]) -> list[Floats]:
-    """[Map (..., 6, 6)] of each stage's tangent to the whole chain's tangent, from the stages' transforms."""
+    """Maps (..., 6, 6) of each stage's tangent to the whole chain's tangent, from the stages' transforms."""
     after, out = np.broadcast_to(np.eye(4), transforms[0].as_matrix().shape), []
     for T in reversed(transforms):
         R, t = after[..., :3, :3], after[..., :3, 3]
@@ -160,13 +160,13 @@ def link_weight_loads(T: RigidTransform, values: Floats, chain: Chain, gravity: 
     return np.zeros((*np.shape(values), 0))
 
 
-def axis_deviation_and_sway_by_growth(
+def axis_deviation_and_sway_by_member_growth(
     T: RigidTransform, values: Floats, chain: Chain, share: Floats
 ) -> tuple[Floats, Floats]:
     """Deviation (n, axes of all) and sway (n, 6) by the growth of the stages' members by shares (n, axes of all)."""
     parts, at, deviations, sway = stage_transforms(values, chain), 0, [], np.zeros((len(share), 6))
     for (stage, own), part, back in zip(stages_and_values(values, chain), parts, stage_tangent_maps(parts)):
-        longer, moved = KINDS[stage.kind].axis_deviation_and_sway_by_growth(
+        longer, moved = KINDS[stage.kind].axis_deviation_and_sway_by_member_growth(
             part, own, stage, share[:, at : at + len(stage.axes)]
         )
         deviations.append(longer)

@@ -55,7 +55,7 @@ def has_axes(mechanism: Mechanism) -> TypeIs[Commanded]:
 def require_hexapod(
     mechanism: Mechanism, refusal: str = "this requires a hexapod, not a mechanism of kind {kind!r}"
 ) -> Hexapod:
-    """The mechanism, required to be a hexapod. Raises RigError for another kind."""
+    """Require that a mechanism is a hexapod, and return it. Raises RigError for another kind."""
     if not has_plates(mechanism):
         raise RigError(refusal.format(kind=mechanism.kind))
     return mechanism
@@ -64,21 +64,21 @@ def require_hexapod(
 def require_struts(
     mechanism: Mechanism, refusal: str = "this requires a platform on struts, not a mechanism of kind {kind!r}"
 ) -> Struts:
-    """The mechanism, required to have struts (hexapod or planar). Raises RigError for another kind."""
+    """Require that a mechanism has struts (hexapod or planar), and return it. Raises RigError for another kind."""
     if not has_struts(mechanism):
         raise RigError(refusal.format(kind=mechanism.kind))
     return mechanism
 
 
 def require_arm(mechanism: Mechanism, refusal: str = "this requires an arm, not a mechanism of kind {kind!r}") -> Arm:
-    """The mechanism, required to be an arm. Raises RigError for another kind."""
+    """Require that a mechanism is an arm, and return it. Raises RigError for another kind."""
     if not has_links(mechanism):
         raise RigError(refusal.format(kind=mechanism.kind))
     return mechanism
 
 
 def require_chain(mechanism: Mechanism) -> Chain:
-    """The mechanism, required to be a chain of mechanisms. Raises RigError for another kind."""
+    """Require that a mechanism is a chain, and return it. Raises RigError for another kind."""
     if not has_stages(mechanism):
         raise RigError(f"this requires a chain of mechanisms, not a mechanism of kind {mechanism.kind!r}")
     return mechanism
@@ -92,7 +92,7 @@ def target_bodies(mechanism: Mechanism) -> tuple[str, ...]:
 def require_axes(
     mechanism: Mechanism, refusal: str = "this requires a machine with axes, not a body that is moved by hand"
 ) -> Commanded:
-    """The mechanism, required to have axes that are commanded. Raises RigError for a free body."""
+    """Require that a mechanism has axes to command, and return it. Raises RigError for a free body."""
     if not has_axes(mechanism):
         raise RigError(refusal.format(kind=mechanism.kind))
     return mechanism
@@ -216,7 +216,7 @@ class MechanismKinematics(Protocol[M]):
         mass moment (kg m); c = 0 where their weight is not borne by the axes."""
         ...
 
-    def axis_deviation_and_sway_by_growth(
+    def axis_deviation_and_sway_by_member_growth(
         self, T: RigidTransform, values: Floats, mechanism: M, share: Floats, /
     ) -> tuple[Floats, Floats]:
         """(deviation (n, axes), sway (n, 6)) of the machine whose axes' members have grown by shares (n, axes) of their

@@ -87,7 +87,7 @@ def link_weight_loads(T: RigidTransform, lengths: Floats, planar: Planar2, gravi
     return np.zeros((*np.shape(lengths), 0))
 
 
-def axis_deviation_and_sway_by_growth(
+def axis_deviation_and_sway_by_member_growth(
     T: RigidTransform, lengths: Floats, planar: Planar2, share: Floats
 ) -> tuple[Floats, Floats]:
     """Deviation (n, 2) m and sway (n, 6) by the growth of struts by shares (n, 2) of their length: no sway."""

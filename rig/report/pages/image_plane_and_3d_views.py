@@ -68,7 +68,10 @@ def image_plane_figure(
     layers: Sequence[Arrows | Cells | Quads],
     dots: Floats | None = None,
 ) -> str:
-    """Figure of the image plane with layers. caption : below; size : (width, height) px; dots : (n, 2) px, or None"""
+    """Figure of the image plane with layers.
+
+    caption : below; size : (width, height) px; dots : (n, 2) px, or None
+    """
     width, height = size
     scale = (WIDTH - 8) / width
     tall = scale * height
@@ -93,7 +96,10 @@ def image_plane_figure(
 
 
 def patch_means(uv: Floats, values: Floats, cell: float) -> tuple[Floats, Floats]:
-    """Patch means (centres (c, 2), means (c, k)) of values (n, k) at uv (n, 2) >= 0. cell : a square's side, as uv"""
+    """Means of values (n, k) by square patches of uv (n, 2) >= 0: (centres (c, 2), means (c, k)).
+
+    cell : a square's side, as uv
+    """
     keys, index, count = np.unique((uv // cell).astype(int) @ [1, 1000], return_inverse=True, return_counts=True)
     centre = np.stack([keys % 1000, keys // 1000], axis=1) * cell + cell / 2
     total = np.zeros((len(keys), values.shape[1]))

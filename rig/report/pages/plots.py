@@ -127,7 +127,10 @@ def plot_panel_svg(
     level: float | None = None,
     high: float = HIGH,
 ) -> str:
-    """Plot panel of series. labels : (x, y) with units; log : of y; limits : of y, or None; level : y of a line"""
+    """Plot panel of series as SVG.
+
+    labels : (x, y) with units; log : of y; limits : of y, or None; level : y of a line
+    """
     legend = [s for s in series if s.name]
     rows = _rows([s.name for s in legend])
     top = 19.0 + (TEXT + 7) + 18.0 * (max(row for row, _ in rows) + 1 if rows else 0)
@@ -160,7 +163,10 @@ def bar_chart_svg(
     unit: str,
     marked: Sequence[str] = (),
 ) -> str:
-    """Bar chart, horizontal: a bar per name and group. groups : (name, values in unit, colour); marked : bold names"""
+    """Horizontal bar chart as SVG: a bar per name and group.
+
+    groups : (name, values in unit, colour); marked : bold names
+    """
     rows = _rows([g[0] for g in groups])
     top = 10.0 + TEXT + 7 + 18.0 * (max(row for row, _ in rows) + 1)
     deep = 12 * len(groups) + 8

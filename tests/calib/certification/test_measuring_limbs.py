@@ -27,7 +27,7 @@ def measured(limbed):
         measuring_limb_calibration_and_slips.samples_with_limb_readings_as_commands(
             sample_recording(read).samples, frames, lengths
         ),
-        measuring_limb_calibration_and_slips.limb_hexapod(design),
+        measuring_limb_calibration_and_slips.hexapod_of_six_limbs(design),
         frames,
         lengths,
     )
@@ -135,7 +135,7 @@ def test_struts_are_learnt_from_the_limbs_alone(limbed, measured):
 def test_what_is_missing_is_said(limbed, design, tmp_path):
     _, read, _ = limbed
     with pytest.raises(RigError, match=r"no \[insitu\] table"):
-        measuring_limb_calibration_and_slips.limb_hexapod(design)
+        measuring_limb_calibration_and_slips.hexapod_of_six_limbs(design)
     with pytest.raises(RigError, match="'m3' is missing"):
         measuring_limb_calibration_and_slips.limb_readings(
             replace(

@@ -45,7 +45,10 @@ def limbs(machine):
     design, true, read, T = machine
     chosen = redundant_measuring_limb_checks.best_six_limbs(design.insitu, design.mechanism.home, T)
     six = measuring_limb_calibration_and_slips.Limbs(
-        measuring_limb_calibration_and_slips.limb_hexapod(true, chosen), 1e-14 * np.eye(42), np.full(6, 1e-6), chosen
+        measuring_limb_calibration_and_slips.hexapod_of_six_limbs(true, chosen),
+        1e-14 * np.eye(42),
+        np.full(6, 1e-6),
+        chosen,
     )
     return measuring_limb_calibration_and_slips.Limbs(
         six.hexapod,
@@ -84,7 +87,7 @@ def test_of_six_limbs_none_is_over_to_be_checked(machine):
         toml_entries(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6), "rig.toml")
     ).insitu
     six = measuring_limb_calibration_and_slips.Limbs(
-        measuring_limb_calibration_and_slips.limb_hexapod(true, np.arange(6)),
+        measuring_limb_calibration_and_slips.hexapod_of_six_limbs(true, np.arange(6)),
         1e-14 * np.eye(42),
         np.full(6, 1e-6),
         np.arange(6),
@@ -115,7 +118,7 @@ def test_fewer_limbs_than_freedoms_are_refused_with_the_reason(tmp_path):
         RigError,
         match="has 4 measuring limbs in .insitu., and a platform has six freedoms: fewer than six lengths tell no",
     ):
-        measuring_limb_calibration_and_slips.limb_hexapod(design)
+        measuring_limb_calibration_and_slips.hexapod_of_six_limbs(design)
     assert not redundant_measuring_limb_checks.has_six_measuring_limbs(design)
 
 

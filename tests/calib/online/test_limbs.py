@@ -35,7 +35,7 @@ def accepted(limbed, by_vision):
     frames, lengths = measuring_limb_calibration_and_slips.limb_readings(read)
     samples, nominal = (
         measuring_limb_calibration_and_slips.samples_with_limb_readings_as_commands(by_vision, frames, lengths),
-        measuring_limb_calibration_and_slips.limb_hexapod(design),
+        measuring_limb_calibration_and_slips.hexapod_of_six_limbs(design),
     )
     T, expected = measuring_limb_calibration_and_slips.held_out_limb_poses(samples, nominal, 1e-6)
     found = measuring_limb_calibration_and_slips.limb_agreement(samples.T_base_platform, T, expected, (5e-5, 3e-4))
@@ -176,7 +176,7 @@ def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(lim
             by_vision, *measuring_limb_calibration_and_slips.limb_readings(slipped(read, limb, by, at))
         )
         limbs, _ = measuring_limb_calibration_and_slips.calibrate_limbs(
-            samples, measuring_limb_calibration_and_slips.limb_hexapod(design), 1e-6
+            samples, measuring_limb_calibration_and_slips.hexapod_of_six_limbs(design), 1e-6
         )
         found = measuring_limb_calibration_and_slips.detect_limb_slip(samples, limbs, 1e-6)
         assert (found is None) == (by == 0)

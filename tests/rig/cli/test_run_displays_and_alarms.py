@@ -166,7 +166,7 @@ def by_limbs(folder, slip, at):
     design = design_file.load_design(folder / "rig.toml")
     true, nominal, rng = (
         design.mechanism,
-        measuring_limb_calibration_and_slips.limb_hexapod(design),
+        measuring_limb_calibration_and_slips.hexapod_of_six_limbs(design),
         np.random.default_rng(5),
     )
     commands = sobol_configurations(true.strut_range, 60, 0.6)

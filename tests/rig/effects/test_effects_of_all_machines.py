@@ -200,7 +200,7 @@ def test_links_that_grow_move_the_hand_as_longer_links_do():
         np.random.default_rng(6).uniform(-2, 2, (10, 6)),
         replace(UR10, joints=UR10.rows * [1, 1 + 1e-6, 1 + 1e-6, 1, 1]),
     )
-    sway = arm.axis_deviation_and_sway_by_growth(None, q, UR10, np.full((10, 6), 1e-6))[1]
+    sway = arm.axis_deviation_and_sway_by_member_growth(None, q, UR10, np.full((10, 6), 1e-6))[1]
     np.testing.assert_allclose(sway, pose_difference(arm.forward(q, UR10), arm.forward(q, grown)), atol=1e-11)
 
 

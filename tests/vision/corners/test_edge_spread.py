@@ -7,7 +7,7 @@ from scipy.special import ndtr
 
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.exact_pictures import SIZE, camera, picture, quad
-from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, WIDTHS, empty_profile, learn_edge_spread
+from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, WIDTHS, empty_residual_profile, learn_edge_spread
 from vision.corners.marker_detection import fit_read_markers
 from vision.corners.predicted_cell_white_share import GRID
 from vision.corners.whole_image_marker_reader import ReadMarkers
@@ -44,7 +44,7 @@ def test_what_a_camera_does_to_edges_is_learnt(design):
         truth.append(corners)
 
     def fit(spread):
-        profile = empty_profile()
+        profile = empty_residual_profile()
         found = [
             fit_read_markers(image, camera(), markers, ReadMarkers([k], corners[None]), spread=spread, profile=profile)
             for k, (image, corners) in enumerate(zip(images, truth))
@@ -67,6 +67,6 @@ def test_what_a_camera_does_to_edges_is_learnt(design):
 
 
 def test_too_few_pixels_teach_nothing():
-    profile = empty_profile()
+    profile = empty_residual_profile()
     profile[0, 10] = 5, 1.0, 1.0
     assert learn_edge_spread(PLAIN_EDGE_SPREAD, profile, 0.7) is PLAIN_EDGE_SPREAD

@@ -1,4 +1,4 @@
-"""The arm as Problem of the engine: terms turn joints, linear about the geometry; their nested selection."""
+"""The arm as a Problem of the diagnosis engine: effects at its joints, linear about the geometry; nested selection."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

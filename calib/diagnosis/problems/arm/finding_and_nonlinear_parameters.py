@@ -105,7 +105,7 @@ def term_parameter_covariance(fit: Fit, number: int) -> TermCovariance:
 
 
 def onset_time_interval(fit: Fit, number: int, dispersion: float) -> tuple[float, float]:
-    """(earliest, latest) s at which the onset of a term may lie.
+    """Interval (earliest, latest) s in which the onset of a term may lie.
     dispersion : that its score allows for
     """
     term, rest = fit.terms[number], fit.without_terms([number])
@@ -167,7 +167,7 @@ ORDER_STEP = 1e-4  # step of an order, for its derivative
 def finding_parameters(
     fit: Fit, finding: Finding[JointCandidate], origin: TimeOrigin, added_covariance: Floats
 ) -> dict[str, Value]:
-    """{name: Value} of a finding of a Fit; intervals allow for the dispersion seen.
+    """Parameters {name: Value} of a finding of a Fit, with intervals.
 
     origin : of the clock that tells moments; added_covariance : (c, c) covariance of the sizes by what the fit took to
         be exact

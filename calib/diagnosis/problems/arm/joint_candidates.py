@@ -1,4 +1,4 @@
-"""Candidates at an arm's joints: every effect of the catalogue, its places, its grid, its turn of the joint."""
+"""Candidate effects at an arm's joints: every effect of the catalogue, at each place, on a grid of parameters."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

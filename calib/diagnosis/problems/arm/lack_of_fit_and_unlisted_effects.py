@@ -67,7 +67,7 @@ class Found:
 
 
 def suggest_joint_formulas(fit: Fit, unexplained: list[LackOfFit]) -> list[Suggestion]:
-    """[Suggestion] of formulas for the unexplained part of single joints, the largest first.
+    """Suggested formulas ([Suggestion]) for the unexplained part of single joints, the largest first.
     At most SHOWN.
     """
     motion, places = fit.arms.context.moved(), {u.place for u in unexplained if u.depends_on}

@@ -160,7 +160,7 @@ def platform_candidate(spec: EffectCandidate) -> PlatformCandidate:
 
 
 def coefficient_bounds(spec: EffectCandidate) -> tuple[Floats, Floats]:
-    """(low (q,), high (q,)) bounds of the linear coefficients, from the parameters' bounds."""
+    """Bounds (low (q,), high (q,)) of the linear coefficients, from the parameters' bounds."""
     by, ends = {p.name: p for p in spec.kind.parameters_at(spec.place)}, []
     for column in spec.linear:
         if any(c.name == QUADRATURE for c in spec.linear):

@@ -46,7 +46,7 @@ from calib.diagnosis.problems.platform.platform_problem import PlatformFit, Plat
 from calib.diagnosis.problems.platform.strut_formula_suggestions import FORMULA_PLACES, suggest_strut_formulas
 from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import (
     add_temperature_alternatives,
-    separate_tolerable_findings,
+    separate_findings_within_tolerances,
     widen_intervals_by_temperature_logs_and_tolerances,
 )
 from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
@@ -107,7 +107,7 @@ class PlatformEvidence:
     def set_apart_tolerable(
         self, selection: PlatformSelection, left: list[LackOfFit]
     ) -> tuple[PlatformSelection, list[LackOfFit], Tolerable]:
-        return separate_tolerable_findings(_problem(selection), selection, left)
+        return separate_findings_within_tolerances(_problem(selection), selection, left)
 
     def with_temperature_alternatives(self, selection: PlatformSelection) -> PlatformSelection:
         return add_temperature_alternatives(_problem(selection), selection)

@@ -84,8 +84,9 @@ FORMULA_PLACES = ("strut", "rig")  # kinds of place for whose remainder formulas
 def suggest_strut_formulas(
     problem: PlatformProblem, fit: PlatformFit, unexplained: list[LackOfFit], progress: Progress | None = None
 ) -> list[Suggestion]:
-    """[Suggestion] of formulas for the unexplained part of single struts, of all alike, or of the platform.
+    """Suggested formulas ([Suggestion]) for the unexplained part of struts.
 
+    Of single struts, of all alike, or of the platform.
     progress : called with (label, done, of), or None
     """
     k = fit.refined.point

@@ -242,10 +242,10 @@ LASTING_VIEWS = ("map", "outward", "markers", "targets")  # effects that residua
 REASON_TOGETHER = "the tolerances of printed markers, corner finder and thermometers"
 
 
-def separate_tolerable_findings(
+def separate_findings_within_tolerances(
     problem: PlatformProblem, selection: PlatformSelection, unexplained: list[LackOfFit]
 ) -> tuple[PlatformSelection, list[LackOfFit], Tolerable]:
-    """(Selection of findings beyond tolerances, unexplained beyond them, Remarks on those that are tolerable)."""
+    """Separate findings that tolerances may cause, as Remarks, from the rest and the unexplained beyond them."""
     fit, known = selection.fit, problem.tolerant
     if not known and not selection.findings and not unexplained:
         return selection, unexplained, Tolerable()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rig.errors import FileError
-from rig.formats.json_toml_and_yaml_loading import value_positions
+from rig.formats.json_toml_and_yaml_loading import toml_value_positions
 from rig.formats.rig_toml import camera_instrument_and_cube_entries, design_file
 from rig.model import mechanisms
 from rig.model.pose import exp, pose_difference
@@ -194,7 +194,7 @@ def test_cameras_are_written_back_and_all_else_stays(rig_text, design, tmp_path)
 
 def test_positions_point_at_the_values(rig_text):
     lines = rig_text.splitlines()
-    found = value_positions(rig_text)
+    found = toml_value_positions(rig_text)
     places = {
         ("camera", 1, "name"): '"cam1"',
         ("target", 3, "faces", "+z"): "19",
@@ -210,7 +210,7 @@ def test_positions_survive_odd_toml():
         'a.b = """x\n]]"""  # c\n[t]\n"k e" = [ # why\n  1, \'two\', { y = 3 },\n]\n[[u.v]]\nw = 1979-05-27 '
         "07:32:00\n[[u.v]]\nw = -1e-3\n"
     )
-    found = value_positions(text)
+    found = toml_value_positions(text)
     assert (
         found[("a", "b")] == (1, 7) and found[("t", "k e", 2, "y")] == (5, 19) and found[("u", "v", 1, "w")] == (10, 5)
     )

@@ -143,7 +143,7 @@ def test_a_link_that_grows_takes_its_slide_along():
     rng, arm = np.random.default_rng(10), ARMS["random slides"]
     q, share = rng.normal(size=(5, 6)), 1e-7 * rng.normal(size=(5, 6))
     T = mechanism.forward(q, arm)
-    deviation, sway = mechanism.axis_deviation_and_sway_by_growth(T, q, arm, share)
+    deviation, sway = mechanism.axis_deviation_and_sway_by_member_growth(T, q, arm, share)
     assert not deviation.any()
     for k in range(5):
         rows = arm.rows.copy()

@@ -24,7 +24,7 @@ from rig.planning.configuration_sets import sobol_configurations
 def machine(limbed):
     """(strut and limb Hexapods as they truly are, poses (40,))"""
     true = limbed[2].world.true
-    limbs = measuring_limb_calibration_and_slips.limb_hexapod(true)
+    limbs = measuring_limb_calibration_and_slips.hexapod_of_six_limbs(true)
     return (
         true.mechanism,
         limbs,
@@ -141,8 +141,8 @@ def test_the_command_chooses_checks_and_names(limbed, tmp_path, capsys):
     measuring_limbs_file.save_limbs(
         limbs,
         measuring_limbs_file.Accepted(
-            Limbs(measuring_limb_calibration_and_slips.limb_hexapod(true), known, np.full(6, 1e-6)),
-            measuring_limb_calibration_and_slips.limb_hexapod(design),
+            Limbs(measuring_limb_calibration_and_slips.hexapod_of_six_limbs(true), known, np.full(6, 1e-6)),
+            measuring_limb_calibration_and_slips.hexapod_of_six_limbs(design),
             agreement,
             None,
             {},
