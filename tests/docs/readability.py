@@ -68,7 +68,7 @@ def blocks(text: str, tables: bool = False) -> list[str]:
             elif not line.startswith(" "):
                 listed = listed and open_block
             found[len(found) - open_block :] = [(found[-1] + " " if open_block else "") + _ITEM.sub("", line.strip())]
-            open_block = True
+            open_block = not line.endswith("  ")  # a line that is broken by hand ends what it says
     return found
 
 

@@ -7,6 +7,7 @@ import pytest
 from tests.docs import readability
 from tests.docs.readability import blocks, measure, page_sentences, sentences, syllables
 
+EASE, LONG = 50, 0.08  # least reading ease; greatest share of sentences over readability.LONGEST words
 BY_HAND = {
     "pose": 1, "struts": 1, "named": 1, "noted": 2, "edges": 2, "axes": 2, "table": 2, "able": 2, "calibrate": 3,
     "calibration": 4, "corrected": 3, "residual": 4, "covariance": 4, "requirement": 3,
@@ -40,6 +41,18 @@ def test_code_headings_and_tables_are_no_prose():
         ["At", "1.5", "mm,", "eg", "here."],
         ["Value", "ends", "The", "page."],
     ]
+
+
+def test_documents_are_read_with_ease_and_few_sentences_are_long():
+    measures = [measure(page_sentences(path)) for path in readability.WRITTEN]
+    assert sum(one.ease for one in measures) / len(measures) >= EASE
+    assert sum(one.long for one in measures) <= LONG * sum(one.sentences for one in measures)
+
+
+@pytest.mark.parametrize("path", readability.WRITTEN, ids=lambda path: path.name)
+def test_no_page_is_much_harder_than_the_others(path):
+    one = measure(page_sentences(path))
+    assert one.ease >= EASE and one.long <= max(1, LONG * one.sentences), "python -m tests.docs.readability"
 
 
 def test_every_written_page_has_sentences():
