@@ -19,9 +19,8 @@ Made from the code. What a command computes is one function here: `rig calibrate
 verdict with `print`, shows itself in a notebook, and writes what the command writes. `import rig, synthetic, vision,
 calib` takes no time: a name is opened when it is first used.
 
-Three notebooks go the whole way:
-[measure and calibrate](notebooks/measure-and-calibrate.ipynb), [diagnose](notebooks/diagnose.ipynb),
-[certify](notebooks/certify.ipynb).
+Three notebooks show complete examples: [measure and calibrate](notebooks/measure-and-calibrate.md),
+[diagnose](notebooks/diagnose.md), [certify](notebooks/certify.md).
 
 """
 EXAMPLE = """\

@@ -16,6 +16,15 @@ WIDTH, STEP, BOX, MARGIN, GAP = (
     18,
 )  # px: whole width, from layer to layer, height of a box, rim, least gap between boxes
 LETTER, ROUNDS = 7.3, 8  # px of a letter at 13 px; how often the places within layers are sorted
+HEAD = """# Which folder imports which
+
+`make docs` draws these diagrams from the imports in the code. The number at an arrow counts the imports of modules.
+It includes imports inside functions.
+
+Between packages, an arrow is drawn for every pair. Between folders, an arrow is left out where a longer chain of
+arrows implies it. A dashed arrow runs upward: these two folders import each other, in most cases through different
+files. Open a diagram alone and point at a box to see all that it imports.
+"""
 STYLE = """:root{color-scheme:light dark;
 --ground:#fff;--card:#eef1f6;--ink:#16181d;--soft:#555c69;--rule:#767d8a;--against:#b35c00}
 @media (prefers-color-scheme:dark){:root{
@@ -39,6 +48,16 @@ def diagram(name: str) -> str:
         return drawn(counts, downward(counts), "Imports between the packages")
     counts = folder_counts(name)
     return drawn(counts, unimplied(counts), f"Imports between the folders of {name}", top=name)
+
+
+def page() -> str:
+    """The page of all diagrams in Markdown."""
+    parts = [HEAD]
+    for name in DIAGRAMS:
+        heading = "The packages" if name == "packages" else f"Inside {name}"
+        picture = f"[![{heading}: imports](dependencies/{name}.svg)](dependencies/{name}.svg)"
+        parts.append(f'\n## {heading}\n\n<div class="diagram" markdown>{picture}</div>\n')
+    return "".join(parts)
 
 
 def drawn(counts: Counts, shown: Counts, title: str, top: str = "") -> str:

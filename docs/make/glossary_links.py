@@ -14,6 +14,7 @@ SPECIAL = {  # anchor in the glossary: the word as pages use it
     "configuration": "configurations?",
     "confound": "confounds?",
     "covariate": "covariates?",
+    "crowd": "crowd",
     "extension": "extensions?",
     "gdk": "GDK",
     "held-out": "held[- ]out",

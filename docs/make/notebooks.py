@@ -50,6 +50,21 @@ def _outputs(source: str, names: dict[str, Any], number: int) -> list[dict[str, 
     return out
 
 
+def page(path: Path) -> str:
+    """A notebook as a page in Markdown: its text, its code and the outputs that are stored in it."""
+    parts = []
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+        for output in cell.get("outputs", ()):
+            data = output.get("data", {})
+            shown = "".join(data.get("text/html", ())).replace("\n", " ")
+            plain = "".join(output.get("text") or data["text/plain"]).rstrip()
+            parts.append(shown or f"```text\n{plain}\n```")
+    file = f"[{path.name}]({path.name})"
+    return "\n\n".join([*parts, f"This page is the notebook {file}, with the outputs stored in it."]) + "\n"
+
+
 def main() -> None:
     """Run all notebooks and store their outputs."""
     for path in sorted(FOLDER.glob("*.ipynb")):

@@ -18,11 +18,20 @@ sys.path[:0] = [str(ROOT)]  # the pages are made from this tree
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add the pages and the diagrams that are made from the code."""
-    from docs.make import api, commands, dependency_diagram, messages
+    """Add the pages and the diagrams that are made from the code, the notebooks as pages, and the changes."""
+    from docs.make import api, commands, dependency_diagram, messages, notebooks
 
-    for name, page in (("commands.md", commands.page), ("troubleshooting.md", messages.page), ("api.md", api.page)):
-        files.append(File.generated(config, name, content=page()))
+    made = {
+        "commands.md": commands.page(),
+        "troubleshooting.md": messages.page(),
+        "api.md": api.page(),
+        "dependencies.md": dependency_diagram.page(),
+        "changelog.md": (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").replace("](docs/", "]("),
+    }
+    for path in sorted(notebooks.FOLDER.glob("*.ipynb")):
+        made[f"notebooks/{path.stem}.md"] = notebooks.page(path)
+    for name, content in made.items():
+        files.append(File.generated(config, name, content=content))
     for name in dependency_diagram.DIAGRAMS:
         files.append(File.generated(config, f"dependencies/{name}.svg", content=dependency_diagram.diagram(name)))
     return files
