@@ -28,7 +28,6 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
 from calib.experiment.experiment_questions_and_information import Question, camera_information_shares
 from calib.files import calibration_provenance_and_used_frames
 from calib.samples.pose_samples import Sampled, sample_recording
-from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_text_and_dict import Kinds, parse_effect_and_place, require_known_effect
 from rig.effects.texts.user_effect_file_loading import Plugin, catalogue_with_files
 from rig.errors import RigError
@@ -221,7 +220,7 @@ def diagnose(
     corners = recording.corners if prepared.joined else recorded_or_sampled_corners(recording)
     if corners is not None:
         prepared.look(corners)
-    kinds = catalogue_with_files(options.effects) if options.effects else BY_NAME
+    kinds = catalogue_with_files(options.effects)
     for text in (*(options.only or ()), *options.without):
         require_known_effect(text, recording.design, kinds)
     _refuse_same_data(options, recording)

@@ -103,13 +103,18 @@ class Sensitivities:
                 both = [b[back] for b in both]
             else:
                 run = k.run((*k.effects, effects[0]))
-                both = [k.pixels((*k.effects, effects[0]), rows, run)]
-                unsigned = parameter.bounds[0] >= 0  # the other end is the machine without it
-                if unsigned and place not in self.without:
-                    self.without[place] = k.pixels(None, rows)
-                both.append(self.without[place] if unsigned else k.pixels((*k.effects, effects[1]), rows, run))
+                signed = parameter.bounds[0] < 0  # else the other end is the machine without it
+                both = [
+                    k.pixels((*k.effects, effects[0]), rows, run),
+                    k.pixels((*k.effects, effects[1]), rows, run) if signed else self._without(place, rows),
+                ]
             self.pixels[key] = rows, (both[0] - both[1]) / (2 * step)
         return self.pixels[key]
+
+    def _without(self, place: str, rows: Integers) -> Floats:
+        if place not in self.without:
+            self.without[place] = self.point.pixels(None, rows)
+        return self.without[place]
 
     def _quads(self, rows: Integers) -> tuple[Floats, Integers]:
         key = ("quads", len(rows), int(rows[0]) if len(rows) else 0)
