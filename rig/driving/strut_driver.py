@@ -103,6 +103,18 @@ class Driver:
         """Status reported by the controller. Raises LinkLost, NoAnswer."""
         return self._status(self._state())
 
+    @property
+    def position_known(self) -> bool:
+        """Whether the lengths read back can be believed, by all that was seen since it was opened."""
+        return self._known
+
+    @property
+    def started_anew(self) -> bool:
+        """Whether the controller has started since its position was last homed or confirmed, and does not say itself
+        that it is homed.
+        """
+        return self._protocol.started_anew and not self._homed
+
     def lengths(self) -> Floats:
         """(n,) m, as read back now."""
         return self._lengths(self._state())
@@ -118,6 +130,7 @@ class Driver:
             raise Unreachable(
                 "what the controller reports cannot be trusted", error.index, [str(error), OUT_OF_RANGE]
             ) from None
+        self.link.run(self._protocol.confirm())
         self._known, self._homed = True, None
 
     def unlock(self) -> ControllerStatus:
@@ -322,7 +335,9 @@ class Driver:
         return cast(Floats, state.positions) + self.controller.zero
 
     def _status(self, state: State) -> ControllerStatus:
-        return ControllerStatus(state.activity, self._lengths(state), self._known, state.fault, state.said)
+        return ControllerStatus(
+            state.activity, self._lengths(state), self._known, state.fault, state.said, state.homing_required
+        )
 
     def _trouble(self, state: State) -> str:
         return (

@@ -60,6 +60,7 @@ class GCS:
         self.axes, self._count = tuple(axes), count
         self._identity = ""
         self._unit = 1e3
+        self.started_anew = False
 
     def hello(self) -> Dialogue[str]:
         lines = yield from query_dialogue(b"*IDN?\n", lambda lines: lines[-1].count(",") >= 2)
@@ -74,6 +75,7 @@ class GCS:
         yield from self._error()  # what was left by whoever came before
         yield from self._learn_unit()
         servo = yield from self._values("SVO?")
+        self.started_anew = self.started_anew or not servo.any()
         if not servo.all():
             verdict = yield from self._command("SVO " + " ".join(f"{axis} 1" for axis in self.axes))
             if not verdict.accepted:
@@ -127,6 +129,7 @@ class GCS:
                 return Verdict(False, _reason(error))
             if not moving:
                 referenced = yield from self._values("FRF?")
+                self.started_anew = self.started_anew and not referenced.all()
                 missing = [axis for axis, done in zip(self.axes, referenced) if not done]
                 return Verdict(not missing, f"not referenced: {' '.join(missing)}" if missing else "")
             yield from pause_dialogue()
@@ -144,6 +147,10 @@ class GCS:
     def unlock(self) -> Dialogue[Verdict]:
         yield from self._error()
         return (yield from self._command("SVO " + " ".join(f"{axis} 1" for axis in self.axes)))
+
+    def confirm(self) -> Dialogue[None]:
+        self.started_anew = False
+        yield from ()
 
     def event(self, line: str) -> str:
         return ""

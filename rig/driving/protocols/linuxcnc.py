@@ -46,6 +46,7 @@ class LinuxCNC:
     def __init__(self, axes: Sequence[str], kinematics: str, password: str, enable_password: str) -> None:
         self.axes, self.kinematics, self._password, self._enable = tuple(axes), kinematics, password, enable_password
         self._unit, self._inch, self._homed = 1e3, False, False
+        self.started_anew = False  # JOINT_HOMED says so itself
 
     def hello(self) -> Dialogue[str]:
         greeting = yield from self._greet()
@@ -156,6 +157,10 @@ class LinuxCNC:
         if verdict.accepted:
             verdict = yield from self._set("SET MACHINE ON", 4)
         return verdict
+
+    def confirm(self) -> Dialogue[None]:
+        self.started_anew = False
+        yield from ()
 
     def event(self, line: str) -> str:
         return ""

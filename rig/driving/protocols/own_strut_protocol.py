@@ -83,6 +83,7 @@ class Struts:
         self.count, self.watchdog = count, watchdog
         self._number = 0
         self._boot, self._line = "", 0
+        self.started_anew = False  # its state says so itself
 
     def hello(self) -> Dialogue[str]:
         words = (yield from self._told("HELLO")).split()
@@ -144,6 +145,10 @@ class Struts:
 
     def unlock(self) -> Dialogue[Verdict]:
         return (yield from self._command("UNLOCK"))
+
+    def confirm(self) -> Dialogue[None]:
+        self.started_anew = False
+        yield from ()
 
     def event(self, line: str) -> str:
         frame = decode_frame("<", line)
