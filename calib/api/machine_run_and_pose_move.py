@@ -24,16 +24,24 @@ from calib.online.run_options_and_equipment import (
 )
 from rig.array_and_json_types import Floats, Json
 from rig.driving import straight_move_profile
-from rig.driving.cameras.camera_interface_and_grabbing import Settling, parse_settling
+from rig.driving.cameras.camera_interface_and_grabbing import Settling, SynchronisedCameras, parse_settling
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_status_and_operator_advice import TRUST, ControllerStatus
 from rig.driving.driver_opening_and_settled_status import open_driver, settled_status
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.driving.move_and_record_loop import RunOperator
-from rig.driving.run_journal_and_recording import Began, Journal
-from rig.driving.run_steps_and_progress import Step, check_steps, step_distances, steps_of_plan
+from rig.driving.run_journal_and_recording import Began, CameraExposures, Journal
+from rig.driving.run_steps_and_progress import (
+    Progress,
+    Step,
+    check_steps,
+    lost_position_reason,
+    progress_from_journal,
+    step_distances,
+    steps_of_plan,
+)
 from rig.driving.strut_driver import Driver
-from rig.errors import PositionLost, RigError
+from rig.errors import ControllerFault, PositionLost, RigError
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes
 from rig.model import mechanisms
@@ -178,8 +186,13 @@ class PlannedRun:
                     "it was reported"
                 )
             fresh = not journal.rows
+            before: Progress | None = None
             if not fresh:
                 self._require_same_plan(_began(journal), out)
+                before = progress_from_journal(journal.rows, self.steps)
+                if before.ended == "":
+                    notice(f"{out} is finished: every step of its plan is done; nothing was opened or moved")
+                    return self.frames
             shutter = open_cameras(self.design, clock)
             stack.callback(shutter.close)
             listeners: list[Callable[[str], None]] = [notice]  # of what the driver reports: later the journal too
@@ -188,17 +201,17 @@ class PlannedRun:
             driver = stack.enter_context(
                 open_driver(self.design, options.trace, lambda text: _report(listeners, text), clock)
             )
-            homes, status = self._home(driver, settled_status(driver, clock), fresh, notice)
+            homes, status = self._home(driver, settled_status(driver, clock), before, notice)
             check_steps(self.steps, status.lengths, move_checker(self.design))
             bench = open_run_equipment(self.design, driver, shutter, self.settling, clock)
-            exposure = options.exposure
-            for line in set_exposures(shutter, self.design, exposure) if not isinstance(exposure, str) else ():
-                notice(line)
+            exposures = self._set_exposures(shutter, before, notice)
             if fresh:
                 write_bytes(out / "rig.toml", read_bytes(self.path))
                 began = clock.now(), len(self.steps), _hash(self.steps), tuple(map(float, status.lengths))
                 journal.append(Began(0.0, *began))
             origin = _origin(journal, clock, notice)
+            if exposures and (before is None or exposures != before.exposures):
+                journal.append(CameraExposures(clock.now() - origin, tuple(exposures), tuple(exposures.values())))
             stopping = RunStop(options.stop_on, driver.stop)
             observer = run_observer(self.design, self.steps, status.lengths, clock, stopping, options, out)
             observer.displays += stack.enter_context(displays(observer))
@@ -214,23 +227,44 @@ class PlannedRun:
         return observer.view.frames
 
     def _home(
-        self, driver: Driver, status: ControllerStatus, fresh: bool, notice: Notice
+        self, driver: Driver, status: ControllerStatus, before: Progress | None, notice: Notice
     ) -> tuple[bool, ControllerStatus]:
-        """(whether the struts were homed, Status from which the run begins). fresh : whether nothing was recorded yet
+        """(whether the struts were homed, Status from which the run begins). before : the run so far, or None
 
-        Raises PositionLost where nobody knows where they stand
+        Raises PositionLost where nobody knows where they stand, ControllerFault for an alarm that is not the one of a
+        controller which must be homed first: homing out of it takes the operator's consent
         """
-        trust = self.options.trust_position
-        if trust and not status.known:
+        c, trust = self.design.driver(), self.options.trust_position
+        lost = (
+            ""
+            if before is None
+            else lost_position_reason(before, status.lengths, c.tolerance, driver.started_anew, c.homing)
+        )
+        if trust or (before is None and not c.homing and status.known):
             driver.trust()
-        believed = status.known or trust
-        homes = self.design.driver().homing and not (trust if fresh else believed)
+        believed = trust or (status.known and not lost)
+        homes = c.homing and not (trust if before is None else believed)
         if not homes and not believed:
-            raise PositionLost(f"the position of the struts is not known; {TRUST}")
+            raise PositionLost(f"{lost or 'the position of the struts is not known'}; {TRUST}")
         if not homes:
             return False, status
-        notice("homing")
+        if (status.activity == "alarm" or status.fault) and not status.homing_required:
+            raise ControllerFault(
+                f"{status.fault or status.activity} ({status.said}): a run does not home out of this unasked; see what "
+                "is wrong at the machine, then rig home, and start the run again"
+            )
+        notice(f"homing: {lost}" if lost else "homing")
         return True, driver.home()
+
+    def _set_exposures(self, shutter: SynchronisedCameras, before: Progress | None, notice: Notice) -> dict[str, float]:
+        """{camera: s} set; a run that is resumed keeps those that it had."""
+        stated = self.options.exposure
+        if isinstance(stated, str):
+            return {}
+        made, lines = set_exposures(shutter, self.design, stated, before.exposures if before is not None else {})
+        for line in lines:
+            notice(line)
+        return made
 
     def _require_same_plan(self, began: Began, out: Path) -> None:
         """Raise RigError where a journal is not of this plan."""

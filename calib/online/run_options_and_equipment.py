@@ -167,22 +167,31 @@ def _move_time_profile(design: Design) -> Callable[[Floats, Floats, float, float
     return way
 
 
-def set_exposures(shutter: SynchronisedCameras, design: Design, stated_exposure: float | None) -> list[str]:
-    """Set exposures of all cameras, s (None: bright markers without clipping); returns lines of a report."""
-    said, markers = [], marker_map(design)
+def set_exposures(
+    shutter: SynchronisedCameras, design: Design, stated: float | None, of_run: dict[str, float]
+) -> tuple[dict[str, float], list[str]]:
+    """Set exposures of all cameras; returns ({camera: s}, lines of a report).
+
+    stated : s of all, or None; of_run : {camera: s} that the run had before, which it keeps where none is stated.
+    Where there is neither, markers are made bright without clipping.
+    """
+    made, said, markers = dict[str, float](), [], marker_map(design)
     for source in shutter.sources:
+        name = source.name
+        wanted = of_run.get(name) if stated is None else stated
         if not source.can_set_exposure:
-            said.append(f"camera {source.name!r} sets its exposure itself")
-        elif stated_exposure is not None:
-            said.append(f"camera {source.name!r}: exposure {source.set_exposure(stated_exposure) * 1e3:.3g} ms")
-        else:
-            exposure, level = set_exposure_for_markers(
-                source, partial(marker_white_level, camera=design.camera(source.name), markers=markers), FIRST_EXPOSURE
-            )
+            said.append(f"camera {name!r} sets its exposure itself")
+        elif wanted is not None:
+            made[name] = source.set_exposure(wanted)
             said.append(
-                f"camera {source.name!r}: exposure {exposure * 1e3:.3g} ms, markers' white at {level:.0f} of 255"
+                f"camera {name!r}: exposure {made[name] * 1e3:.3g} ms" + (", as before" if stated is None else "")
             )
-    return said
+        else:
+            made[name], level = set_exposure_for_markers(
+                source, partial(marker_white_level, camera=design.camera(name), markers=markers), FIRST_EXPOSURE
+            )
+            said.append(f"camera {name!r}: exposure {made[name] * 1e3:.3g} ms, markers' white at {level:.0f} of 255")
+    return made, said
 
 
 def run_observer(

@@ -104,6 +104,27 @@ class Readings:
 
 
 @dataclass(frozen=True, slots=True)
+class CameraExposures:
+    """Exposures that cameras were set to. cameras : names; seconds : as many"""
+
+    kind: ClassVar[str] = "exposures"
+    t: float
+    cameras: tuple[str, ...]
+    seconds: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PositionUnknown:
+    """Where the axes stand is not known until the run is resumed, which takes homing or the operator's word. reason :
+    in words
+    """
+
+    kind: ClassVar[str] = "position_unknown"
+    t: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class Remark:
     """A message shown to the operator."""
 
@@ -121,7 +142,7 @@ class Ended:
     reason: str
 
 
-Row = Began | Resumed | Departure | Arrival | Exposed | Readings | Remark | Ended
+Row = Began | Resumed | Departure | Arrival | Exposed | Readings | CameraExposures | PositionUnknown | Remark | Ended
 KINDS = {row.kind: row for row in Row.__args__}
 
 
