@@ -20,7 +20,7 @@ from rig.driving.cameras.camera_interface_and_grabbing import Settling, Synchron
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import RunEquipment
 from rig.driving.run_steps_and_progress import Step
-from rig.driving.serial_port import SensorReader
+from rig.driving.sensor_reader import SensorReader
 from rig.driving.straight_move_profile import Way, trapezoidal_profile
 from rig.driving.strut_driver import Driver
 from rig.errors import RigError

@@ -25,6 +25,7 @@ from rig.driving.protocols.protocol_interface import (
     pause_dialogue,
     query_dialogue,
 )
+from rig.driving.urgent_stop import STOPS
 from rig.errors import ControllerFault, NoAnswer
 
 UNITS = {"M": 1.0, "MM": 1e3, "UM": 1e6, "µM": 1e6}  # of a metre
@@ -54,7 +55,7 @@ class GCS:
     """
 
     name = "gcs"
-    urgent_stop = b"\x18"
+    urgent_stop = STOPS["gcs"]
 
     def __init__(self, axes: Sequence[str], count: int) -> None:
         self.axes, self._count = tuple(axes), count

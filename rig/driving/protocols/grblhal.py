@@ -24,6 +24,7 @@ from rig.driving.protocols.protocol_interface import (
     pause_dialogue,
     query_dialogue,
 )
+from rig.driving.urgent_stop import STOPS
 from rig.errors import ControllerFault, NoAnswer
 
 MM = 1e3
@@ -101,7 +102,7 @@ class GrblHAL:
     """See rig.driving.protocols.protocol_interface.Protocol. axes : letters of the axes, in the struts' order."""
 
     name = "grblhal"
-    urgent_stop = b"!"
+    urgent_stop = STOPS["grblhal"]
 
     def __init__(self, axes: Sequence[str]) -> None:
         self.axes = tuple(axes)

@@ -25,9 +25,9 @@ from rig.driving.protocols.protocol_interface import (
     pause_dialogue,
     query_dialogue,
 )
+from rig.driving.urgent_stop import CLIENT, STOPS
 from rig.errors import ControllerFault, NoAnswer
 
-CLIENT = "rig 1.0"
 UNITS = {"MM": 1e3, "INCH": 1 / 0.0254, "CM": 1e2}  # of a metre
 IDENTITY = "1"  # KINEMATICS_TYPE
 ECHO = 0.3  # s to wait for an answer that need not come
@@ -41,7 +41,7 @@ class LinuxCNC:
     """
 
     name = "linuxcnc"
-    urgent_stop = b"SET ABORT\r\n"
+    urgent_stop = STOPS["linuxcnc"]
 
     def __init__(self, axes: Sequence[str], kinematics: str, password: str, enable_password: str) -> None:
         self.axes, self.kinematics, self._password, self._enable = tuple(axes), kinematics, password, enable_password

@@ -18,6 +18,7 @@ from rig.driving.protocols.protocol_interface import (
     Verdict,
     pause_dialogue,
 )
+from rig.driving.urgent_stop import STOPS
 from rig.errors import ControllerFault, NoAnswer
 
 NM = 1e9
@@ -77,7 +78,7 @@ class Struts:
     """
 
     name = "struts"
-    urgent_stop = b"!"
+    urgent_stop = STOPS["struts"]
 
     def __init__(self, count: int, watchdog: float) -> None:
         self.count, self.watchdog = count, watchdog
