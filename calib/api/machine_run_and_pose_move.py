@@ -26,6 +26,7 @@ from rig.array_and_json_types import Floats, Json
 from rig.driving import straight_move_profile
 from rig.driving.cameras.camera_interface_and_grabbing import Settling, SynchronisedCameras, parse_settling
 from rig.driving.clock import Clock, SystemClock
+from rig.driving.controller_limits import require_goals_within_limits
 from rig.driving.controller_status_and_operator_advice import TRUST, ControllerStatus
 from rig.driving.driver_opening_and_settled_status import open_driver, settled_status
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
@@ -41,7 +42,7 @@ from rig.driving.run_steps_and_progress import (
     steps_of_plan,
 )
 from rig.driving.strut_driver import Driver
-from rig.errors import ControllerFault, PositionLost, RigError
+from rig.errors import ControllerFault, PositionLost, RigError, Unreachable
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes
 from rig.model import mechanisms
@@ -167,6 +168,28 @@ class PlannedRun:
         check_steps(self.steps, start, move_checker(self.design))
         return step_distances(self.steps, start)
 
+    def controller_warnings(self, driver: Driver) -> list[str]:
+        """Lines where the controller's own limits are tighter than the rig.toml's. Raises Unreachable where it would
+        refuse a goal of the plan.
+        """
+        own = driver.limits()
+        if own is not None:
+            goals = np.array([step.goal for step in self.steps])
+            require_goals_within_limits(own, goals, self.design.driver().zero)
+        return driver.limit_warnings()
+
+    def compare_with_controller(self) -> list[str]:
+        """Lines of the controller's own limits before a run, or of why it was not reached; nothing moves. Raises
+        Unreachable where it would refuse a goal of the plan.
+        """
+        try:
+            with open_driver(self.design, self.options.trace, ignore_notice) as driver:
+                return [f"warning: {line}" for line in self.controller_warnings(driver)]
+        except Unreachable:
+            raise
+        except RigError as error:
+            return [f"the controller's own limits were not compared: {error}"]
+
     def carry_out(
         self, out: Path, displays: Displays = lambda _: nullcontext([]), notice: Notice = ignore_notice
     ) -> int:
@@ -201,6 +224,8 @@ class PlannedRun:
             driver = stack.enter_context(
                 open_driver(self.design, options.trace, lambda text: _report(listeners, text), clock)
             )
+            for line in self.controller_warnings(driver):
+                notice(f"warning: {line}")
             homes, status = self._home(driver, settled_status(driver, clock), before, notice)
             check_steps(self.steps, status.lengths, move_checker(self.design))
             bench = open_run_equipment(self.design, driver, shutter, self.settling, clock)

@@ -85,6 +85,8 @@ def run(arguments: Namespace) -> None:
     planned = plan_run(design, arguments.design, arguments.plan, _options(arguments))
     if arguments.dry_run:
         _print_plan(planned)
+        for line in planned.compare_with_controller():
+            print(line)
         return
     from rig.cli.shared.run_display_and_controller_status import run_displays
 

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TextIO, TypeVar, cast
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving import protocols, straight_move_profile
 from rig.driving.clock import Clock, SystemClock
+from rig.driving.controller_limits import ControllerLimits, limit_warnings, limits_of_linuxcnc_ini
 from rig.driving.controller_requests_and_answers import Link, Port
 from rig.driving.controller_status_and_operator_advice import (
     ANEW,
@@ -118,6 +120,17 @@ class Driver:
     def lengths(self) -> Floats:
         """(n,) m, as read back now."""
         return self._lengths(self._state())
+
+    def limits(self) -> ControllerLimits | None:
+        """Limits that the controller itself has, None where nobody says. Raises LinkLost, NoAnswer, FileError."""
+        if self.controller.ini:
+            return limits_of_linuxcnc_ini(Path(self.controller.ini), len(self.mechanism.axes))
+        return self._asked(self._protocol.limits)
+
+    def limit_warnings(self) -> list[str]:
+        """Lines where the controller's own limits are tighter than the rig.toml's; raises what `limits` does."""
+        own = self.limits()
+        return [] if own is None else limit_warnings(own, self.controller, self.mechanism)
 
     def trust(self) -> None:
         """The operator confirms that lengths read back are true, after a start without homing or PositionLost. Raises

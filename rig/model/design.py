@@ -33,7 +33,7 @@ class Controller:
         shall stop
     kinematics : "joint" (an axis word is an axis) or "world" (the controller has the inverse kinematics and is sent
         poses)
-    password, enable_password : of linuxcncrsh
+    password, enable_password : of linuxcncrsh; ini : path of LinuxCNC's .ini, whose limits are compared, or ""
     """
 
     protocol: str
@@ -55,6 +55,7 @@ class Controller:
     kinematics: str
     password: str
     enable_password: str
+    ini: str = ""
 
 
 DISTORTION_TERMS = (4, 5, 8, 12, 14)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats
+from rig.driving.controller_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface import (
     POLL,
     REST,
@@ -152,6 +153,20 @@ class GCS:
     def confirm(self) -> Dialogue[None]:
         self.started_anew = False
         yield from ()
+
+    def limits(self) -> Dialogue[ControllerLimits | None]:
+        ends = []
+        for question in ("TMN?", "TMX?"):
+            lines = yield Exchange(f"{question} {' '.join(self.axes)}\n".encode(), _whole(rf"{_AXIS}={_NUMBER}"))
+            pairs = [re.fullmatch(rf"({_AXIS})=({_NUMBER})", line.strip()) for line in lines or ()]
+            found = {pair[1]: float(pair[2]) / self._unit for pair in pairs if pair}
+            if set(found) != set(self.axes):  # it does not know the question, or answers for other axes
+                yield from self._in_step()
+                yield from self._error()
+                return None
+            ends.append([found[axis] for axis in self.axes])
+        travel, unsaid = np.array(ends).T, np.full(len(self.axes), np.nan)
+        return ControllerLimits(travel, np.ptp(travel, axis=1), unsaid, unsaid, "TMN?, TMX?", "", "")
 
     def event(self, line: str) -> str:
         return ""

@@ -13,6 +13,7 @@ from typing import cast
 import numpy as np
 
 from rig.array_and_json_types import Floats
+from rig.driving.controller_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface import (
     POLL,
     Dialogue,
@@ -237,6 +238,25 @@ class GrblHAL:
     def confirm(self) -> Dialogue[None]:
         self.started_anew = False
         yield from self._make_ready()
+
+    def limits(self) -> Dialogue[ControllerLimits | None]:
+        yield from ()
+        span = self._axis_settings(130) / MM
+        if not int(self._settings.get(20, 0)) & 1:  # soft limits are off: it refuses nothing
+            span = np.full(len(self.axes), np.nan)
+        return ControllerLimits(
+            np.full((len(self.axes), 2), np.nan),  # whether it counts up from 0 or down to it depends on its homing
+            span,
+            self._axis_settings(110) / MM / 60,
+            self._axis_settings(120) / MM,
+            "$130 .. with $20=1",
+            "$110 ..",
+            "$120 ..",
+        )
+
+    def _axis_settings(self, first: int) -> Floats:
+        """(n,) a setting of each strut's axis, NaN where it is not listed. first : number of the first axis's"""
+        return np.array([self._settings.get(first + self._letters.index(axis), np.nan) for axis in self.axes])
 
     def event(self, line: str) -> str:
         line = line.strip()

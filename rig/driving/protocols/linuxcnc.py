@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rig.array_and_json_types import Floats
+from rig.driving.controller_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface import (
     POLL,
     REST,
@@ -161,6 +162,10 @@ class LinuxCNC:
     def confirm(self) -> Dialogue[None]:
         self.started_anew = False
         yield from ()
+
+    def limits(self) -> Dialogue[ControllerLimits | None]:
+        yield from ()
+        return None  # linuxcncrsh does not say; [controller] ini does
 
     def event(self, line: str) -> str:
         return ""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.driving.controller_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface import (
     POLL,
     REST,
@@ -150,6 +151,10 @@ class Struts:
     def confirm(self) -> Dialogue[None]:
         self.started_anew = False
         yield from ()
+
+    def limits(self) -> Dialogue[ControllerLimits | None]:
+        yield from ()
+        return None
 
     def event(self, line: str) -> str:
         frame = decode_frame("<", line)

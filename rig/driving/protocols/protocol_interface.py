@@ -8,6 +8,7 @@ from typing import TypeVar
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
+from rig.driving.controller_limits import ControllerLimits
 from rig.errors import NoAnswer
 
 T = TypeVar("T")
@@ -110,6 +111,9 @@ class Protocol(Interface):
 
     def confirm(self) -> Dialogue[None]:
         """Mark the position as confirmed by the operator, where the controller can hold such a mark."""
+
+    def limits(self) -> Dialogue[ControllerLimits | None]:
+        """Travel, speed and acceleration that it allows itself, None where it says nothing of them; after `hello`."""
 
     def event(self, line: str) -> str:
         """Content of an unsolicited line: "restarted", an alarm or an error in words, or "" for nothing."""

@@ -148,6 +148,7 @@ def _controller(table: Entries, mechanism: Hexapod | Planar2 | Arm | Chain | Fre
         table.text("kinematics", ("joint", "world"), default="joint"),
         table.text("password", default="EMC"),
         table.text("enable_password", default="EMCTOO"),
+        table.text("ini", default=""),
     )
 
 
