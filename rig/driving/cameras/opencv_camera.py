@@ -163,7 +163,7 @@ def open_opencv_camera(
         wrong = gstreamer_pipeline_problem(device_or_pipeline)
         if wrong is not None:
             raise CameraError(f"camera {name!r}: gstreamer:{device_or_pipeline} {wrong}")
-        if cv2.CAP_GSTREAMER not in cv2.videoio_registry.getBackends():
+        if not cv2.videoio_registry.hasBackend(cv2.CAP_GSTREAMER):  # others list it as a plug-in that is not there
             raise CameraError(f"camera {name!r}: this build of OpenCV has no GStreamer; Debian's python3-opencv has")
         capture = cv2.VideoCapture(device_or_pipeline, cv2.CAP_GSTREAMER)
     if not capture.isOpened():

@@ -104,7 +104,7 @@ WRITING = [
 
 def test_a_pipeline_opens_only_what_reads_decodes_and_converts(tmp_path, monkeypatch):
     opened = []
-    monkeypatch.setattr(cv2.videoio_registry, "getBackends", lambda: (cv2.CAP_GSTREAMER,))
+    monkeypatch.setattr(cv2.videoio_registry, "hasBackend", lambda kind: kind == cv2.CAP_GSTREAMER)
     closed = types.SimpleNamespace(isOpened=lambda: False, release=lambda: None)
     monkeypatch.setattr(cv2, "VideoCapture", lambda place, kind: opened.append(place) or closed)
     for text in WRITING:
@@ -117,6 +117,13 @@ def test_a_pipeline_opens_only_what_reads_decodes_and_converts(tmp_path, monkeyp
         with pytest.raises(CameraError, match="cannot be opened"):
             open_camera(camera(f"gstreamer:{text}"), Ticking())
     assert opened == READING
+
+
+def test_an_opencv_that_lists_gstreamer_and_cannot_load_it_says_so(monkeypatch):
+    monkeypatch.setattr(cv2.videoio_registry, "getBackends", lambda: (cv2.CAP_GSTREAMER,))  # as a plug-in, not there
+    monkeypatch.setattr(cv2.videoio_registry, "hasBackend", lambda kind: False)
+    with pytest.raises(CameraError, match="this build of OpenCV has no GStreamer"):
+        open_camera(camera("gstreamer:videotestsrc ! videoconvert ! appsink"), Ticking())
 
 
 def test_a_device_that_is_not_there_is_said(tmp_path):
