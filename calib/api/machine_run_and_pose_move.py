@@ -10,6 +10,7 @@ from threading import Thread
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.api.correct import covariance_sizes
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.correction.correction import require_reachable
 from calib.models.wanted_pose_commands import commands_along_route
@@ -57,7 +58,8 @@ from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, igno
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseMove:
     """A move to a pose. design; calibration; wanted : T_base_platform; lengths : (axes,) m to command; uncorrected :
-    whether these are by the nominal model; status : once it has been made, else None
+    whether these are by the nominal model; status : once it has been made, else None; covariance : (6, 6) m and rad, on
+    the right, of the pose that the lengths give, None where they are not corrected
     """
 
     design: Design
@@ -66,6 +68,7 @@ class PoseMove:
     lengths: Floats
     uncorrected: bool = False
     status: ControllerStatus | None = None
+    covariance: Floats | None = None
 
     @property
     def off_nominal(self) -> Floats:
@@ -81,6 +84,22 @@ class PoseMove:
         commanded = correction.inverse_without_physics(self.wanted) + self.status.lengths - self.lengths
         return self.wanted.inv() * correction.predict(commanded)
 
+    @property
+    def uncertainty(self) -> tuple[float, float] | None:
+        """Standard uncertainty (m, rad) of the pose by the calibration, over all three directions; None uncorrected."""
+        return None if self.covariance is None else covariance_sizes(self.covariance[None])[0]
+
+    @property
+    def within(self) -> tuple[float, float] | None:
+        """(m, rad) within which the platform is of the wanted pose, k=2: what the struts left of the way, and the
+        calibration's own uncertainty; None before the move and uncorrected.
+        """
+        left, own = self.remainder, self.uncertainty
+        if left is None or own is None:
+            return None
+        sizes = float(np.linalg.norm(left.translation)), float(left.rotation.magnitude())
+        return float(np.hypot(sizes[0], 2 * own[0])), float(np.hypot(sizes[1], 2 * own[1]))
+
     def __str__(self) -> str:
         return f"{'to command' if self.status is None else 'commanded'}: {self.lengths * 1e3} mm"
 
@@ -94,19 +113,23 @@ class PoseMove:
         }
         if self.status is not None:
             tree["lengths"] = self.status.lengths.tolist()
-        return tree if self.remainder is None else tree | {"left": pose_to_vector(self.remainder).tolist()}
+        if self.uncertainty is not None:
+            tree["uncertainty"] = list(self.uncertainty)
+        if self.remainder is not None and self.within is not None:
+            tree |= {"left": pose_to_vector(self.remainder).tolist(), "within": list(self.within)}
+        return tree
 
     def carry_out(self, driver: Driver, speed: float = 1.0) -> "PoseMove":
         """The same once made: from where the struts stand, not from home. speed : share of the greatest
 
         Raises Unreachable for lengths out of range, MotionError where the struts do not arrive
         """
-        lengths = self.lengths
+        lengths, covariance = self.lengths, self.covariance
         if self.calibration.physics is not None and not self.uncorrected:
-            lengths = _lengths(self.calibration, self.wanted, driver.status().lengths)
+            lengths, covariance = _lengths(self.calibration, self.wanted, driver.status().lengths)
             require_reachable(lengths[None], require_hexapod(self.design.mechanism), ["the pose"])
         driver.move(lengths, speed)
-        return replace(self, lengths=lengths, status=driver.status())
+        return replace(self, lengths=lengths, covariance=covariance, status=driver.status())
 
 
 def plan_pose_move(
@@ -118,9 +141,12 @@ def plan_pose_move(
     """
     correction = calibration.correction
     home = mechanisms.kinematics_of(correction.nominal).home_values(correction.nominal)
-    lengths = correction.uncorrected(wanted) if uncorrected else _lengths(calibration, wanted, home)
+    if uncorrected:
+        lengths, covariance = correction.uncorrected(wanted), None
+    else:
+        lengths, covariance = _lengths(calibration, wanted, home)
     require_reachable(np.array([lengths]), require_hexapod(design.mechanism), ["the pose"])
-    return PoseMove(design, calibration, wanted, lengths, uncorrected)
+    return PoseMove(design, calibration, wanted, lengths, uncorrected, covariance=covariance)
 
 
 def require_same_rig(design: Design, calibration: Calibration, design_path: Path, calibration_path: Path) -> None:
@@ -135,10 +161,11 @@ def require_same_rig(design: Design, calibration: Calibration, design_path: Path
         )
 
 
-def _lengths(calibration: Calibration, wanted: RigidTransform, start: Floats) -> Floats:
-    """(axes,) m that give a wanted pose (), the axes coming from start (axes,)."""
+def _lengths(calibration: Calibration, wanted: RigidTransform, start: Floats) -> tuple[Floats, Floats | None]:
+    """((axes,) m that give a wanted pose (), (6, 6) covariance of the pose), the axes coming from start (axes,)."""
     T = RigidTransform.from_matrix(wanted.as_matrix()[None])
-    return commands_along_route(calibration, T, np.asarray(start, float)).values[0]
+    found = commands_along_route(calibration, T, np.asarray(start, float))
+    return found.values[0], None if found.covariance is None else found.covariance[0]
 
 
 STANDARD = RunOptions()

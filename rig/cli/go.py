@@ -81,13 +81,14 @@ def _print_plan(move: PoseMove) -> None:
 
 
 def _print_remainder(move: PoseMove) -> None:
-    """Print how far from the pose the platform is by the calibration."""
-    remainder = move.remainder
-    if remainder is not None:
-        position, rotation = (remainder.translation**2).sum() ** 0.5, remainder.rotation.magnitude()
+    """Print how far from the pose the platform is by the calibration, with what that is itself uncertain by."""
+    left, own, within = move.remainder, move.uncertainty, move.within
+    if left is not None and own is not None and within is not None:
+        position, rotation = (left.translation**2).sum() ** 0.5, left.rotation.magnitude()
         print(
-            f"by the calibration the platform is within {position * 1e6:.1f} um and {rotation * 1e6:.1f} urad of the "
-            "pose"
+            f"the platform is within {within[0] * 1e6:.1f} um and {within[1] * 1e6:.1f} urad of the pose (k=2): the "
+            f"struts read {position * 1e6:.1f} um and {rotation * 1e6:.1f} urad off it, and the calibration itself is "
+            f"uncertain by {2e6 * own[0]:.1f} um and {2e6 * own[1]:.1f} urad (k=2)"
         )
 
 
