@@ -20,7 +20,7 @@ from rig.formats.number_parsing_and_rounding import parse_numbers
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-    from calib.api.machine_run_and_pose_move import PoseMove
+    from calib.api.pose_move import PoseMove
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -49,7 +49,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Go to a pose: the corrected lengths, checked, commanded and read back."""
-    from calib.api.machine_run_and_pose_move import plan_pose_move, require_same_rig
+    from calib.api.pose_move import plan_pose_move, require_same_rig
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
 

@@ -13,7 +13,7 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
-    from calib.api.machine_run_and_pose_move import PlannedRun, RunOptions
+    from calib.api.machine_run import PlannedRun, RunOptions
 
 KINDS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
 
@@ -78,7 +78,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Check, home, and visit every pose of the plan; or go on where another process ended."""
-    from calib.api.machine_run_and_pose_move import plan_run
+    from calib.api.machine_run import plan_run
     from rig.driving.driver_opening_and_settled_status import design_with_controller_port
 
     design = design_with_controller_port(arguments.design, arguments.port)
@@ -97,7 +97,7 @@ def run(arguments: Namespace) -> None:
 
 def _options(arguments: Namespace) -> RunOptions:
     """How a run goes, by the arguments. Raises RigError for what cannot be meant, before anything moves."""
-    from calib.api.machine_run_and_pose_move import RunOptions
+    from calib.api.machine_run import RunOptions
     from calib.files import calibration_file
 
     exposure, known = arguments.exposure, arguments.calibration
