@@ -122,10 +122,12 @@ class PlannedRun:
                 if before.ended == "":
                     notice(f"{out} is finished: every step of its plan is done; nothing was opened or moved")
                     return self.frames
-            shutter = open_cameras(self.design, clock)
-            stack.callback(shutter.close)
+            seeing = options.uses_cameras(self.design)
+            shutter = open_cameras(self.design, clock) if seeing else None
+            if shutter is not None:
+                stack.callback(shutter.close)
             listeners: list[Callable[[str], None]] = [notice]  # of what the driver reports: later the journal too
-            if options.measure:
+            if options.measure and seeing:
                 Thread(target=compile_kernels_for_run, args=(self.design,), daemon=True).start()
             driver = stack.enter_context(
                 open_driver(self.design, options.trace, lambda text: _report(listeners, text), clock)
@@ -187,10 +189,12 @@ class PlannedRun:
         notice(f"homing: {lost}" if lost else "homing")
         return True, driver.home()
 
-    def _set_exposures(self, shutter: SynchronisedCameras, before: Progress | None, notice: Notice) -> dict[str, float]:
+    def _set_exposures(
+        self, shutter: SynchronisedCameras | None, before: Progress | None, notice: Notice
+    ) -> dict[str, float]:
         """{camera: s} set; a run that is resumed keeps those that it had."""
         stated = self.options.exposure
-        if isinstance(stated, str):
+        if isinstance(stated, str) or shutter is None:
             return {}
         made, lines = set_exposures(shutter, self.design, stated, before.exposures if before is not None else {})
         for line in lines:

@@ -46,7 +46,8 @@ class RunOptions:
     rad) of drift from it that is an alarm, or None; stop_on : kinds of ALARMS that end the run
     measure : whether frames are measured; limbs : measuring limbs in place of vision, or None; trust_position : whether
     the position that the controller reads is believed; resume : whether a run is gone on with; trace : file of the
-    bytes exchanged with the controller, or None
+    bytes exchanged with the controller, or None; cameras : whether those of the rig take images; without, or where it
+    has none, places are visited for other instruments
     """
 
     seed: int = 0
@@ -61,6 +62,11 @@ class RunOptions:
     trust_position: bool = False
     resume: bool = False
     trace: Path | None = None
+    cameras: bool = True
+
+    def uses_cameras(self, design: Design) -> bool:
+        """Whether images are taken."""
+        return self.cameras and bool(design.cameras)
 
     def __post_init__(self) -> None:
         if self.stop_on - set(ALARMS):
@@ -86,7 +92,11 @@ class RunOptions:
         return found
 
     def refuse_unsuited(self, design: Design) -> None:
-        """Raise RigError for a calibration of another kind of machine than a design's, or with physics."""
+        """Raise RigError for a calibration of another kind of machine than a design's, or with physics; and for what
+        takes cameras where there are none.
+        """
+        if not self.uses_cameras(design) and (self.limbs is not None or self.settle == "images"):
+            raise RigError("without cameras there is neither --settle images nor --limbs, which vision must check")
         calibration = self.calibration
         if calibration is None:
             return
@@ -128,7 +138,7 @@ def open_cameras(design: Design, clock: Clock) -> SynchronisedCameras:
 
 
 def open_run_equipment(
-    design: Design, driver: Driver, shutter: SynchronisedCameras, settling: Settling, clock: Clock
+    design: Design, driver: Driver, shutter: SynchronisedCameras | None, settling: Settling, clock: Clock
 ) -> RunEquipment:
     """Open the RunEquipment of a run, with its sensors if any. Raises RigError for settling by limbs that nobody
     reads.
@@ -208,8 +218,10 @@ def run_observer(
     start : (axes,) m; out : the recording, named where an acceptance is withdrawn
     """
     accepted = options.accepted_limbs(design)
-    measured = options.measure and (
-        has_hand_cameras(design) or any(target.body == "platform" for target in design.targets)
+    measured = (
+        options.measure
+        and options.uses_cameras(design)
+        and (has_hand_cameras(design) or any(target.body == "platform" for target in design.targets))
     )
     learner = None
     if measured and has_plates(design.mechanism):

@@ -64,6 +64,12 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="WHAT,..",
         help=f"end the run on {', '.join(KINDS)}; by default they are only reported",
     )
+    parser.add_argument(
+        "--no-cameras",
+        action="store_true",
+        help="take no images: places are visited for another instrument, and visits.csv says when the struts stood "
+        "where; as by itself where rig.toml has no camera. --settle time:SECONDS leaves it its time",
+    )
     parser.add_argument("--no-measure", action="store_true", help="take images only")
     add_limb_options(parser)
     parser.add_argument(
@@ -92,7 +98,13 @@ def run(arguments: Namespace) -> None:
 
     out = arguments.out
     frames = planned.carry_out(out, partial(run_displays, arguments.page), print)
-    print(f"{frames} frames in {out}; rig measure {out} --out DIR measures them all jointly")
+    if planned.options.uses_cameras(design):
+        print(f"{frames} frames in {out}; rig measure {out} --out DIR measures them all jointly")
+    else:
+        print(
+            f"{frames} visits in {out / 'visits.csv'}; join an instrument's poses to them by frame, as "
+            f"{out / 'poses.csv'}"
+        )
 
 
 def _options(arguments: Namespace) -> RunOptions:
@@ -116,6 +128,7 @@ def _options(arguments: Namespace) -> RunOptions:
         arguments.no_home,
         arguments.resume,
         arguments.trace,
+        not arguments.no_cameras,
     )
 
 
@@ -136,7 +149,8 @@ def _print_plan(planned: PlannedRun) -> None:
 
     from rig.cli.shared.run_display_and_controller_status import lengths_text
 
-    steps, cameras, distances = planned.steps, planned.design.cameras, planned.distances()
+    steps, distances = planned.steps, planned.distances()
+    cameras = planned.design.cameras if planned.options.cameras else ()
     for k, step in enumerate(steps):
         exposed = f"{step.frames} frame{'s' * (step.frames != 1)}" if step.frames else "passed on the way"
         print(f"step {k + 1}: {lengths_text(step.goal)}, {distances[k] * 1e3:.1f} mm to go, {exposed}")

@@ -222,7 +222,13 @@ class RunOperator:
         t = float(np.mean([frame.t for frame in frames.values()])) - self._origin if frames else self.now()
         self.write(
             Exposed(
-                t, index, number, tuple(float(f.t_sigma) for f in frames.values()), tuple(frames), tuple(names.values())
+                t,
+                index,
+                number,
+                tuple(float(f.t_sigma) for f in frames.values()),
+                tuple(frames),
+                tuple(names.values()),
+                tuple(at.tolist()),
             )
         )
         self.watcher.seen(RecordedFrame(number, index, t, goal, frames))

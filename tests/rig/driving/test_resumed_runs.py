@@ -1,10 +1,15 @@
 """Runs begun or resumed at an emulated controller: what they home out of, what they believe, what stays as it was."""
 
+import re
+from datetime import datetime
+
 import numpy as np
 import pytest
 
 from rig.driving.run_journal_and_recording import CameraExposures, Ended, Exposed, PositionUnknown, read_journal
-from rig.errors import ControllerFault, MotionError, PositionLost, Stopped
+from rig.errors import ControllerFault, MotionError, PositionLost, RigError, Stopped
+from rig.formats.rig_toml import design_file
+from rig.recording import recording_folder
 from tests.emulated_run import RigInThread
 
 NO_SWITCHES = "homing = false\nzero = 0.4\n"
@@ -131,3 +136,37 @@ def test_a_resumed_run_keeps_its_exposures(made, tmp_path, monkeypatch):
     assert [row.seconds for row in rows(out) if isinstance(row, CameraExposures)] == [(0.0123,)]
     assert sum(isinstance(row, Exposed) for row in rows(out)) == 2
     np.testing.assert_equal(next(chosen), 0.0086)
+
+
+@pytest.mark.parametrize("stated", [True, False], ids=["in rig.toml", "asked for"])
+def test_a_run_without_cameras_leaves_visits_that_an_instruments_poses_are_joined_to(made, tmp_path, stated):
+    if stated:
+        made.path.write_text(re.sub(r"\n\[\[camera\]\]\n.*?(?=\n\[)", "\n", made.path.read_text(), flags=re.DOTALL))
+        made.design = design_file.load_design(made.path)
+        assert not made.design.cameras
+    out = tmp_path / "rec"
+    options = {"exposure": None, "measure": True, "cameras": stated}
+    interrupted(made, out, **options)
+    assert made.run(out, resume=True, **options) == 2
+    visits = np.genfromtxt(out / "visits.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    assert visits["frame"].tolist() == [0, 1] and (visits["from"] <= visits["until"]).all()
+    frames = [row for row in rows(out) if isinstance(row, Exposed)]
+    began = rows(out)[0]
+    for visit, row in zip(visits, frames):
+        when = datetime.fromisoformat(str(visit["utc_until"])).timestamp()
+        assert when == pytest.approx(began.wall + row.t, abs=2e-3)
+        np.testing.assert_allclose([visit[f"l{i}_read"] for i in range(1, 7)], row.position, atol=1e-9)
+    poses = "".join(f"{k},0.0,0.0,0.44,0.0,0.0,0.0\n" for k in visits["frame"])
+    (out / "poses.csv").write_text("frame,x,y,z,rx,ry,rz\n" + poses)
+    text = 'base = "free"\ntool = "free"\nposition_sigma = 2e-5\nrotation_sigma = 1e-4\n'
+    (out / "rig.toml").write_text((out / "rig.toml").read_text() + "\n[instrument]\n" + text)
+    found = recording_folder.load_recording(out)
+    assert found.poses.frame.tolist() == [0, 1]
+    np.testing.assert_allclose(
+        found.commanded()[2], [[visit[f"l{i}"] for i in range(1, 7)] for visit in visits], atol=1e-8
+    )
+
+
+def test_what_takes_cameras_is_refused_without_them(made, tmp_path):
+    with pytest.raises(RigError, match="without cameras there is neither --settle images"):
+        made.run(tmp_path / "rec", cameras=False, settle="images")
