@@ -162,6 +162,24 @@ class Platform:
     payload_centre_of_mass: Floats | None
 
 
+@dataclass(frozen=True, slots=True)
+class CaptureSettings:
+    """How a run sets a camera; what is not stated stays as the camera has it.
+
+    pixel_format : GenICam's PixelFormat ("Mono8", "BayerRG8", "RGB8"), or four letters of a UVC format ("MJPG", "YUYV")
+    gain : dB (GenICam, whose automatic gain is switched off), or the driver's own figure (UVC)
+    focus : the driver's own figure, its automatic focus is switched off; white_balance : K, likewise (UVC)
+    """
+
+    pixel_format: str = ""
+    gain: float | None = None
+    focus: float | None = None
+    white_balance: float | None = None
+
+
+AS_IT_IS = CaptureSettings()  # of a camera of which nothing is to be set
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
     """A camera with an OpenCV lens.
@@ -173,6 +191,7 @@ class Camera:
     mount : "fixed", "moving" with a pose of its own in every frame, or "hand": the platform carries it, and pose is
         T_platform_camera
     source : what a run opens it by, for example "uvc:0", or None; see rig.driving.cameras.KINDS
+    capture : how it is set
     """
 
     name: str
@@ -185,6 +204,7 @@ class Camera:
     row_time: float = 0.0
     mount: str = "fixed"
     source: str | None = None
+    capture: CaptureSettings = AS_IT_IS
 
     def __post_init__(self) -> None:
         freeze_array(self, "matrix", (3, 3))
