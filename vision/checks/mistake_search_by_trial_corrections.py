@@ -91,7 +91,7 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
             what, do, other = min(
                 (one for one in rivals if one[2].misfit < ALIKE * least), key=lambda one: _elsewhere(one[2])
             )
-            begun = _stated_from(first, other)
+            begun = conventions.trial_of_stated_targets(first, other)
             if begun is not None and begun.misfit < DONE:
                 return [], begun  # what is stated explains all: the mistake was but another place to begin
             if other.misfit < 0.7 * best.misfit:
@@ -122,16 +122,6 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
             )
         ], first
     return [], first
-
-
-def _stated_from(first: Trial, other: Trial) -> Trial | None:
-    """Trial of what is stated, begun from the cameras that another statement of the targets led to; None where that
-    changes more than targets.
-    """
-    stated, seen, measured = first.seen, other.seen, other.measured
-    if seen.corners is not stated.corners or seen.design.cameras is not stated.design.cameras or measured is None:
-        return None
-    return measure_trial(stated.with_cameras(measured.design.cameras))
 
 
 def _stands(stated: SampledRecording, other: Trial) -> bool:
