@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from calib.api.learn import learn as learn
     from calib.api.loop_closures_of_redundant_legs import LoopClosureOptions as LoopClosureOptions
     from calib.api.loop_closures_of_redundant_legs import close_loops as close_loops
-    from calib.api.machine_run_and_pose_move import RunOptions as RunOptions
-    from calib.api.machine_run_and_pose_move import plan_run as plan_run
+    from calib.api.machine_run import RunOptions as RunOptions
+    from calib.api.machine_run import plan_run as plan_run
     from calib.api.measuring_limb_acceptance_and_platform_poses import AcceptLimbsOptions as AcceptLimbsOptions
     from calib.api.measuring_limb_acceptance_and_platform_poses import accept_limbs as accept_limbs
     from calib.api.plan import plan as plan
@@ -93,7 +93,7 @@ __getattr__ = lazy_getattr(
         ),
         **dict.fromkeys(("close_loops", "LoopClosureOptions"), "calib.api.loop_closures_of_redundant_legs"),
         **dict.fromkeys(("export", "ExportOptions"), "calib.api.export"),
-        **dict.fromkeys(("plan_run", "RunOptions"), "calib.api.machine_run_and_pose_move"),
+        **dict.fromkeys(("plan_run", "RunOptions"), "calib.api.machine_run"),
         "analyse_workspace": "calib.api.workspace",
         "investigate": "calib.api.investigate",
         "InvestigateOptions": "calib.experiment.investigation_machine",

@@ -110,3 +110,45 @@ def _run(arguments: list[str], log: str) -> None:
     sys.stdout = os.fdopen(1, "w", buffering=1)
     sys.stderr = os.fdopen(2, "w", buffering=1)
     os._exit(main(arguments))
+
+
+class RigInThread:
+    """An emulated rig in this process, whose controller a test may put into any state. emulator : its controller
+
+    controller : lines added to [controller]
+    """
+
+    def __init__(self, folder: Path, controller: str = "") -> None:
+        import numpy as np
+
+        self.folder, self._running = folder, True
+        listening = socket.create_server(("127.0.0.1", 0))
+        threading.Thread(target=cameras, args=(listening,), daemon=True).start()
+        text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(
+            0.3, cameras=1, width=WIDTH, height=HEIGHT
+        ).replace(
+            'shutter = "global"', f'shutter = "global"\nsource = "emulator:127.0.0.1:{listening.getsockname()[1]}"'
+        )
+        self.path = folder / "rig.toml"
+        self.path.write_text(text + CONTROLLER.format(protocol="grblhal", port=folder / "port") + controller)
+        self.design = design_file.load_design(self.path)
+        self.emulator = emulators.emulator_of_design(self.design, Faults((), np.random.default_rng(0)), SystemClock())
+        wire = controller_emulator_opening_and_ports.Terminal(folder / "port")
+        self._thread = threading.Thread(
+            target=controller_emulator_opening_and_ports.serve_emulator,
+            args=(self.emulator, wire, lambda: self._running, lambda name: None, lambda: None),
+            daemon=True,
+        )
+        self._thread.start()
+
+    def run(self, out: Path, plan: str = "sobol:2", notices: list[str] | None = None, **options) -> int:
+        """A run of a plan, which measures nothing, as `rig run` makes it."""
+        from calib.api.machine_run import RunOptions, plan_run
+
+        settings = {"settle": "time:0", "exposure": "keep", "measure": False} | options
+        planned = plan_run(self.design, self.path, plan, RunOptions(**settings))
+        return planned.carry_out(out, notice=(notices if notices is not None else []).append)
+
+    def close(self) -> None:
+        self._running = False
+        self._thread.join()

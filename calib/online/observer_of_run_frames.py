@@ -18,7 +18,17 @@ from calib.online.platform_poses_from_measuring_limbs import Disagreement, LiveL
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import RecordedFrame
-from rig.driving.run_journal_and_recording import Departure, Ended, Exposed, Readings, Remark, Resumed, Row
+from rig.driving.run_journal_and_recording import (
+    CameraExposures,
+    Departure,
+    Ended,
+    Exposed,
+    PositionUnknown,
+    Readings,
+    Remark,
+    Resumed,
+    Row,
+)
 from rig.driving.run_steps_and_progress import Step, step_distances
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
@@ -166,8 +176,8 @@ class RunObserver:
             self.update(phase="exposed", frame=row.frame + 1)
         elif isinstance(row, Resumed):
             self.update(phase=row.found, lengths=np.array(row.position))
-        elif isinstance(row, Remark):
-            return  # alarms are shown as such
+        elif isinstance(row, Remark | CameraExposures | PositionUnknown):
+            return  # alarms are shown as such, and the end says why
         elif isinstance(row, Ended):
             self.update(phase="done" if not row.reason else f"ended: {row.reason}", ended=row.reason, left=0.0)
         elif isinstance(row, Readings):

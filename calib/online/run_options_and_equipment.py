@@ -20,7 +20,7 @@ from rig.driving.cameras.camera_interface_and_grabbing import Settling, Synchron
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import RunEquipment
 from rig.driving.run_steps_and_progress import Step
-from rig.driving.serial_port import SensorReader
+from rig.driving.sensor_reader import SensorReader
 from rig.driving.straight_move_profile import Way, trapezoidal_profile
 from rig.driving.strut_driver import Driver
 from rig.errors import RigError
@@ -46,7 +46,8 @@ class RunOptions:
     rad) of drift from it that is an alarm, or None; stop_on : kinds of ALARMS that end the run
     measure : whether frames are measured; limbs : measuring limbs in place of vision, or None; trust_position : whether
     the position that the controller reads is believed; resume : whether a run is gone on with; trace : file of the
-    bytes exchanged with the controller, or None
+    bytes exchanged with the controller, or None; cameras : whether those of the rig take images; without, or where it
+    has none, places are visited for other instruments
     """
 
     seed: int = 0
@@ -61,6 +62,11 @@ class RunOptions:
     trust_position: bool = False
     resume: bool = False
     trace: Path | None = None
+    cameras: bool = True
+
+    def uses_cameras(self, design: Design) -> bool:
+        """Whether images are taken."""
+        return self.cameras and bool(design.cameras)
 
     def __post_init__(self) -> None:
         if self.stop_on - set(ALARMS):
@@ -86,7 +92,11 @@ class RunOptions:
         return found
 
     def refuse_unsuited(self, design: Design) -> None:
-        """Raise RigError for a calibration of another kind of machine than a design's, or with physics."""
+        """Raise RigError for a calibration of another kind of machine than a design's, or with physics; and for what
+        takes cameras where there are none.
+        """
+        if not self.uses_cameras(design) and (self.limbs is not None or self.settle == "images"):
+            raise RigError("without cameras there is neither --settle images nor --limbs, which vision must check")
         calibration = self.calibration
         if calibration is None:
             return
@@ -131,7 +141,7 @@ def open_cameras(design: Design, clock: Clock) -> SynchronisedCameras:
 
 
 def open_run_equipment(
-    design: Design, driver: Driver, shutter: SynchronisedCameras, settling: Settling, clock: Clock
+    design: Design, driver: Driver, shutter: SynchronisedCameras | None, settling: Settling, clock: Clock
 ) -> RunEquipment:
     """Open the RunEquipment of a run, with its sensors if any.
 
@@ -171,22 +181,31 @@ def _move_time_profile(design: Design) -> Callable[[Floats, Floats, float, float
     return way
 
 
-def set_exposures(shutter: SynchronisedCameras, design: Design, stated_exposure: float | None) -> list[str]:
-    """Set exposures of all cameras, s (None: bright markers without clipping); returns lines of a report."""
-    said, markers = [], marker_map(design)
+def set_exposures(
+    shutter: SynchronisedCameras, design: Design, stated: float | None, of_run: dict[str, float]
+) -> tuple[dict[str, float], list[str]]:
+    """Set exposures of all cameras; returns ({camera: s}, lines of a report).
+
+    stated : s of all, or None; of_run : {camera: s} that the run had before, which it keeps where none is stated.
+    Where there is neither, markers are made bright without clipping.
+    """
+    made, said, markers = dict[str, float](), [], marker_map(design)
     for source in shutter.sources:
+        name = source.name
+        wanted = of_run.get(name) if stated is None else stated
         if not source.can_set_exposure:
-            said.append(f"camera {source.name!r} sets its exposure itself")
-        elif stated_exposure is not None:
-            said.append(f"camera {source.name!r}: exposure {source.set_exposure(stated_exposure) * 1e3:.3g} ms")
-        else:
-            exposure, level = set_exposure_for_markers(
-                source, partial(marker_white_level, camera=design.camera(source.name), markers=markers), FIRST_EXPOSURE
-            )
+            said.append(f"camera {name!r} sets its exposure itself")
+        elif wanted is not None:
+            made[name] = source.set_exposure(wanted)
             said.append(
-                f"camera {source.name!r}: exposure {exposure * 1e3:.3g} ms, markers' white at {level:.0f} of 255"
+                f"camera {name!r}: exposure {made[name] * 1e3:.3g} ms" + (", as before" if stated is None else "")
             )
-    return said
+        else:
+            made[name], level = set_exposure_for_markers(
+                source, partial(marker_white_level, camera=design.camera(name), markers=markers), FIRST_EXPOSURE
+            )
+            said.append(f"camera {name!r}: exposure {made[name] * 1e3:.3g} ms, markers' white at {level:.0f} of 255")
+    return made, said
 
 
 def run_observer(
@@ -203,8 +222,10 @@ def run_observer(
     start : (axes,) m; out : the recording, named where an acceptance is withdrawn
     """
     accepted = options.accepted_limbs(design)
-    measured = options.measure and (
-        has_hand_cameras(design) or any(target.body == "platform" for target in design.targets)
+    measured = (
+        options.measure
+        and options.uses_cameras(design)
+        and (has_hand_cameras(design) or any(target.body == "platform" for target in design.targets))
     )
     learner = None
     if measured and has_plates(design.mechanism):

@@ -21,6 +21,7 @@ from rig.model.design import (
     Actuator,
     Arm,
     Camera,
+    CaptureSettings,
     Controller,
     Design,
     Hexapod,
@@ -63,6 +64,7 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
         "Moved by hand or by somebody else: there is nothing to command, and nothing else to state.",
     ),
     "[[camera]]": (Camera, "One for each camera."),
+    "[camera.capture]": (CaptureSettings, "May be left out; of `uvc` and `genicam` cameras."),
     "[[target]]": (Target, "One for each cube, or other body with markers."),
     "[target.faces]": (
         None,
@@ -220,7 +222,13 @@ def _limits(least: float | None, most: float | None, above: float | None, unit: 
 def samples() -> list[dict[str, Any]]:
     """Rigs as tables, which between them state everything that the reader asks for."""
     whole = tomllib.loads(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=1, cubes=1, limbs=6))
-    whole["camera"][0] |= {"shutter": "rolling", "row_time": 1e-5, "source": "uvc:0", "mount": "fixed"}
+    whole["camera"][0] |= {
+        "shutter": "rolling",
+        "row_time": 1e-5,
+        "source": "uvc:0",
+        "mount": "fixed",
+        "capture": {"gain": 1.0},
+    }
     whole["controller"] = {"protocol": "grblhal", "port": "/dev/ttyACM0", "max_speed": 0.01}
     whole["sensors"] = {"port": "/dev/ttyUSB1", "channels": ["ambient_temperature_C"]}
     whole["experiment"] = {"may": ["payload", "wait"]}
@@ -254,6 +262,7 @@ TABLE_KEYS = (
     "environment",
     "mechanism",
     "camera",
+    "capture",
     "target",
     "platform",
     "actuator",

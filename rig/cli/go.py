@@ -20,7 +20,7 @@ from rig.formats.number_parsing_and_rounding import parse_numbers
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-    from calib.api.machine_run_and_pose_move import PoseMove
+    from calib.api.pose_move import PoseMove
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -49,7 +49,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Run `rig go`: move the platform to one pose through a calibration."""
-    from calib.api.machine_run_and_pose_move import plan_pose_move, require_same_rig
+    from calib.api.pose_move import plan_pose_move, require_same_rig
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
 
@@ -81,13 +81,14 @@ def _print_plan(move: PoseMove) -> None:
 
 
 def _print_remainder(move: PoseMove) -> None:
-    """Print how far from the pose the platform is by the calibration."""
-    remainder = move.remainder
-    if remainder is not None:
-        position, rotation = (remainder.translation**2).sum() ** 0.5, remainder.rotation.magnitude()
+    """Print how far from the pose the platform is by the calibration, with what that is itself uncertain by."""
+    left, own, within = move.remainder, move.uncertainty, move.within
+    if left is not None and own is not None and within is not None:
+        position, rotation = (left.translation**2).sum() ** 0.5, left.rotation.magnitude()
         print(
-            f"by the calibration the platform is within {position * 1e6:.1f} um and {rotation * 1e6:.1f} urad of the "
-            "pose"
+            f"the platform is within {within[0] * 1e6:.1f} um and {within[1] * 1e6:.1f} urad of the pose (k=2): the "
+            f"struts read {position * 1e6:.1f} um and {rotation * 1e6:.1f} urad off it, and the calibration itself is "
+            f"uncertain by {2e6 * own[0]:.1f} um and {2e6 * own[1]:.1f} urad (k=2)"
         )
 
 

@@ -13,7 +13,7 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
-    from calib.api.machine_run_and_pose_move import PlannedRun, RunOptions
+    from calib.api.machine_run import PlannedRun, RunOptions
 
 KINDS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
 
@@ -64,6 +64,12 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="WHAT,..",
         help=f"end the run on {', '.join(KINDS)}; by default they are only reported",
     )
+    parser.add_argument(
+        "--no-cameras",
+        action="store_true",
+        help="take no images: places are visited for another instrument, and visits.csv says when the struts stood "
+        "where; as by itself where rig.toml has no camera. --settle time:SECONDS leaves it its time",
+    )
     parser.add_argument("--no-measure", action="store_true", help="take images only")
     add_limb_options(parser)
     parser.add_argument(
@@ -78,24 +84,32 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Run `rig run`: run a plan on the machine and record it, or resume such a run."""
-    from calib.api.machine_run_and_pose_move import plan_run
+    from calib.api.machine_run import plan_run
     from rig.driving.driver_opening_and_settled_status import design_with_controller_port
 
     design = design_with_controller_port(arguments.design, arguments.port)
     planned = plan_run(design, arguments.design, arguments.plan, _options(arguments))
     if arguments.dry_run:
         _print_plan(planned)
+        for line in planned.compare_with_controller():
+            print(line)
         return
     from rig.cli.shared.run_display_and_controller_status import run_displays
 
     out = arguments.out
     frames = planned.carry_out(out, partial(run_displays, arguments.page), print)
-    print(f"{frames} frames in {out}; rig measure {out} --out DIR measures them all jointly")
+    if planned.options.uses_cameras(design):
+        print(f"{frames} frames in {out}; rig measure {out} --out DIR measures them all jointly")
+    else:
+        print(
+            f"{frames} visits in {out / 'visits.csv'}; join an instrument's poses to them by frame, as "
+            f"{out / 'poses.csv'}"
+        )
 
 
 def _options(arguments: Namespace) -> RunOptions:
     """How a run goes, by the arguments. Raises RigError for what cannot be meant, before anything moves."""
-    from calib.api.machine_run_and_pose_move import RunOptions
+    from calib.api.machine_run import RunOptions
     from calib.files import calibration_file
 
     exposure, known = arguments.exposure, arguments.calibration
@@ -114,6 +128,7 @@ def _options(arguments: Namespace) -> RunOptions:
         arguments.no_home,
         arguments.resume,
         arguments.trace,
+        not arguments.no_cameras,
     )
 
 
@@ -134,7 +149,8 @@ def _print_plan(planned: PlannedRun) -> None:
 
     from rig.cli.shared.run_display_and_controller_status import lengths_text
 
-    steps, cameras, distances = planned.steps, planned.design.cameras, planned.distances()
+    steps, distances = planned.steps, planned.distances()
+    cameras = planned.design.cameras if planned.options.cameras else ()
     for k, step in enumerate(steps):
         exposed = f"{step.frames} frame{'s' * (step.frames != 1)}" if step.frames else "passed on the way"
         print(f"step {k + 1}: {lengths_text(step.goal)}, {distances[k] * 1e3:.1f} mm to go, {exposed}")

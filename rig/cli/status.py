@@ -21,8 +21,10 @@ def run(arguments: Namespace) -> None:
 
     design = design_with_controller_port(arguments.design, arguments.port)
     with open_driver(design, arguments.trace, print) as driver:
-        status = driver.status()
+        status, warnings = driver.status(), driver.limit_warnings()
     print_status(status, design)
+    for line in warnings:
+        print(f"warning: {line}")
     arguments.result = {
         "schema": "status/1",
         "activity": status.activity,
@@ -30,4 +32,5 @@ def run(arguments: Namespace) -> None:
         "fault": status.fault,
         "said": status.said,
         "lengths": status.lengths.tolist(),
+        "warnings": warnings,
     }

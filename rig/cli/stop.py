@@ -1,4 +1,7 @@
-"""rig stop: stop the struts immediately, and any process that moves them."""
+"""rig stop: stop the struts immediately, and any process that moves them.
+
+Nothing that takes time is imported before the controller was sent its urgent stop.
+"""
 
 from argparse import ArgumentParser, Namespace
 
@@ -17,14 +20,24 @@ def run(arguments: Namespace) -> None:
 
     Its run can be resumed.
     """
-    from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.clock import SystemClock
     from rig.driving.controller_lock import stop_lock_holder
-    from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
+    from rig.driving.urgent_stop import stated_address, urgently_stopped
 
-    design = design_with_controller_port(arguments.design, arguments.port)
-    other = stop_lock_holder(design.driver().port, SystemClock(), PATIENCE, design.driver().usb)
+    clock = SystemClock()
+    address = stated_address(arguments.design, arguments.port)
+    if address is None:
+        from rig.driving.driver_opening_and_settled_status import design_with_controller_port
+        from rig.driving.urgent_stop import address_of_controller
+
+        address = address_of_controller(design_with_controller_port(arguments.design, arguments.port).driver())
+    other = stop_lock_holder(address.port, clock, PATIENCE, address.usb)
     if other is not None:
         print(f"process {other}, which drove them, was stopped")
-    with open_driver(design, arguments.trace, print, stopping=True) as driver:
-        print_status(driver.status(), design)
+    with urgently_stopped(address, clock) as stopped:
+        from rig.cli.shared.run_display_and_controller_status import print_status
+        from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
+
+        design = design_with_controller_port(arguments.design, arguments.port)
+        with open_driver(design, arguments.trace, print, clock, stopped) as driver:
+            print_status(driver.status(), design)

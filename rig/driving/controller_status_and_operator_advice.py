@@ -8,14 +8,14 @@ from rig.array_and_json_types import Floats
 @dataclass(frozen=True, slots=True, eq=False)
 class ControllerStatus:
     """activity : as rig.driving.protocols.protocol_interface.State; lengths : (n,) m; known : whether the lengths can
-    be believed; fault,
-    said : text."""
+    be believed; fault, said : text; homing_required : as of a State"""
 
     activity: str
     lengths: Floats
     known: bool
     fault: str
     said: str
+    homing_required: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,11 +7,15 @@ from pathlib import Path
 
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_lock import ControllerLock
+from rig.driving.controller_requests_and_answers import Port
 from rig.driving.controller_status_and_operator_advice import ControllerStatus
+from rig.driving.serial_port import SerialPort, find_usb_port
 from rig.driving.strut_driver import Driver
+from rig.driving.urgent_stop import StoppedController
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_file
-from rig.model.design import Design, port_problem
+from rig.model.controller_port_names import port_problem
+from rig.model.design import Design
 
 
 def design_with_controller_port(path: Path, port: str | None) -> Design:
@@ -30,26 +34,36 @@ def open_driver(
     trace: Path | None,
     print_line: Callable[[str], None],
     clock: Clock | None = None,
-    stopping: bool = False,
+    stopped: StoppedController | None = None,
 ) -> Iterator[Driver]:
     """The open Driver of a design, which no other process drives meanwhile.
 
-    print_line : takes a line of text; stopping : the struts are stopped before anything is asked of the controller
+    print_line : takes a line of text
+    stopped : the controller where it was sent its urgent stop: it is stopped before anything is asked of it
     Raises FileError for a trace that cannot be written, and what opening raises.
     """
-    c = design.driver()
+    c, clock = design.driver(), clock or SystemClock()
     with ExitStack() as stack:
-        stack.enter_context(ControllerLock(c.port, c.usb))
+        if stopped is None:
+            stack.enter_context(ControllerLock(c.port, c.usb))
         file = None
         if trace is not None:
             try:
                 file = stack.enter_context(open(trace, "a", encoding="utf-8"))
             except OSError as error:
                 raise FileError(trace, f"cannot be written: {error.strerror}") from None
-        driver = Driver(design, clock or SystemClock(), trace=file, say=print_line)
+        driver = Driver(design, clock, _opener(design, stopped, clock), file, print_line)
+        if stopped is not None and file is not None:
+            file.write(f"{stopped.t:.6f} > {stopped.sent!r}\n")
         stack.callback(driver.close)
-        driver.open(stopping)
+        driver.open(stopped is not None)
         yield driver
+
+
+def _opener(design: Design, stopped: StoppedController | None, clock: Clock) -> Callable[[], Port]:
+    """Opens the controller's port: the one that is open already, once, and it anew after that."""
+    c, opened = design.driver(), [] if stopped is None else [stopped.port]
+    return lambda: opened.pop() if opened else SerialPort(find_usb_port(c.port, c.usb), c.baudrate, clock)
 
 
 def settled_status(

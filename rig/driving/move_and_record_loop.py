@@ -19,6 +19,7 @@ from rig.driving.run_journal_and_recording import (
     Exposed,
     GrowingRecording,
     Journal,
+    PositionUnknown,
     Readings,
     Remark,
     Resumed,
@@ -27,11 +28,15 @@ from rig.driving.run_journal_and_recording import (
 )
 from rig.driving.run_steps_and_progress import Progress, Step, interrupted_move_result, progress_from_journal
 from rig.driving.straight_move_profile import Way
-from rig.errors import RigError, Stopped
+from rig.errors import MotionError, RigError, Stopped
 
 
 class Machine(Protocol):
     """What the loop needs of a driver; see rig.driving.strut_driver.Driver."""
+
+    @property
+    def position_known(self) -> bool:
+        """Whether what it reads can be believed."""
 
     def lengths(self) -> Floats:
         """(axes,) m, as the controller reads them."""
@@ -198,11 +203,15 @@ class RunOperator:
             self.write(Readings(self.now(), tuple(values), tuple(values.values())))
 
     def _expose(self, index: int, number: int) -> None:
-        """Grab a frame, put its images on disk, and then write that it is there."""
-        bench = self.bench
+        """Grab a frame, put its images on disk, and then write that it is there. Raises MotionError for one during
+        which the axes did not rest at the goal: it is not kept.
+        """
+        bench, goal = self.bench, self.planned[index].goal
+        at = self._rest_position(number, goal, goal, "before")
         self._look()
         frames = bench.shutter.grab() if bench.shutter else {}
         self._look()
+        self._rest_position(number, goal, at, "after")
         names = {camera: f"images/{camera}/{number:05d}.png" for camera in frames}
         with ThreadPoolExecutor(max(len(frames), 1)) as pool:  # packing an image takes as long as reading it
             list(pool.map(lambda camera: bench.save(self._folder / names[camera], frames[camera].image), frames))
@@ -213,11 +222,27 @@ class RunOperator:
         t = float(np.mean([frame.t for frame in frames.values()])) - self._origin if frames else self.now()
         self.write(
             Exposed(
-                t, index, number, tuple(float(f.t_sigma) for f in frames.values()), tuple(frames), tuple(names.values())
+                t,
+                index,
+                number,
+                tuple(float(f.t_sigma) for f in frames.values()),
+                tuple(frames),
+                tuple(names.values()),
+                tuple(at.tolist()),
             )
         )
-        goal = self.planned[index].goal
         self.watcher.seen(RecordedFrame(number, index, t, goal, frames))
+
+    def _rest_position(self, number: int, goal: Floats, at: Floats, when: str) -> Floats:
+        """(axes,) m read now. Raises MotionError where that is neither the goal nor where they were before, `at`."""
+        position = np.array(self._read())
+        off = float(max(np.abs(position - goal).max(), np.abs(position - at).max()))
+        if off > self.bench.tolerance:
+            raise MotionError(
+                f"frame {number} is not kept: {when} its exposure the struts read {off * 1e3:.3f} mm from where they "
+                f"were to rest ({position.round(6).tolist()} m); did something else command them?"
+            )
+        return position
 
     def _end(self, error: BaseException) -> None:
         """Stop the struts; journal the reason, and their position if it can be read."""
@@ -225,10 +250,12 @@ class RunOperator:
         try:
             self.bench.machine.stop()
             pending = progress_from_journal(self._journal.rows, self.planned).pending
-            if pending is not None:
+            if pending is not None and self.bench.machine.position_known:
                 position = self._read()
                 near = bool(np.abs(np.array(position) - np.array(pending.goal)).max() <= self.bench.tolerance)
                 self.write(Arrival(self.now(), pending.step, pending.goal if near else position, near))
         except RigError as further:  # the first reason stands; this one is told beside it
             reason += f"; and stopping: {further}"
+        if not self.bench.machine.position_known:
+            self.write(PositionUnknown(self.now(), reason))
         self.write(Ended(self.now(), reason))

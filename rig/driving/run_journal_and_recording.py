@@ -16,6 +16,7 @@ import os
 import zlib
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import ClassVar
 
@@ -80,8 +81,10 @@ class Arrival:
 
 @dataclass(frozen=True, slots=True)
 class Exposed:
-    """One camera's image of a frame, which is on disk. t, sigma : s, middle of the exposure and its uncertainty;
-    image : in the folder.
+    """A frame, whose images are on disk; a visit that other instruments measure where there are no cameras.
+
+    t : s, middle of the exposure; sigma : s, of each camera's; images : in the folder; position : m, read back, empty
+    in journals of before it was
     """
 
     kind: ClassVar[str] = "exposed"
@@ -91,6 +94,7 @@ class Exposed:
     sigma: tuple[float, ...]
     cameras: tuple[str, ...]
     images: tuple[str, ...]
+    position: Lengths = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +105,27 @@ class Readings:
     t: float
     channels: tuple[str, ...]
     values: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CameraExposures:
+    """Exposures that cameras were set to. cameras : names; seconds : as many"""
+
+    kind: ClassVar[str] = "exposures"
+    t: float
+    cameras: tuple[str, ...]
+    seconds: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PositionUnknown:
+    """Where the axes stand is not known until the run is resumed, which takes homing or the operator's word. reason :
+    in words
+    """
+
+    kind: ClassVar[str] = "position_unknown"
+    t: float
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +146,7 @@ class Ended:
     reason: str
 
 
-Row = Began | Resumed | Departure | Arrival | Exposed | Readings | Remark | Ended
+Row = Began | Resumed | Departure | Arrival | Exposed | Readings | CameraExposures | PositionUnknown | Remark | Ended
 KINDS = {row.kind: row for row in Row.__args__}
 
 
@@ -215,7 +240,7 @@ def _row(text: bytes, number: int) -> Row | None:
     if tree.pop("row") != number or tree["kind"] not in KINDS:
         return None
     kind = KINDS[tree.pop("kind")]
-    return kind(**{field.name: _tuples(tree[field.name]) for field in fields(kind)})
+    return kind(**{field.name: _tuples(tree[field.name]) for field in fields(kind) if field.name in tree})
 
 
 def _tuples(value: object) -> object:
@@ -243,6 +268,7 @@ class GrowingRecording:
         self._last_t = -np.inf
         self._at: tuple[float, ...] = ()  # before the first row: a journal begins with where the axes stand
         self._channels: tuple[str, ...] | None = None
+        self._arrived, self._wall = 0.0, 0.0  # s, on the run's clock; s since 1970 at its t = 0
         texts = {"commands.csv": ",".join(("t", *axes)) + "\n", "frames.csv": "frame,t,camera,image\n"}
         for row in rows:
             for name, line in self._lines(row):
@@ -265,12 +291,18 @@ class GrowingRecording:
 
     def _lines(self, row: Row) -> list[tuple[str, str]]:
         """(file, text) of each line that a row adds."""
+        if isinstance(row, Began):
+            self._wall = row.wall
         if isinstance(row, Began | Resumed):
+            self._arrived = row.t
             return self._stand(row.t, row.position)
         if isinstance(row, Departure):
             return self._stand(row.t, row.start)
         if isinstance(row, Arrival):
+            self._arrived = row.t
             return self._way(row)
+        if isinstance(row, Exposed) and not row.cameras:
+            return self._visit(row)
         if isinstance(row, Exposed):
             return [
                 *self._command(row.t, self._at),
@@ -296,6 +328,24 @@ class GrowingRecording:
         lines = [line for t, share in row.way for line in self._command(t, start + share * (goal - start))]
         self._at = row.position
         return lines + self._command(row.t, row.position)
+
+    def _visit(self, row: Exposed) -> list[tuple[str, str]]:
+        """A place that something else than cameras measures, with the time from which the struts stood there."""
+        lines, axes = [("frames.csv", f"{row.frame},{row.t:.6f},,\n")], self._axes
+        if not row.frame:
+            read = (f"{axis}_read" for axis in axes)
+            lines.append(
+                ("visits.csv", ",".join(("frame", "from", "until", "utc_from", "utc_until", *axes, *read)) + "\n")
+            )
+        utc = [
+            datetime.fromtimestamp(self._wall + t, UTC).isoformat(timespec="milliseconds")
+            for t in (self._arrived, row.t)
+        ]
+        cells = [f"{value:.9f}" for value in (*self._at, *row.position)]
+        lines.append(
+            ("visits.csv", ",".join((str(row.frame), f"{self._arrived:.6f}", f"{row.t:.6f}", *utc, *cells)) + "\n")
+        )
+        return [*self._command(row.t, self._at), *lines]
 
     def _command(self, t: float, values: Iterable[float]) -> list[tuple[str, str]]:
         t = max(t, self._last_t + APART)

@@ -1,7 +1,7 @@
 """Steps of a run from its plan, checked before motion; progress of the run from its journal."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -9,9 +9,11 @@ from rig.array_and_json_types import Floats
 from rig.driving.run_journal_and_recording import (
     Arrival,
     Began,
+    CameraExposures,
     Departure,
     Ended,
     Exposed,
+    PositionUnknown,
     Readings,
     Remark,
     Resumed,
@@ -96,7 +98,9 @@ class Progress:
     position : (axes,) m, where the struts were last known to stand; pending : the Departure that has no arrival, or
         None
     arrived : whether they stand at the step's goal; t : s of the last row; ended : why the run ended, None while it has
-        not"""
+        not
+    lost : why their position is not known, "" where it is; exposures : {camera: s} as last set
+    """
 
     step: int
     frames: int
@@ -106,6 +110,8 @@ class Progress:
     arrived: bool
     t: float
     ended: str | None
+    lost: str = ""
+    exposures: dict[str, float] = field(default_factory=dict)
 
 
 def progress_from_journal(journal_rows: list[Row], steps: tuple[Step, ...]) -> Progress:
@@ -118,6 +124,7 @@ def progress_from_journal(journal_rows: list[Row], steps: tuple[Step, ...]) -> P
         raise RigError(f"the journal is of a plan of {journal_rows[0].steps} steps, this one has {len(steps)}")
     step = frames = number = 0
     pending, arrived, ended, position = None, False, None, np.array(journal_rows[0].position)
+    lost, exposures = "", dict[str, float]()
     for row in journal_rows:
         ended = row.reason if isinstance(row, Ended) else None if not isinstance(row, Remark | Readings) else ended
         if isinstance(row, Departure):
@@ -132,11 +139,38 @@ def progress_from_journal(journal_rows: list[Row], steps: tuple[Step, ...]) -> P
         elif isinstance(row, Arrival):
             pending, arrived, position = None, row.reached, np.array(row.position)
         elif isinstance(row, Resumed):
-            position = np.array(row.position)
+            position, lost = np.array(row.position), ""
             arrived = arrived and bool(np.abs(position - steps[step].goal).max() <= 0)
+        elif isinstance(row, PositionUnknown):
+            lost = row.reason
+        elif isinstance(row, CameraExposures):
+            exposures |= dict(zip(row.cameras, row.seconds))
         elif isinstance(row, Exposed):
             frames, number = frames + 1, row.frame + 1
-    return Progress(step, frames, number, position, pending, arrived, journal_rows[-1].t, ended)
+    return Progress(step, frames, number, position, pending, arrived, journal_rows[-1].t, ended, lost, exposures)
+
+
+def lost_position_reason(
+    progress: Progress, position: Floats, tolerance: float, started_anew: bool, can_home: bool
+) -> str:
+    """Why a position (axes,) m that is read when a run is resumed cannot be believed, "" where it can.
+
+    tolerance : m, of a read-back; started_anew : whether the controller says that it has started since it was homed or
+    confirmed; can_home : whether it can home. One that cannot shows lost zeros only by struts that read elsewhere.
+    """
+    if progress.lost:
+        return f"the run ended with the position lost ({progress.lost})"
+    if started_anew:
+        return "the controller has started anew since the run left it"
+    left = progress.position if progress.pending is None else np.asarray(progress.pending.start)
+    goal = left if progress.pending is None else np.asarray(progress.pending.goal)
+    beyond = np.maximum(np.minimum(left, goal) - position, position - np.maximum(left, goal)).max()
+    if can_home or beyond <= tolerance:
+        return ""
+    return (
+        f"the struts read {beyond * 1e3:.3f} mm from where the run left them, and [controller] homing = false: either "
+        "they were moved or the controller lost its zeros"
+    )
 
 
 def interrupted_move_result(

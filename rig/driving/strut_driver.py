@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TextIO, TypeVar, cast
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving import protocols, straight_move_profile
 from rig.driving.clock import Clock, SystemClock
+from rig.driving.controller_limits import ControllerLimits, limit_warnings, limits_of_linuxcnc_ini
 from rig.driving.controller_requests_and_answers import Link, Port
 from rig.driving.controller_status_and_operator_advice import (
     ANEW,
@@ -103,9 +105,32 @@ class Driver:
         """Status reported by the controller. Raises LinkLost, NoAnswer."""
         return self._status(self._state())
 
+    @property
+    def position_known(self) -> bool:
+        """Whether the lengths read back can be believed, by all that was seen since it was opened."""
+        return self._known
+
+    @property
+    def started_anew(self) -> bool:
+        """Whether the controller has started since its position was last homed or confirmed, and does not say itself
+        that it is homed.
+        """
+        return self._protocol.started_anew and not self._homed
+
     def lengths(self) -> Floats:
         """(n,) m, as read back now."""
         return self._lengths(self._state())
+
+    def limits(self) -> ControllerLimits | None:
+        """Limits that the controller itself has, None where nobody says. Raises LinkLost, NoAnswer, FileError."""
+        if self.controller.ini:
+            return limits_of_linuxcnc_ini(Path(self.controller.ini), len(self.mechanism.axes))
+        return self._asked(self._protocol.limits)
+
+    def limit_warnings(self) -> list[str]:
+        """Lines where the controller's own limits are tighter than the rig.toml's; raises what `limits` does."""
+        own = self.limits()
+        return [] if own is None else limit_warnings(own, self.controller, self.mechanism)
 
     def trust(self) -> None:
         """The operator confirms that lengths read back are true, after a start without homing or PositionLost. Raises
@@ -118,6 +143,7 @@ class Driver:
             raise Unreachable(
                 "what the controller reports cannot be trusted", error.index, [str(error), OUT_OF_RANGE]
             ) from None
+        self.link.run(self._protocol.confirm())
         self._known, self._homed = True, None
 
     def unlock(self) -> ControllerStatus:
@@ -322,7 +348,9 @@ class Driver:
         return cast(Floats, state.positions) + self.controller.zero
 
     def _status(self, state: State) -> ControllerStatus:
-        return ControllerStatus(state.activity, self._lengths(state), self._known, state.fault, state.said)
+        return ControllerStatus(
+            state.activity, self._lengths(state), self._known, state.fault, state.said, state.homing_required
+        )
 
     def _trouble(self, state: State) -> str:
         return (

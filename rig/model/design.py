@@ -12,27 +12,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
+from rig.model.controller_port_names import PROTOCOLS as PROTOCOLS
 from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2, freeze_array
-
-PROTOCOLS = ("grblhal", "gcs", "linuxcnc", "struts")
-SHOWN = 80  # characters of a port's name that a message repeats
-SCHEMES = (
-    "socket",
-    "rfc2217",
-    "loop",
-)  # of ports that are no device; pyserial knows others, which write files or search for devices
-
-
-def port_problem(port: str) -> str | None:
-    """Problem with the name of a port, in words; None for a device (/dev/ttyUSB0, COM3) or an accepted URL."""
-    scheme, stroke, _ = port.partition("://")
-    if not port.isprintable():
-        return f"{port[:SHOWN]!r} is not a port: it contains unprintable characters"
-    if stroke and scheme.lower() not in SCHEMES:
-        return f"{port[:SHOWN]!r} is not a port: it is a device (/dev/ttyUSB0, COM3) or " + ", ".join(
-            f"{name}://.." for name in SCHEMES
-        )
-    return None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +34,7 @@ class Controller:
         shall stop
     kinematics : "joint" (an axis word is an axis) or "world" (the controller has the inverse kinematics and is sent
         poses)
-    password, enable_password : of linuxcncrsh
+    password, enable_password : of linuxcncrsh; ini : path of LinuxCNC's .ini, whose limits are compared, or ""
     """
 
     protocol: str
@@ -75,6 +56,7 @@ class Controller:
     kinematics: str
     password: str
     enable_password: str
+    ini: str = ""
 
 
 DISTORTION_TERMS = (4, 5, 8, 12, 14)
@@ -181,6 +163,24 @@ class Platform:
     payload_centre_of_mass: Floats | None
 
 
+@dataclass(frozen=True, slots=True)
+class CaptureSettings:
+    """How a run sets a camera; what is not stated stays as the camera has it.
+
+    pixel_format : GenICam's PixelFormat ("Mono8", "BayerRG8", "RGB8"), or four letters of a UVC format ("MJPG", "YUYV")
+    gain : dB (GenICam, whose automatic gain is switched off), or the driver's own figure (UVC)
+    focus : the driver's own figure, its automatic focus is switched off; white_balance : K, likewise (UVC)
+    """
+
+    pixel_format: str = ""
+    gain: float | None = None
+    focus: float | None = None
+    white_balance: float | None = None
+
+
+AS_IT_IS = CaptureSettings()  # of a camera of which nothing is to be set
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
     """A camera with an OpenCV lens.
@@ -192,6 +192,7 @@ class Camera:
     mount : "fixed", "moving" with a pose of its own in every frame, or "hand": the platform carries it, and pose is
         T_platform_camera
     source : what a run opens it by, for example "uvc:0", or None; see rig.driving.cameras.KINDS
+    capture : how it is set
     """
 
     name: str
@@ -204,6 +205,7 @@ class Camera:
     row_time: float = 0.0
     mount: str = "fixed"
     source: str | None = None
+    capture: CaptureSettings = AS_IT_IS
 
     def __post_init__(self) -> None:
         freeze_array(self, "matrix", (3, 3))

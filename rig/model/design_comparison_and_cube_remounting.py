@@ -37,7 +37,7 @@ def design_contradictions(a: Design, b: Design) -> list[str]:
 
 def same_lens(a: Camera, b: Camera) -> bool:
     """Whether two Cameras have the same lens, sensor, shutter and mount, wherever they are."""
-    return not any(where not in ("pose", "source") for where, _ in _differences(a, b, ""))
+    return not any(where.partition(".")[0] not in ("pose", "source", "capture") for where, _ in _differences(a, b, ""))
 
 
 def _differences(a: object, b: object, where: str) -> Iterator[tuple[str, str]]:

@@ -127,6 +127,16 @@ def measure_trial(sample: SampledRecording, free: tuple[str, ...] = ("poses", "l
     return Trial(float(np.sqrt(share / max(told.sum() + (~known).sum(), 1))), sample, measured, miss)
 
 
+def trial_of_stated_targets(first: Trial, other: Trial) -> Trial | None:
+    """Trial of what is stated, begun from the cameras that another statement of the targets led to; None where that
+    changes more than targets.
+    """
+    stated, seen, measured = first.seen, other.seen, other.measured
+    if seen.corners is not stated.corners or seen.design.cameras is not stated.design.cameras or measured is None:
+        return None
+    return measure_trial(stated.with_cameras(measured.design.cameras))
+
+
 Candidate = tuple[str, str, SampledRecording]
 ORDERS = {
     (3, 2, 1, 0): "run counter-clockwise from the bottom left",

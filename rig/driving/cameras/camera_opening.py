@@ -199,9 +199,9 @@ def open_camera(camera: Camera, clock: Clock) -> Source:
     kind, _, place = camera.source.partition(":")
     size = (camera.width, camera.height)
     if kind in ("uvc", "gstreamer"):
-        return open_opencv_camera(camera.name, kind, place, clock, size)
+        return open_opencv_camera(camera.name, kind, place, clock, size, camera.capture)
     if kind == "genicam":
-        return open_genicam_camera(camera.name, place, clock, size)
+        return open_genicam_camera(camera.name, place, clock, size, camera.capture)
     if kind == "folder":
         return FolderSource(camera, Path(place), clock)
     return EmulatedSource(camera.name, place, clock, size)

@@ -1,8 +1,11 @@
 """GenICam camera (GigE Vision, USB3 Vision) through harvesters: software trigger, hardware timestamps."""
 
 import os
+import re
+import threading
+from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 
@@ -10,10 +13,13 @@ from rig.array_and_json_types import Integers
 from rig.driving.cameras.camera_interface_and_grabbing import CameraError, ClockOffset, Frame
 from rig.driving.clock import Clock
 from rig.errors import MissingLibrary
+from rig.model.design import AS_IT_IS, CaptureSettings
 
 WAIT = 5.0  # s for a frame after its trigger
 STAMP = 1e-9  # s; GenICam counts nanoseconds unless the device says its tick frequency
 LATCH = "TimestampLatch"
+FORMAT = re.compile(r"(Mono|Bayer(?:RG|GB|GR|BG)|RGB|BGR)(8|10|12|14|16)")
+BAYER = {"RG": "RGGB", "GB": "GBRG", "GR": "GRBG", "BG": "BGGR"}  # first two of a row, and all four as OpenCV has it
 
 
 class Number(Protocol):
@@ -86,12 +92,88 @@ class Acquirer(Protocol):
         """Let go of the camera."""
 
 
+class Found(Protocol):
+    """A camera that a producer found. serial_number : its own"""
+
+    serial_number: str
+
+
+class Discovery(Protocol):
+    """What is called of harvesters' Harvester, which has no types. device_info_list : the cameras found"""
+
+    device_info_list: list[Found]
+
+    def add_file(self, path: str) -> None:
+        """Take a producer."""
+
+    def update(self) -> None:
+        """Look for cameras."""
+
+    def create(self, which: dict[str, str]) -> Acquirer:
+        """Open a camera."""
+
+    def reset(self) -> None:
+        """Let go of all producers."""
+
+
+class SharedHarvester:
+    """The process's one Harvester, as a maker's producer may be opened once in a process; there while a camera is."""
+
+    def __init__(self) -> None:
+        self._harvester: Discovery | None = None
+        self._users, self._lock = 0, threading.Lock()
+
+    def open(self, name: str, serial: str) -> Acquirer:
+        """The camera with a serial number. Raises MissingLibrary without harvesters, CameraError where it does not
+        answer; name : of the camera, for messages
+        """
+        with self._lock:
+            if self._harvester is None:
+                self._harvester = _harvester_of_producers(name)
+            try:
+                there = [info.serial_number for info in self._harvester.device_info_list]
+                if serial not in there:
+                    known = ", ".join(map(repr, there)) or "none"
+                    raise CameraError(f"camera {name!r}: no GenICam camera {serial!r}; there are {known}")
+                acquirer = self._harvester.create({"serial_number": serial})
+            except BaseException:
+                self._reset_unused()
+                raise
+            self._users += 1
+            return acquirer
+
+    def close(self) -> None:
+        """A camera that was opened is let go of."""
+        with self._lock:
+            self._users -= 1
+            self._reset_unused()
+
+    def _reset_unused(self) -> None:
+        if not self._users and self._harvester is not None:
+            self._harvester.reset()
+            self._harvester = None
+
+
+HARVESTER = SharedHarvester()
+
+
 class GenicamSource:
-    """An acquiring camera. acquirer : harvesters' ImageAcquirer; size : (width, height) px"""
+    """An acquiring camera. acquirer : harvesters' ImageAcquirer; size : (width, height) px; settings : of the camera;
+    let_go : called once it is closed. Raises CameraError for a setting that the camera does not take
+    """
 
     can_set_exposure = True
 
-    def __init__(self, name: str, acquirer: Acquirer, clock: Clock, size: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        name: str,
+        acquirer: Acquirer,
+        clock: Clock,
+        size: tuple[int, int],
+        settings: CaptureSettings = AS_IT_IS,
+        let_go: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._let_go = let_go
         self.name, self._acquirer, self._clock, self._size, self._offset = name, acquirer, clock, size, ClockOffset()
         nodes = acquirer.remote_device.node_map
         self._nodes = nodes
@@ -102,10 +184,24 @@ class GenicamSource:
             ("TriggerSource", "Software"),
             ("ExposureMode", "Timed"),
             ("ExposureAuto", "Off"),
+            ("BalanceWhiteAuto", "Off"),  # or colours change from frame to frame
         ):
             if hasattr(nodes, node):
                 getattr(nodes, node).value = value
+        if settings.pixel_format:
+            self._set("PixelFormat", settings.pixel_format)
+        if settings.gain is not None:
+            if hasattr(nodes, "GainAuto"):
+                nodes.GainAuto.value = "Off"
+            self._set("Gain", settings.gain)
         acquirer.start()
+
+    def _set(self, node: str, value: float | str) -> None:
+        """Set a setting of the camera. Raises CameraError where it lacks it or does not take the value."""
+        try:
+            getattr(self._nodes, node).value = value
+        except Exception as error:  # genicam's own kinds, of which there are many
+            raise CameraError(f"camera {self.name!r} does not take {node} = {value}: {error}") from error
 
     def grab(self) -> Frame:
         """Trigger an exposure and wait for its image. Raises CameraError where none comes."""
@@ -139,20 +235,31 @@ class GenicamSource:
         self._offset.learn(before, self._nodes.TimestampLatchValue.value * STAMP, after)
 
     def _image(self, component: ImageComponent) -> Integers:
-        """(height, width) uint8 or uint16 of a buffer's component, copied out of it."""
+        """(height, width) or, in colours, (height, width, 3) BGR, uint8 or uint16, of a buffer's component, copied out
+        of it. Raises CameraError for another size or format.
+        """
         if (component.width, component.height) != self._size:
             raise CameraError(
                 f"camera {self.name!r} gives {component.width} x {component.height} px, but rig.toml has "
                 f"{self._size[0]} x {self._size[1]} px"
             )
-        form = component.data_format
-        if not form.startswith("Mono") or form.endswith(("p", "Packed")):
+        form = FORMAT.fullmatch(component.data_format)
+        if form is None:
             raise CameraError(
-                f"camera {self.name!r} sends {form}; set its PixelFormat to Mono8, Mono10, Mono12 or Mono16"
+                f"camera {self.name!r} sends {component.data_format}; set its pixel_format under [camera.capture] to "
+                "Mono8, Mono10, Mono12, Mono16, BayerRG8 (GB, GR, BG; 10, 12, 16), RGB8 or BGR8"
             )
-        image = np.array(component.data).reshape(component.height, component.width)
-        bits = int(form[4:])
-        return image.astype(np.uint8) if bits == 8 else image.astype(np.uint16) << (16 - bits)
+        kind, bits = form[1], int(form[2])
+        shape = (component.height, component.width, *((3,) if kind in ("RGB", "BGR") else ()))
+        image = np.array(component.data).reshape(shape)
+        image = image.astype(np.uint8) if bits == 8 else image.astype(np.uint16) << (16 - bits)
+        if kind == "RGB":
+            return np.ascontiguousarray(image[..., ::-1])
+        if not kind.startswith("Bayer"):
+            return image
+        import cv2
+
+        return cast("Integers", cv2.cvtColor(image, getattr(cv2, f"COLOR_Bayer{BAYER[kind[5:]]}2BGR")))
 
     def _exposure(self) -> float:
         return float(self._nodes.ExposureTime.value) * 1e-6
@@ -167,13 +274,27 @@ class GenicamSource:
         """Stop and let go of the camera."""
         self._acquirer.stop()
         self._acquirer.destroy()
+        self._let_go()
 
 
-def open_genicam_camera(name: str, serial: str, clock: Clock, size: tuple[int, int]) -> GenicamSource:
+def open_genicam_camera(
+    name: str, serial: str, clock: Clock, size: tuple[int, int], settings: CaptureSettings = AS_IT_IS
+) -> GenicamSource:
     """Open the GenICam camera with a serial number.
-    Raises MissingLibrary without harvesters, CameraError where no such camera answers.
+    Raises MissingLibrary without harvesters, CameraError where no such camera answers or it does not take a setting.
+    """
+    acquirer = HARVESTER.open(name, serial)
+    try:
+        return GenicamSource(name, acquirer, clock, size, settings, HARVESTER.close)
+    except BaseException:
+        acquirer.destroy()
+        HARVESTER.close()
+        raise
 
-    GENICAM_GENTL64_PATH names the folders with the makers' producers (.cti files), as the GenTL standard has it.
+
+def _harvester_of_producers(name: str) -> Discovery:
+    """A Harvester with all producers that there are; GENICAM_GENTL64_PATH names their folders, as the GenTL standard
+    has it. Raises MissingLibrary without harvesters, CameraError where there is no producer (.cti file).
     """
     try:
         from harvesters.core import Harvester
@@ -188,14 +309,8 @@ def open_genicam_camera(name: str, serial: str, clock: Clock, size: tuple[int, i
             f"camera {name!r}: no GenTL producer (.cti) in GENICAM_GENTL64_PATH = "
             f"{os.pathsep.join(folders)!r}; install the maker's"
         )
-    harvester = Harvester()
+    harvester: Discovery = Harvester()
     for producer in producers:
         harvester.add_file(producer)
     harvester.update()
-    there = [info.serial_number for info in harvester.device_info_list]
-    if serial not in there:
-        harvester.reset()
-        raise CameraError(
-            f"camera {name!r}: no GenICam camera {serial!r}; there are {', '.join(map(repr, there)) or 'none'}"
-        )
-    return GenicamSource(name, harvester.create({"serial_number": serial}), clock, size)
+    return harvester

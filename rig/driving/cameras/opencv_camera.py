@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, cast
 
 from rig.driving.cameras.camera_interface_and_grabbing import UNIFORM, CameraError, ClockOffset, Frame
 from rig.driving.clock import Clock
+from rig.model.design import AS_IT_IS, CaptureSettings
 
 READING = re.compile(r"(?!wrapper)[a-z0-9]+src")
 CONVERTING = re.compile(
@@ -63,15 +64,39 @@ class VideoSource:
     arrival.
     """
 
-    def __init__(self, name: str, capture: VideoCapture, clock: Clock, size: tuple[int, int], uvc: bool = True) -> None:
+    def __init__(
+        self,
+        name: str,
+        capture: VideoCapture,
+        clock: Clock,
+        size: tuple[int, int],
+        uvc: bool = True,
+        settings: CaptureSettings = AS_IT_IS,
+    ) -> None:
         """capture : an open cv2.VideoCapture; size : (width, height) px that its images must have; uvc : whether it
-        takes UVC's controls
+        takes UVC's controls; settings : of those. Raises CameraError where the camera does not take one.
         """
         import cv2
 
         self.name, self.can_set_exposure = name, uvc
         self._cv2, self._capture, self._clock, self._size, self._offset = cv2, capture, clock, size, ClockOffset()
         self._exposure = 0.0
+        if settings.focus is not None:
+            self._set("focus", cv2.CAP_PROP_FOCUS, settings.focus, cv2.CAP_PROP_AUTOFOCUS)
+        if settings.white_balance is not None:
+            self._set("white balance", cv2.CAP_PROP_WB_TEMPERATURE, settings.white_balance, cv2.CAP_PROP_AUTO_WB)
+        if settings.gain is not None:
+            self._set("gain", cv2.CAP_PROP_GAIN, settings.gain)
+
+    def _set(self, name: str, control: int, value: float, automatic: int | None = None) -> None:
+        """Set a control of the camera, its automatic one off. Raises CameraError where it is not so afterwards."""
+        if automatic is not None:
+            self._capture.set(automatic, 0)
+        taken = self._capture.set(control, value)
+        if not taken or abs(self._capture.get(control) - value) > 0.5:
+            raise CameraError(
+                f"camera {self.name!r} does not take a {name} of {value:g}; it has {self._capture.get(control):g}"
+            )
 
     def grab(self) -> Frame:
         """A frame exposed after this call: what waits in the driver's queue is let go by. Raises CameraError where none
@@ -144,18 +169,28 @@ class VideoSource:
 
 
 def open_opencv_camera(
-    name: str, kind: str, device_or_pipeline: str, clock: Clock, size: tuple[int, int]
+    name: str,
+    kind: str,
+    device_or_pipeline: str,
+    clock: Clock,
+    size: tuple[int, int],
+    settings: CaptureSettings = AS_IT_IS,
 ) -> VideoSource:
     """Open an OpenCV camera of kind "uvc" (device number or path) or "gstreamer" (pipeline ending in appsink).
 
-    size : (width, height) px, as rig.toml has them. Raises CameraError where it does not open, and for a pipeline that
-    may write (see rig.driving.cameras.opencv_camera).
+    size : (width, height) px, as rig.toml has them; settings : of a UVC camera. Raises CameraError where it does not
+    open or does not take a setting, and for a pipeline that may write (see rig.driving.cameras.opencv_camera).
     """
     import cv2
 
     if kind == "uvc":
         device = int(device_or_pipeline) if device_or_pipeline.isdigit() else device_or_pipeline
         capture = cv2.VideoCapture(device, cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY)
+        if settings.pixel_format:  # before the size, which is one of this format's
+            code = cv2.VideoWriter.fourcc(*settings.pixel_format)
+            if not capture.set(cv2.CAP_PROP_FOURCC, code) or int(capture.get(cv2.CAP_PROP_FOURCC)) != code:
+                capture.release()
+                raise CameraError(f"camera {name!r} does not send {settings.pixel_format}")
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
@@ -163,10 +198,14 @@ def open_opencv_camera(
         wrong = gstreamer_pipeline_problem(device_or_pipeline)
         if wrong is not None:
             raise CameraError(f"camera {name!r}: gstreamer:{device_or_pipeline} {wrong}")
-        if cv2.CAP_GSTREAMER not in cv2.videoio_registry.getBackends():
+        if not cv2.videoio_registry.hasBackend(cv2.CAP_GSTREAMER):  # others list it as a plug-in that is not there
             raise CameraError(f"camera {name!r}: this build of OpenCV has no GStreamer; Debian's python3-opencv has")
         capture = cv2.VideoCapture(device_or_pipeline, cv2.CAP_GSTREAMER)
     if not capture.isOpened():
         capture.release()
         raise CameraError(f"camera {name!r}: {kind}:{device_or_pipeline} cannot be opened; is it there, and free?")
-    return VideoSource(name, capture, clock, size, kind == "uvc")
+    try:
+        return VideoSource(name, capture, clock, size, kind == "uvc", settings)
+    except CameraError:
+        capture.release()
+        raise

@@ -17,6 +17,7 @@ from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachin
 MM = 1e3
 INCH = 25.4
 BANNER = "\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"
+UNLOCK = "[MSG:'$H'|'$X' to unlock]\r\n"
 BLOCKS = 100  # moves that may be queued
 ON_REQUEST = {ord("?"), ord("!"), ord("~"), 0x18, 0x80, 0x87}
 MODAL = ("G0", "G1", "G20", "G21", "G90", "G91", "G94", "G54", "G17", "G61", "G80", "M0", "M2", "M5", "M9", "M30")
@@ -58,14 +59,14 @@ class GrblHAL(Emulator):
             **(settings or {}),
         }
         self._forget_modes()
-        self.alarm, self.held, self._checking = 0, False, False
+        self.alarm, self.held, self._checking = self._alarm_at_start(), False, False
         self.offset = np.zeros(n)  # m, of the work coordinates
         self._reports = 0
 
     def greet(self) -> None:
         self._forget_modes()
-        self.alarm, self.held = 0, False
-        self.say(BANNER)
+        self.alarm, self.held = self._alarm_at_start(), False
+        self.say(BANNER + (UNLOCK if self.alarm else ""))
 
     def at_once(self, byte: int) -> bool:
         if byte not in ON_REQUEST:
@@ -104,6 +105,10 @@ class GrblHAL(Emulator):
         self.alarm = 17
         self.say("ALARM:17\r\n")
 
+    def _alarm_at_start(self) -> int:
+        """Alarm 11 where it must be homed before anything else ($22 with 4), 0 for none."""
+        return 11 if int(self.settings[22]) & 4 and not self.machine.homed else 0
+
     def _verdict(self, error: int) -> None:
         self.say(f"error:{error}\r\n" if error else "ok\r\n", acknowledges=not error)
 
@@ -127,7 +132,7 @@ class GrblHAL(Emulator):
         elif alarm:
             self.say(f"ALARM:{alarm}\r\n")
         self.alarm = alarm if alarm else self.alarm
-        self.say(BANNER + ("[MSG:'$H'|'$X' to unlock]\r\n" if self.alarm else ""))
+        self.say(BANNER + (UNLOCK if self.alarm else ""))
 
     def _report(self, whole: bool) -> str:
         t = self.now
@@ -153,7 +158,7 @@ class GrblHAL(Emulator):
             text += f"|WCO:{self._figures(MM * self.offset)}"
         elif self._reports % 10 == 0:
             text += "|Ov:100,100,100"
-        if self.settings[22] and (whole or self._reports % 10 == 2):
+        if int(self.settings[22]) & 1 and (whole or self._reports % 10 == 2):
             text += f"|H:{int(self.machine.homed)}"
         self._reports += 1
         return text + ">\r\n"
@@ -186,6 +191,8 @@ class GrblHAL(Emulator):
         elif text == "$X":
             if self.machine.deaf:
                 return 79
+            if self.alarm == 11:
+                return 46
             if self.alarm:
                 self.alarm = 0
                 self.say("[MSG:Caution: Unlocked]\r\n")
@@ -209,7 +216,7 @@ class GrblHAL(Emulator):
         return 0
 
     def _home(self) -> int | None:
-        if not self.settings[22]:
+        if not int(self.settings[22]) & 1:
             return 5
         if self.machine.deaf:
             return 79

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats
+from rig.driving.controller_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface import (
     POLL,
     REST,
@@ -25,6 +26,7 @@ from rig.driving.protocols.protocol_interface import (
     pause_dialogue,
     query_dialogue,
 )
+from rig.driving.urgent_stop import STOPS
 from rig.errors import ControllerFault, NoAnswer
 
 UNITS = {"M": 1.0, "MM": 1e3, "UM": 1e6, "µM": 1e6}  # of a metre
@@ -54,12 +56,13 @@ class GCS:
     """
 
     name = "gcs"
-    urgent_stop = b"\x18"
+    urgent_stop = STOPS["gcs"]
 
     def __init__(self, axes: Sequence[str], count: int) -> None:
         self.axes, self._count = tuple(axes), count
         self._identity = ""
         self._unit = 1e3
+        self.started_anew = False
 
     def hello(self) -> Dialogue[str]:
         lines = yield from query_dialogue(b"*IDN?\n", lambda lines: lines[-1].count(",") >= 2)
@@ -74,6 +77,7 @@ class GCS:
         yield from self._error()  # what was left by whoever came before
         yield from self._learn_unit()
         servo = yield from self._values("SVO?")
+        self.started_anew = self.started_anew or not servo.any()
         if not servo.all():
             verdict = yield from self._command("SVO " + " ".join(f"{axis} 1" for axis in self.axes))
             if not verdict.accepted:
@@ -127,6 +131,7 @@ class GCS:
                 return Verdict(False, _reason(error))
             if not moving:
                 referenced = yield from self._values("FRF?")
+                self.started_anew = self.started_anew and not referenced.all()
                 missing = [axis for axis, done in zip(self.axes, referenced) if not done]
                 return Verdict(not missing, f"not referenced: {' '.join(missing)}" if missing else "")
             yield from pause_dialogue()
@@ -144,6 +149,24 @@ class GCS:
     def unlock(self) -> Dialogue[Verdict]:
         yield from self._error()
         return (yield from self._command("SVO " + " ".join(f"{axis} 1" for axis in self.axes)))
+
+    def confirm(self) -> Dialogue[None]:
+        self.started_anew = False
+        yield from ()
+
+    def limits(self) -> Dialogue[ControllerLimits | None]:
+        ends = []
+        for question in ("TMN?", "TMX?"):
+            lines = yield Exchange(f"{question} {' '.join(self.axes)}\n".encode(), _whole(rf"{_AXIS}={_NUMBER}"))
+            pairs = [re.fullmatch(rf"({_AXIS})=({_NUMBER})", line.strip()) for line in lines or ()]
+            found = {pair[1]: float(pair[2]) / self._unit for pair in pairs if pair}
+            if set(found) != set(self.axes):  # it does not know the question, or answers for other axes
+                yield from self._in_step()
+                yield from self._error()
+                return None
+            ends.append([found[axis] for axis in self.axes])
+        travel, unsaid = np.array(ends).T, np.full(len(self.axes), np.nan)
+        return ControllerLimits(travel, np.ptp(travel, axis=1), unsaid, unsaid, "TMN?, TMX?", "", "")
 
     def event(self, line: str) -> str:
         return ""

@@ -1,7 +1,8 @@
 """Protocol grblHAL and Grbl 1.1: struts as linear axes in mm, G-code lines and real-time bytes.
 
-Moves are in machine coordinates (G53), so that no work offset matters; scaling would, and is switched off. After
-`hello` the feed word is never 0; a controller that says F0 has started anew. Source: Grbl 1.1 Interface and Commands
+Moves are in machine coordinates (G53), so that no work offset matters; scaling would, and is switched off. The feed
+word holds what is known of the position: F0 since a start, F1 once greeted after one, more once homed, confirmed or
+moved. Source: Grbl 1.1 Interface and Commands
 (gnea/grbl wiki); grblHAL core, report.c, gcode.c and system.c.
 """
 
@@ -12,6 +13,7 @@ from typing import cast
 import numpy as np
 
 from rig.array_and_json_types import Floats
+from rig.driving.controller_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface import (
     POLL,
     Dialogue,
@@ -23,6 +25,7 @@ from rig.driving.protocols.protocol_interface import (
     pause_dialogue,
     query_dialogue,
 )
+from rig.driving.urgent_stop import STOPS
 from rig.errors import ControllerFault, NoAnswer
 
 MM = 1e3
@@ -33,7 +36,10 @@ REPORTS = 12  # within which a controller says whether it is homed, if it ever d
 STANDS, AGAIN = 60.0, 0.1  # s in which a move that another process began may end; s between looks
 HOLD = 10.0  # s that a feed hold may take
 ASKED = (0.5, 2)  # s, times: a status report in order to stop; a controller that homes gives none and heeds no hold
-READY = "G21G90G94F100"
+READY = "G21G90G94"
+UNCONFIRMED, CONFIRMED = "F1", "F100"  # mm/min; of a position since the controller started
+SLOWEST = 2.0  # mm/min, of a move, so that its feed word is no F0 or F1
+HOMING_REQUIRED = 11  # the alarm of a controller that starts locked ($22 with 4)
 _STATUS = re.compile(r"<([A-Za-z]+(?::\d+)?)((?:\|[^<>|]*)*)>")
 _NUMBERS = r"-?\d+\.\d+(?:,-?\d+\.\d+)*"
 _END = re.compile(r"ok|error:\d+")
@@ -97,7 +103,7 @@ class GrblHAL:
     """See rig.driving.protocols.protocol_interface.Protocol. axes : letters of the axes, in the struts' order."""
 
     name = "grblhal"
-    urgent_stop = b"!"
+    urgent_stop = STOPS["grblhal"]
 
     def __init__(self, axes: Sequence[str]) -> None:
         self.axes = tuple(axes)
@@ -108,6 +114,7 @@ class GrblHAL:
         self._homed: bool | None = None
         self._whole_report = b"?"
         self._homing = False
+        self.started_anew = False
 
     def hello(self) -> Dialogue[str]:
         report = _STATUS.search(
@@ -142,8 +149,10 @@ class GrblHAL:
                 f"the controller takes {self._turning()} for rotary axes whose feed is that of the others "
                 "($376, $680): set $376=0"
             )
-        ready = yield from _answer_lines(READY.encode() + b"\n", locked=True)
-        if _scaled((yield from _modes())):
+        words = yield from _modes()
+        self.started_anew = _feeds(words, "[01]")
+        ready = yield from self._make_ready()
+        if _scaled(words):
             yield from _answer_lines(b"G50\n", locked=True)
         self._whole_report = b"\x87" if "[FIRMWARE:grblHAL]" in build else b"?"
         yield from self._learn_homed()
@@ -151,16 +160,15 @@ class GrblHAL:
 
     def fence(self) -> Dialogue[bool]:
         words = yield from _modes()
-        return (
-            {"G21", "G90", "G94"} <= words
-            and not _scaled(words)
-            and not any(re.fullmatch(r"F0+(\.0*)?", word) for word in words)
-        )
+        return {"G21", "G90", "G94"} <= words and not _scaled(words) and not _feeds(words, "0")
 
     def state(self) -> Dialogue[State]:
         for _ in range(40):  # the work offset comes with every 30th report, at the latest
             lines = yield from query_dialogue(b"?", lambda lines: self._read(lines[-1]) is not None)
             state = self._read(lines[-1])
+            if state is not None and state.activity == "alarm" and self._whole_report != b"?":  # which has its number
+                lines = yield from query_dialogue(self._whole_report, lambda lines: self._read(lines[-1]) is not None)
+                state = self._read(lines[-1])
             if state is not None and state.positions is not None:
                 return state
         raise NoAnswer(
@@ -170,7 +178,7 @@ class GrblHAL:
 
     def move(self, segment: Segment) -> Dialogue[Verdict]:
         speed = MM * 60 * np.linalg.norm(segment.target - segment.start) / max(segment.duration, 1e-6)
-        feed = f"F{max(speed, 0.1):.1f}"
+        feed = f"F{max(speed, SLOWEST):.1f}"
         for digits, apart in ((4, False), (4, True), (3, False), (3, True)):
             words = "".join(f"{axis}{value:.{digits}f}" for axis, value in zip(self.axes, MM * segment.target))
             line = f"G53G1{words}" + ("" if apart else feed)
@@ -198,6 +206,8 @@ class GrblHAL:
         if verdict.accepted is None:
             return Verdict(None, f"not home within {timeout:g} s ([controller] home_timeout)")
         self._homing, self._homed = False, None
+        if verdict.accepted:
+            yield from self.confirm()  # in an alarm it took no line, and so has none of what `hello` set
         yield from self._learn_homed()
         return verdict
 
@@ -216,11 +226,37 @@ class GrblHAL:
             yield from pause_dialogue()
         if word != "Idle":
             yield Exchange(b"\x18", lambda lines: bool(_BANNER.match(lines[-1])))
-            yield from _answer_lines(READY.encode() + b"\n", locked=True)
+            yield from self._make_ready()
         return Verdict(True)
 
     def unlock(self) -> Dialogue[Verdict]:
-        return (yield from _command("$X"))
+        verdict = yield from _command("$X")
+        if verdict.accepted:
+            yield from self._make_ready()
+        return verdict
+
+    def confirm(self) -> Dialogue[None]:
+        self.started_anew = False
+        yield from self._make_ready()
+
+    def limits(self) -> Dialogue[ControllerLimits | None]:
+        yield from ()
+        span = self._axis_settings(130) / MM
+        if not int(self._settings.get(20, 0)) & 1:  # soft limits are off: it refuses nothing
+            span = np.full(len(self.axes), np.nan)
+        return ControllerLimits(
+            np.full((len(self.axes), 2), np.nan),  # whether it counts up from 0 or down to it depends on its homing
+            span,
+            self._axis_settings(110) / MM / 60,
+            self._axis_settings(120) / MM,
+            "$130 .. with $20=1",
+            "$110 ..",
+            "$120 ..",
+        )
+
+    def _axis_settings(self, first: int) -> Floats:
+        """(n,) a setting of each strut's axis, NaN where it is not listed. first : number of the first axis's"""
+        return np.array([self._settings.get(first + self._letters.index(axis), np.nan) for axis in self.axes])
 
     def event(self, line: str) -> str:
         line = line.strip()
@@ -232,6 +268,11 @@ class GrblHAL:
         if re.fullmatch(r"error:\d+", line):
             return _reason(line)
         return ""
+
+    def _make_ready(self) -> Dialogue[tuple[str, ...]]:
+        """Units, distances, feed; what it answers. In an alarm it takes none of them."""
+        feed = UNCONFIRMED if self.started_anew else CONFIRMED
+        return (yield from _answer_lines(f"{READY}{feed}\n".encode(), locked=True))
 
     def _learn_homed(self) -> Dialogue[None]:
         """Ask until it says whether it is homed, which comes with a whole report, or with every tenth, or never."""
@@ -277,7 +318,9 @@ class GrblHAL:
         if "H" in fields:
             self._homed = fields["H"].startswith("1") and not self._never_homed()
         chosen = None if machine is None else machine[[self._letters.index(axis) for axis in self.axes]] / MM
-        return State("moving" if match[1] == "Hold:1" else _ACTIVITY[word], chosen, self._homed, fault, match[0])
+        activity = "moving" if match[1] == "Hold:1" else _ACTIVITY[word]
+        required = word == "Alarm" and number == str(HOMING_REQUIRED)
+        return State(activity, chosen, self._homed, fault, match[0], required)
 
     def _numbers(self, text: str) -> Floats | None:
         """(axes,) mm, or None where they are not as many as the controller has axes."""
@@ -311,6 +354,11 @@ def _modes() -> Dialogue[set[str]]:
     """The words of what it takes for granted: units, distances, feed."""
     lines = yield from query_dialogue(b"$G\n", _after("[GC:"))
     return {*next(line for line in lines if line.startswith("[GC:"))[4:].strip().rstrip("]").split()}
+
+
+def _feeds(words: set[str], whole: str) -> bool:
+    """Whether the feed word is one of some whole numbers, as a class of characters."""
+    return any(re.fullmatch(rf"F{whole}(\.0*)?", word) for word in words)
 
 
 def _scaled(words: set[str]) -> bool:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rig.array_and_json_types import Floats
+from rig.driving.controller_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface import (
     POLL,
     REST,
@@ -25,9 +26,9 @@ from rig.driving.protocols.protocol_interface import (
     pause_dialogue,
     query_dialogue,
 )
+from rig.driving.urgent_stop import CLIENT, STOPS
 from rig.errors import ControllerFault, NoAnswer
 
-CLIENT = "rig 1.0"
 UNITS = {"MM": 1e3, "INCH": 1 / 0.0254, "CM": 1e2}  # of a metre
 IDENTITY = "1"  # KINEMATICS_TYPE
 ECHO = 0.3  # s to wait for an answer that need not come
@@ -41,11 +42,12 @@ class LinuxCNC:
     """
 
     name = "linuxcnc"
-    urgent_stop = b"SET ABORT\r\n"
+    urgent_stop = STOPS["linuxcnc"]
 
     def __init__(self, axes: Sequence[str], kinematics: str, password: str, enable_password: str) -> None:
         self.axes, self.kinematics, self._password, self._enable = tuple(axes), kinematics, password, enable_password
         self._unit, self._inch, self._homed = 1e3, False, False
+        self.started_anew = False  # JOINT_HOMED says so itself
 
     def hello(self) -> Dialogue[str]:
         greeting = yield from self._greet()
@@ -156,6 +158,14 @@ class LinuxCNC:
         if verdict.accepted:
             verdict = yield from self._set("SET MACHINE ON", 4)
         return verdict
+
+    def confirm(self) -> Dialogue[None]:
+        self.started_anew = False
+        yield from ()
+
+    def limits(self) -> Dialogue[ControllerLimits | None]:
+        yield from ()
+        return None  # linuxcncrsh does not say; [controller] ini does
 
     def event(self, line: str) -> str:
         return ""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.driving.controller_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface import (
     POLL,
     REST,
@@ -18,6 +19,7 @@ from rig.driving.protocols.protocol_interface import (
     Verdict,
     pause_dialogue,
 )
+from rig.driving.urgent_stop import STOPS
 from rig.errors import ControllerFault, NoAnswer
 
 NM = 1e9
@@ -77,12 +79,13 @@ class Struts:
     """
 
     name = "struts"
-    urgent_stop = b"!"
+    urgent_stop = STOPS["struts"]
 
     def __init__(self, count: int, watchdog: float) -> None:
         self.count, self.watchdog = count, watchdog
         self._number = 0
         self._boot, self._line = "", 0
+        self.started_anew = False  # its state says so itself
 
     def hello(self) -> Dialogue[str]:
         words = (yield from self._told("HELLO")).split()
@@ -144,6 +147,14 @@ class Struts:
 
     def unlock(self) -> Dialogue[Verdict]:
         return (yield from self._command("UNLOCK"))
+
+    def confirm(self) -> Dialogue[None]:
+        self.started_anew = False
+        yield from ()
+
+    def limits(self) -> Dialogue[ControllerLimits | None]:
+        yield from ()
+        return None
 
     def event(self, line: str) -> str:
         frame = decode_frame("<", line)

@@ -8,6 +8,7 @@ from typing import TypeVar
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
+from rig.driving.controller_limits import ControllerLimits
 from rig.errors import NoAnswer
 
 T = TypeVar("T")
@@ -44,13 +45,16 @@ class Verdict:
 class State:
     """activity : one of ACTIVITIES; positions : (n,) m as the controller counts, None while it has not said
     homed : all axes, None where it does not say
-    fault : why it cannot be moved, or ""; said : its own words."""
+    fault : why it cannot be moved, or ""; said : its own words; homing_required : whether it is in alarm for no other
+        reason than that it must be homed first, as after power-on
+    """
 
     activity: str
     positions: Floats | None
     homed: bool | None
     fault: str
     said: str
+    homing_required: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,10 +78,13 @@ class Protocol(Interface):
     """Commands of one kind of controller as dialogues; it knows what the controller reported, and no port.
 
     name : as rig.toml has it; urgent_stop : bytes that slow every axis down at once, sent past any request in flight
+    started_anew : whether `hello` found that it has started since a position was last confirmed or homed, where it
+        shows that
     """
 
     name: str
     urgent_stop: bytes
+    started_anew: bool
 
     def hello(self) -> Dialogue[str]:
         """Its name and version; learns its units and sizes and readies it. Raises NoAnswer, ControllerFault."""
@@ -101,6 +108,12 @@ class Protocol(Interface):
 
     def unlock(self) -> Dialogue[Verdict]:
         """Clear an alarm without homing."""
+
+    def confirm(self) -> Dialogue[None]:
+        """Mark the position as confirmed by the operator, where the controller can hold such a mark."""
+
+    def limits(self) -> Dialogue[ControllerLimits | None]:
+        """Travel, speed and acceleration that it allows itself, None where it says nothing of them; after `hello`."""
 
     def event(self, line: str) -> str:
         """Content of an unsolicited line: "restarted", an alarm or an error in words, or "" for nothing."""

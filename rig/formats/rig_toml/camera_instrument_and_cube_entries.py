@@ -7,7 +7,18 @@ from dataclasses import fields, replace
 import numpy as np
 
 from rig.formats.checked_entries import Entries
-from rig.model.design import DISTORTION_TERMS, PERMITTED, SOURCES, TURN, Camera, Instrument, Marker, Permission, Target
+from rig.model.design import (
+    DISTORTION_TERMS,
+    PERMITTED,
+    SOURCES,
+    TURN,
+    Camera,
+    CaptureSettings,
+    Instrument,
+    Marker,
+    Permission,
+    Target,
+)
 from rig.model.design_comparison_and_cube_remounting import find_cube, parse_cube_turn_permission
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 from rig.model.pose import pose_to_vector
@@ -22,7 +33,19 @@ def cameras_of_tables(tables: list[Entries]) -> tuple[Camera, ...]:
     found: list[Camera] = []
     for table in tables:
         table.refuse_misspelt(
-            ("name", "width", "height", "matrix", "distortion", "pose", "shutter", "row_time", "mount", "source")
+            (
+                "name",
+                "width",
+                "height",
+                "matrix",
+                "distortion",
+                "pose",
+                "shutter",
+                "row_time",
+                "mount",
+                "source",
+                "capture",
+            )
         )
         name = table.identifier("name")
         if name in [camera.name for camera in found]:
@@ -71,10 +94,34 @@ def cameras_of_tables(tables: list[Entries]) -> tuple[Camera, ...]:
                 shutter,
                 row_time,
                 table.text("mount", ("fixed", "moving", "hand"), default="fixed"),
-                _source(table),
+                source := _source(table),
+                _capture(table.table("capture", optional=True), source),
             )
         )
     return tuple(found)
+
+
+def _capture(table: Entries, source: str | None) -> CaptureSettings:
+    """How a run sets a camera. Raises FileError for a setting that its kind of source does not have."""
+    settings = {"uvc": ("pixel_format", "gain", "focus", "white_balance"), "genicam": ("pixel_format", "gain")}
+    kind = (source or "").partition(":")[0]
+    table.refuse_misspelt([field.name for field in fields(CaptureSettings)])
+    for key in table.tree:
+        if source is not None and key not in settings.get(kind, ()):
+            table.fail(
+                f"{table.name(key)}: a camera of source {kind} takes {' '.join(settings.get(kind, ('none',)))}", key
+            )
+    text = table.text("pixel_format", default="")
+    if kind == "uvc" and text and len(text) != 4:
+        table.fail(
+            f"{table.name('pixel_format')} of a UVC camera is four letters, as MJPG, not {text!r}", "pixel_format"
+        )
+    return CaptureSettings(
+        text,
+        table.number("gain", None),
+        table.number("focus", None, least=0),
+        table.number("white_balance", None, least=1000, most=20000, unit="K"),
+    )
 
 
 def check_hand_mounted_cameras(

@@ -9,6 +9,7 @@ from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import camera_instrument_and_cube_entries
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_table
+from rig.model.controller_port_names import port_problem
 from rig.model.design import (
     DICTIONARIES,
     FACES,
@@ -22,7 +23,6 @@ from rig.model.design import (
     Sensor,
     SensorPort,
     Target,
-    port_problem,
 )
 from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_struts, target_bodies
@@ -148,6 +148,7 @@ def _controller(table: Entries, mechanism: Hexapod | Planar2 | Arm | Chain | Fre
         table.text("kinematics", ("joint", "world"), default="joint"),
         table.text("password", default="EMC"),
         table.text("enable_password", default="EMCTOO"),
+        table.text("ini", default=""),
     )
 
 

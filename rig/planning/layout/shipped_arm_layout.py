@@ -41,6 +41,15 @@ position_sigma = 2e-5   # m
 rotation_sigma = 1e-4   # rad
 """
 
+CONTROLLER = """
+[controller]            # what drives the struts
+protocol = "grblhal"    # or gcs, linuxcnc, struts
+# port = "/dev/ttyACM0" # state it: a device, socket://HOST:PORT or rfc2217://HOST:PORT; until then give --port
+homing = true           # false: it cannot home, and what it reads at the start is believed
+zero = 0.0              # m, a strut's length, joint centre to joint centre, where the controller counts 0
+tolerance = 1e-5        # m, of a read-back
+"""
+
 
 def shipped_arm_names() -> list[str]:
     """Names of the shipped arms, sorted."""
@@ -240,5 +249,7 @@ def layout_rig_toml(options: LayoutOptions) -> str:
     kind = options.mechanism or "hexapod"
     name = options.name or kind
     if kind == "hexapod":
-        return hexapod_layout_rig_toml(options.radius, cameras, *size, cubes, dictionary, name, options.limbs)
-    return two_strut_layout_rig_toml(options.radius, cameras, *size, cubes, dictionary, name)
+        text = hexapod_layout_rig_toml(options.radius, cameras, *size, cubes, dictionary, name, options.limbs)
+    else:
+        text = two_strut_layout_rig_toml(options.radius, cameras, *size, cubes, dictionary, name)
+    return text + CONTROLLER

@@ -5,6 +5,10 @@ const at = (id) => document.getElementById(id);
 const rig = new Rig(at("rig"));
 let pictured = -1;
 let over = false;
+const SILENT = 1500; // ms without a sign of life, of which two come every second
+let heard = performance.now();
+let latest = null; // the last event, shown again should the run come back
+let dead = false;
 
 function element(name, properties = {}, ...children) {
   const made = Object.assign(document.createElement(name), properties);
@@ -142,10 +146,37 @@ at("stop").addEventListener("click", async () => {
   }
 });
 
+// Nothing that a run said before it died still holds: not its state, nor the time left, nor that a button can stop it.
+function bury() {
+  dead = true;
+  at("state").textContent = "dead";
+  at("state").title = "the run gives no sign of life";
+  at("state").className = "badge bad";
+  at("phase").textContent = "the run no longer answers: it was killed, or hangs. Stop the struts with rig stop, or the rig's own emergency stop";
+  at("far").textContent = latest ? `it had come to frame ${latest.frame} of ${latest.frames}` : "";
+  at("stop").disabled = true;
+  at("stop").textContent = "cannot stop it from here";
+  document.title = "dead: rig run";
+}
+
+function alive() {
+  heard = performance.now();
+  if (!dead) return;
+  dead = false;
+  at("stop").disabled = false;
+  at("stop").textContent = "Stop";
+  if (latest) show(latest);
+}
+
 const events = new EventSource(`/events?token=${encodeURIComponent(token)}`);
 events.onmessage = (message) => {
   const run = JSON.parse(message.data);
-  if (run.phase !== undefined) show(run);
+  if (run.phase === undefined) return;
+  latest = run;
+  alive();
+  show(run);
 };
+events.addEventListener("alive", alive);
+setInterval(() => { if (!over && !dead && performance.now() - heard > SILENT) bury(); }, 250);
 events.addEventListener("end", () => { events.close(); if (!over) end("over"); });
-events.onerror = () => { if (!over) at("phase").textContent = "the run cannot be reached; trying again"; };
+events.onerror = () => { if (!over && !dead) at("phase").textContent = "the run cannot be reached; trying again"; };

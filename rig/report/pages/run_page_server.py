@@ -40,7 +40,7 @@ HEADERS = {
     "data:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
 }
-ALIVE = 10.0  # s between signs of life on a line without events
+ALIVE = 0.5  # s between signs of life on a line without events; the page takes SILENT in page.js for death
 LAST = 1.0  # s that browsers have to take the last event
 LINES = 16  # browsers that may listen at a time
 STRANGERS = 16  # connections at a time of which the token is not known yet; one more closes the oldest of them
@@ -292,7 +292,7 @@ class _Handler(BaseHTTPRequestHandler):
             while going:
                 fresh = page.listen(number, ALIVE)
                 if fresh is None:
-                    self.wfile.write(b": still there\n\n")
+                    self.wfile.write(b"event: alive\ndata: {}\n\n")
                 else:
                     number, event, going = fresh
                     self.wfile.write(b"data: " + event + b"\n\n")

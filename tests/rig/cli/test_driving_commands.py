@@ -86,9 +86,13 @@ def test_struts_are_homed_moved_a_little_and_sent_to_a_pose(emulated, rig, calib
     assert said(capsys, "go", path, "--rig", rig, "--pose", wanted, "--dry-run", "--quiet") == ""
     done = said(capsys, "go", path, "--rig", rig, "--pose", wanted)
     assert planned.splitlines()[0] in done
+    told = re.search(r"within (\S+) um .*the struts read (\S+) um .*uncertain by (\S+) um", done)
+    assert float(told[1]) == pytest.approx(np.hypot(float(told[2]), float(told[3])), rel=0.05)
+    assert float(told[3]) > 1.0, "parameters of 1 um each leave more than the struts' read-back does"
     np.testing.assert_allclose(emulated.told()[-1], foretold["commanded"], atol=1e-6)
     there = json.loads(said(capsys, "go", path, "--rig", rig, "--pose", wanted, "--json"))
     np.testing.assert_allclose(there["lengths"], there["commanded"], atol=1e-6)
+    assert there["within"][0] >= 2 * there["uncertainty"][0] > 2e-6
     assert there["moved"] and np.linalg.norm(there["left"][:3]) < 1e-5
     T = mechanisms.kinematics_of(fitted).forward(np.array(emulated.told()[-1]), fitted)
     np.testing.assert_allclose(

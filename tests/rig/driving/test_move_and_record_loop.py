@@ -7,7 +7,7 @@ import pytest
 
 from rig.driving.run_journal_and_recording import Arrival, Departure, Ended, Exposed, Resumed, read_journal
 from rig.driving.run_steps_and_progress import check_steps, steps_of_plan
-from rig.errors import ControllerFault, RigError, Stopped, Unreachable
+from rig.errors import ControllerFault, MotionError, RigError, Stopped, Unreachable
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
@@ -197,3 +197,32 @@ def test_a_journal_of_another_plan_is_refused(rig, tmp_path):
     Room(rig, tmp_path / "rec").process()
     with pytest.raises(RigError, match="plan of 13 steps, this one has 5"):
         Room(rig, tmp_path / "rec", "sobol:2").process()
+
+
+@pytest.mark.parametrize("during", [False, True], ids=["before", "during"])
+def test_a_frame_in_which_somebody_else_moved_the_struts_is_not_kept(rig, tmp_path, during):
+    room = Room(rig, tmp_path / "rec")
+    grab, wait = room.eye.grab, room.clock.sleep
+
+    def jogged():
+        frame = grab()
+        room.struts.at = room.struts.at + 2e-3 * during
+        return frame
+
+    def settle(seconds):
+        wait(seconds)
+        if seconds == 0.5 and not during:
+            room.struts.at = room.struts.at + 2e-3
+
+    room.eye.grab, room.clock.sleep = jogged, settle
+    with pytest.raises(MotionError, match="frame 0 is not kept: .* 2.000 mm from where they were to rest"):
+        room.process()
+    rows = read_journal(tmp_path / "rec" / "journal.jsonl")[0]
+    assert not any(isinstance(row, Exposed) for row in rows) and "not kept" in rows[-1].reason
+    assert not list((tmp_path / "rec").glob("images/**/*.png"))
+    room.eye.grab, room.clock.sleep = grab, wait
+    room.process()
+    assert (
+        "moved them"
+        in next(row for row in read_journal(tmp_path / "rec" / "journal.jsonl")[0] if isinstance(row, Resumed)).found
+    )

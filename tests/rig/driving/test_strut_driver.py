@@ -239,3 +239,53 @@ def test_ten_thousand_moves_with_faults_at_one_in_twenty(driven_design, protocol
         0,
         0,
     ), verdicts
+
+
+def booted_locked(driven_design):
+    """(driver, emulator, clock) of a grblHAL that starts in alarm until it is homed ($22=5)."""
+    driver, emulator, clock = bench(driven_design, "grblhal", (), 1)
+    emulator.settings[22] = 5
+    emulator.power_cycle()
+    return driver, emulator, clock
+
+
+def test_a_controller_that_starts_locked_moves_once_it_is_homed(driven_design):
+    driver, emulator, clock = booted_locked(driven_design)
+    status = driver.open()
+    assert status.activity == "alarm" and status.homing_required and "homing is required" in status.fault
+    with pytest.raises(ControllerFault, match="homed first"):
+        driver.unlock()
+    driver.home()
+    driver.close()
+    driver.open()  # as the next command does
+    home = home_lengths(driven_design.mechanism)
+    driver.move(home + STEP)
+    np.testing.assert_allclose(truly(emulator, clock), home + STEP, atol=1e-6)
+
+
+def test_a_controller_unlocked_after_it_started_in_alarm_moves_once_it_is_trusted(driven_design):
+    driver, emulator, clock = bench(driven_design, "grblhal", (), 1, homing=False)
+    emulator.alarm = 3
+    driver.open()
+    driver.unlock()
+    driver.trust()
+    driver.move(home_lengths(driven_design.mechanism) + STEP)
+    assert len(emulator.machine.executed) == 1
+
+
+def test_a_start_since_the_last_contact_is_seen_until_the_position_is_confirmed(driven_design):
+    driver, emulator, clock = bench(driven_design, "grblhal", (), 1, homing=False)
+    for _ in range(2):  # the first session's greeting does not hide it from the second
+        driver.open()
+        assert driver.started_anew
+        driver.close()
+    driver.open()
+    driver.trust()
+    assert not driver.started_anew
+    driver.close()
+    driver.open()
+    assert not driver.started_anew
+    emulator.power_cycle()
+    driver.close()
+    driver.open()
+    assert driver.started_anew

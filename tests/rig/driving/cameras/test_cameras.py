@@ -1,19 +1,22 @@
 """Cameras: fresh frames only, their times on the host's clock, whole files only."""
 
 import types
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from rig.driving.cameras import CameraError, open_camera
+from rig.driving.cameras import CameraError, genicam_camera, open_camera
 from rig.driving.cameras.camera_interface_and_grabbing import ClockOffset
 from rig.driving.cameras.camera_opening import EmulatedSource, FolderSource
 from rig.driving.cameras.genicam_camera import GenicamSource
 from rig.driving.cameras.opencv_camera import VideoSource
-from rig.errors import RigError
-from rig.model.design import Camera
+from rig.errors import FileError, RigError
+from rig.formats.rig_toml import design_file
+from rig.model.design import Camera, CaptureSettings
 from rig.model.pose import pose
+from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.rig.simulated_clock import SIZE, Ticking
 
 
@@ -104,7 +107,7 @@ WRITING = [
 
 def test_a_pipeline_opens_only_what_reads_decodes_and_converts(tmp_path, monkeypatch):
     opened = []
-    monkeypatch.setattr(cv2.videoio_registry, "getBackends", lambda: (cv2.CAP_GSTREAMER,))
+    monkeypatch.setattr(cv2.videoio_registry, "hasBackend", lambda kind: kind == cv2.CAP_GSTREAMER)
     closed = types.SimpleNamespace(isOpened=lambda: False, release=lambda: None)
     monkeypatch.setattr(cv2, "VideoCapture", lambda place, kind: opened.append(place) or closed)
     for text in WRITING:
@@ -117,6 +120,13 @@ def test_a_pipeline_opens_only_what_reads_decodes_and_converts(tmp_path, monkeyp
         with pytest.raises(CameraError, match="cannot be opened"):
             open_camera(camera(f"gstreamer:{text}"), Ticking())
     assert opened == READING
+
+
+def test_an_opencv_that_lists_gstreamer_and_cannot_load_it_says_so(monkeypatch):
+    monkeypatch.setattr(cv2.videoio_registry, "getBackends", lambda: (cv2.CAP_GSTREAMER,))  # as a plug-in, not there
+    monkeypatch.setattr(cv2.videoio_registry, "hasBackend", lambda kind: False)
+    with pytest.raises(CameraError, match="this build of OpenCV has no GStreamer"):
+        open_camera(camera("gstreamer:videotestsrc ! videoconvert ! appsink"), Ticking())
 
 
 def test_a_device_that_is_not_there_is_said(tmp_path):
@@ -267,3 +277,135 @@ def test_a_watched_folder_refuses_another_size(tmp_path):
 def test_an_emulators_camera_needs_an_emulator():
     with pytest.raises(CameraError, match="rig emulate"):
         EmulatedSource("cam0", "127.0.0.1:1", Ticking(), SIZE)
+
+
+def test_bayer_images_become_colour_ones_and_rgb_turns_round():
+    clock = Ticking()
+    acquirer, _, _ = genicam(clock, "BayerRG12")
+    plain = acquirer.fetch
+
+    def coloured(form, pixels):
+        def fetch(timeout):
+            buffer = plain(timeout)
+            buffer.payload.components[0].data_format = form
+            buffer.payload.components[0].data = pixels.copy()  # which the producer takes back
+            return buffer
+
+        acquirer.fetch = fetch
+        return GenicamSource("cam0", acquirer, clock, SIZE).grab().image
+
+    mosaic = np.zeros(SIZE[::-1], np.uint16)
+    mosaic[::2, ::2] = 4000  # red alone
+    image = coloured("BayerRG12", mosaic.ravel())
+    assert image.dtype == np.uint16 and image.shape == (*SIZE[::-1], 3)
+    assert (image[4, 4] == [0, 0, 64000]).all()
+    np.testing.assert_array_equal(coloured("BayerBG12", mosaic.ravel())[4, 4], [64000, 0, 0])
+    rgb = np.tile(np.array([1, 2, 3], np.uint8), SIZE[0] * SIZE[1])
+    np.testing.assert_array_equal(coloured("RGB8", rgb)[0, 0], [3, 2, 1])
+
+
+def test_genicam_settings_are_made_and_one_that_is_not_taken_is_named():
+    clock = Ticking()
+    acquirer, nodes, _ = genicam(clock)
+    nodes.PixelFormat, nodes.Gain, nodes.GainAuto, nodes.BalanceWhiteAuto = Node(), Node(), Node("Continuous"), Node()
+    GenicamSource("cam0", acquirer, clock, SIZE, CaptureSettings("BayerRG8", 3.0))
+    assert (nodes.PixelFormat.value, nodes.Gain.value) == ("BayerRG8", 3.0)
+    assert nodes.GainAuto.value == nodes.BalanceWhiteAuto.value == "Off"
+    del nodes.Gain
+    nodes.Gain = property  # its value cannot be set
+    with pytest.raises(CameraError, match="'cam0' does not take Gain = 3"):
+        GenicamSource("cam0", acquirer, clock, SIZE, CaptureSettings(gain=3.0))
+
+
+def test_genicam_cameras_share_one_harvester_until_the_last_is_closed(monkeypatch):
+    made = []
+
+    class Harvester:
+        def __init__(self):
+            made.append(self)
+            self.down = False
+            self.device_info_list = [types.SimpleNamespace(serial_number=serial) for serial in ("A1", "B2")]
+
+        def create(self, which):
+            return genicam(Ticking())[0]
+
+        def reset(self):
+            self.down = True
+
+    monkeypatch.setattr(genicam_camera, "_harvester_of_producers", lambda name: Harvester())
+    one, two = (open_camera(camera(f"genicam:{serial}"), Ticking()) for serial in ("A1", "B2"))
+    assert len(made) == 1
+    with pytest.raises(CameraError, match="no GenICam camera 'C3'; there are 'A1', 'B2'"):
+        open_camera(camera("genicam:C3"), Ticking())
+    one.close()
+    assert not made[0].down
+    two.close()
+    assert made[0].down
+    open_camera(camera("genicam:A1"), Ticking()).close()
+    assert len(made) == 2 and made[1].down
+
+
+class Controls(Capture):
+    """A capture whose controls hold what is set, but for those that are `stuck`."""
+
+    def __init__(self, stuck=()):
+        super().__init__(Ticking(), True)
+        self.held, self.stuck = {}, stuck
+
+    def set(self, key, value):
+        if key not in self.stuck:
+            self.held[key] = value
+        return True
+
+    def get(self, key):
+        return self.held.get(key, 0.0)
+
+    def isOpened(self):  # noqa: N802  (as cv2 has it)
+        return True
+
+
+def test_uvc_settings_are_made_and_one_that_is_not_taken_is_named(monkeypatch):
+    settings = CaptureSettings("MJPG", 12.0, 30.0, 4600.0)
+    stated = replace(camera("uvc:0"), capture=settings)
+    capture = Controls()
+    monkeypatch.setattr(cv2, "VideoCapture", lambda *_: capture)
+    open_camera(stated, Ticking())
+    held = capture.held
+    assert held[cv2.CAP_PROP_FOURCC] == cv2.VideoWriter.fourcc(*"MJPG")
+    assert list(held).index(cv2.CAP_PROP_FOURCC) < list(held).index(cv2.CAP_PROP_FRAME_WIDTH)
+    assert (held[cv2.CAP_PROP_GAIN], held[cv2.CAP_PROP_FOCUS], held[cv2.CAP_PROP_WB_TEMPERATURE]) == (
+        12.0,
+        30.0,
+        4600.0,
+    )
+    assert held[cv2.CAP_PROP_AUTOFOCUS] == held[cv2.CAP_PROP_AUTO_WB] == 0
+    for control, name in (
+        (cv2.CAP_PROP_FOURCC, "does not send MJPG"),
+        (cv2.CAP_PROP_FOCUS, "does not take a focus of 30; it has 0"),
+        (cv2.CAP_PROP_WB_TEMPERATURE, "does not take a white balance of 4600"),
+    ):
+        capture = Controls((control,))
+        with pytest.raises(CameraError, match=name):
+            open_camera(stated, Ticking())
+        assert capture.released
+
+
+@pytest.mark.parametrize(
+    ("source", "settings", "says"),
+    [
+        ("uvc:0", 'pixel_format = "Mono12"', "is four letters, as MJPG"),
+        ("genicam:A1", "focus = 3", "of source genicam takes pixel_format gain"),
+        ("folder:/tmp", "gain = 3", "of source folder takes none"),
+        ("uvc:0", "gian = 3", "gain"),
+    ],
+)
+def test_settings_that_a_kind_of_camera_does_not_have_are_refused_in_rig_toml(tmp_path, source, settings, says):
+    text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=1)
+    path = tmp_path / "rig.toml"
+    path.write_text(
+        text.replace('shutter = "global"', f'shutter = "global"\nsource = "{source}"\ncapture = {{ {settings} }}')
+    )
+    with pytest.raises(FileError, match=says):
+        design_file.load_design(path)
+    path.write_text(text.replace('shutter = "global"', 'shutter = "global"\nsource = "uvc:0"\ncapture = { gain = 3 }'))
+    assert design_file.load_design(path).cameras[0].capture == CaptureSettings(gain=3.0)

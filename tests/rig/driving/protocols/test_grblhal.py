@@ -17,8 +17,8 @@ HELLO = [
     (b"?", IDLE),
     (b"$I\n", BUILD),
     (b"$$\n", b"$10=511\r\n$13=0\r\n$376=7\r\nok\r\n"),
-    (b"G21G90G94F100\n", b"ok\r\n"),
     MODES,
+    (b"G21G90G94F100\n", b"ok\r\n"),
 ]
 
 
@@ -179,7 +179,7 @@ def test_stop_resets_what_answers_nothing_because_it_homes():
 
 def test_scaled_coordinates_are_made_whole_again_and_never_moved_in():
     scaled = (MODES[0], MODES[1].replace(b"G50", b"G51:XY"))
-    assert greeted([*HELLO[:4], scaled, (b"G50\n", b"ok\r\n")]) is not None
+    assert greeted([*HELLO[:3], scaled, HELLO[4], (b"G50\n", b"ok\r\n")]) is not None
     assert talk([MODES], lambda p: p.fence()) and not talk([scaled], lambda p: p.fence())
 
 

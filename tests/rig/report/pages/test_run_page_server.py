@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import time
+from importlib import resources
 
 import pytest
 
@@ -203,6 +204,66 @@ def test_events_come_as_they_are_shown_and_end_with_the_run(page):
     made = PageServer(lambda: None)
     assert [made.take_line(+1) for _ in range(17)].count(False) == 1
     made.close()
+
+
+def test_a_run_says_that_it_is_alive_twice_a_second(page):
+    stream = socket.create_connection(("127.0.0.1", page.port), timeout=2)
+    stream.sendall(f"GET /events?token={page.token} HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n\r\n".encode())
+    with stream, stream.makefile("rb") as lines:
+        while lines.readline().strip():
+            pass
+        lines.readline(), lines.readline()  # what is shown now
+        began = time.monotonic()
+        assert [lines.readline() for _ in range(6)] == [b"event: alive\n", b"data: {}\n", b"\n"] * 2
+        assert time.monotonic() - began < 1.5
+
+
+# the page's script on a document that holds what is set on its elements; time passes as the test says
+PAGE = """
+import { readFileSync } from "node:fs";
+const elements = {};
+const blank = () => new Proxy({ style: {}, children: [], append() {}, replaceChildren() {}, setAttribute() {},
+  addEventListener() {} }, {});
+const getElementById = (id) => (elements[id] ??= blank());
+globalThis.document = { getElementById, createElement: blank, createElementNS: blank };
+globalThis.location = { search: "?token=x" };
+let now = 0, tick;
+globalThis.performance = { now: () => now };
+globalThis.setInterval = (called) => { tick = called; };
+const heard = {};
+globalThis.EventSource = class { constructor() { heard.source = this; }
+  addEventListener(name, called) { heard[name] = called; }
+  close() {} };
+const code = readFileSync(process.argv[1], "utf-8").replace(/const . Rig .*/, "const Rig = class { show() {} };");
+await import("data:text/javascript," + encodeURIComponent(code));
+const look = () => console.log(JSON.stringify({ state: elements.state.textContent, badge: elements.state.className,
+  stop: !!elements.stop.disabled, far: elements.far.textContent, phase: elements.phase.textContent }));
+const event = process.argv[2];
+heard.source.onmessage({ data: event });
+const pass = (ms) => { for (let k = 0; k < ms; k += 100) { now += 100; if (now % 500 === 0) tick(); } };
+pass(1000); heard.alive({}); pass(1000); look();
+pass(1000); look();
+heard.alive({}); look();
+heard.source.onmessage({ data: event.replace('"ended": null', '"ended": ""') }); pass(5000); look();
+"""
+
+
+def test_the_page_of_a_run_that_was_killed_says_within_two_seconds_that_it_is_dead():
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("needs Node: apt-get install nodejs")
+    script = str(resources.files("rig.report.pages").joinpath("page.js"))
+    event = json.dumps({**EVENT, "verdict": {"state": "good", "why": "all is well"}, "seen": None})
+    done = subprocess.run(
+        [node, "--input-type=module", "-e", PAGE, script, event], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    going, dead, back, over = map(json.loads, done.stdout.splitlines())
+    assert going["state"] == "good" and "1:15 left" in going["far"] and not going["stop"]
+    assert dead["state"] == "dead" and dead["badge"] == "badge bad" and dead["stop"] is True
+    assert "left" not in dead["far"] and "rig stop" in dead["phase"]
+    assert back["state"] == "good" and back["stop"] is False, "it had only been held up"
+    assert over["state"] == "good" and over["stop"] is True, "a run that is over is not dead"
 
 
 def test_nothing_is_drawn_that_nobody_looks_at_and_once_for_all_who_do(page):

@@ -1,18 +1,14 @@
-"""Run of a plan at the machine, driven and recorded (run), or move of the machine to one pose (go)."""
+"""Run of a plan at the machine, driven and recorded."""
 
 import hashlib
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.correction.correction import require_reachable
-from calib.models.wanted_pose_commands import commands_along_route
 from calib.online.observer_of_run_frames import RunDisplay, RunObserver, RunStop
 from calib.online.run_options_and_equipment import RunOptions as RunOptions
 from calib.online.run_options_and_equipment import (
@@ -22,116 +18,34 @@ from calib.online.run_options_and_equipment import (
     run_observer,
     set_exposures,
 )
-from rig.array_and_json_types import Floats, Json
+from rig.array_and_json_types import Floats
 from rig.driving import straight_move_profile
-from rig.driving.cameras.camera_interface_and_grabbing import Settling, parse_settling
+from rig.driving.cameras.camera_interface_and_grabbing import Settling, SynchronisedCameras, parse_settling
 from rig.driving.clock import Clock, SystemClock
+from rig.driving.controller_limits import require_goals_within_limits
 from rig.driving.controller_status_and_operator_advice import TRUST, ControllerStatus
 from rig.driving.driver_opening_and_settled_status import open_driver, settled_status
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.driving.move_and_record_loop import RunOperator
-from rig.driving.run_journal_and_recording import Began, Journal
-from rig.driving.run_steps_and_progress import Step, check_steps, step_distances, steps_of_plan
+from rig.driving.run_journal_and_recording import Began, CameraExposures, Journal
+from rig.driving.run_steps_and_progress import (
+    Progress,
+    Step,
+    check_steps,
+    lost_position_reason,
+    progress_from_journal,
+    step_distances,
+    steps_of_plan,
+)
 from rig.driving.strut_driver import Driver
-from rig.errors import PositionLost, RigError
+from rig.errors import ControllerFault, PositionLost, RigError, Unreachable
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes
-from rig.model import mechanisms
 from rig.model.design import Design, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_remounting import turning_instructions
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod, require_struts
-from rig.model.pose import pose_to_vector
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
 from rig.planning.plan import build_plan
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PoseMove:
-    """A move to a pose. design; calibration; wanted : T_base_platform; lengths : (axes,) m to command; uncorrected :
-    whether these are by the nominal model; status : once it has been made, else None
-    """
-
-    design: Design
-    calibration: Calibration
-    wanted: RigidTransform
-    lengths: Floats
-    uncorrected: bool = False
-    status: ControllerStatus | None = None
-
-    @property
-    def off_nominal(self) -> Floats:
-        """(axes,) m by which the lengths differ from the nominal model's."""
-        return self.lengths - self.calibration.correction.uncorrected(self.wanted)
-
-    @property
-    def remainder(self) -> RigidTransform | None:
-        """T_wanted_reached by the calibration, None before the move and where it is not corrected."""
-        if self.status is None or self.uncorrected:
-            return None
-        correction = self.calibration.correction
-        commanded = correction.inverse_without_physics(self.wanted) + self.status.lengths - self.lengths
-        return self.wanted.inv() * correction.predict(commanded)
-
-    def __str__(self) -> str:
-        return f"{'to command' if self.status is None else 'commanded'}: {self.lengths * 1e3} mm"
-
-    def tree(self) -> Json:
-        """What `rig go --json` prints."""
-        tree: Json = {
-            "schema": "gone/1",
-            "commanded": self.lengths.tolist(),
-            "off_owners_model": self.off_nominal.tolist(),
-            "moved": self.status is not None,
-        }
-        if self.status is not None:
-            tree["lengths"] = self.status.lengths.tolist()
-        return tree if self.remainder is None else tree | {"left": pose_to_vector(self.remainder).tolist()}
-
-    def carry_out(self, driver: Driver, speed: float = 1.0) -> "PoseMove":
-        """The same once made: from where the struts stand, not from home. speed : share of the greatest
-
-        Raises Unreachable for lengths out of range, MotionError where the struts do not arrive
-        """
-        lengths = self.lengths
-        if self.calibration.physics is not None and not self.uncorrected:
-            lengths = _lengths(self.calibration, self.wanted, driver.status().lengths)
-            require_reachable(lengths[None], require_hexapod(self.design.mechanism), ["the pose"])
-        driver.move(lengths, speed)
-        return replace(self, lengths=lengths, status=driver.status())
-
-
-def plan_pose_move(
-    design: Design, calibration: Calibration, wanted: RigidTransform, uncorrected: bool = False
-) -> PoseMove:
-    """PoseMove to a wanted pose T_base_platform (), planned and checked.
-
-    What nobody logs is taken as when calibrated.
-    Raises Unreachable for lengths out of range
-    """
-    correction = calibration.correction
-    home = mechanisms.kinematics_of(correction.nominal).home_values(correction.nominal)
-    lengths = correction.uncorrected(wanted) if uncorrected else _lengths(calibration, wanted, home)
-    require_reachable(np.array([lengths]), require_hexapod(design.mechanism), ["the pose"])
-    return PoseMove(design, calibration, wanted, lengths, uncorrected)
-
-
-def require_same_rig(design: Design, calibration: Calibration, design_path: Path, calibration_path: Path) -> None:
-    """Raise RigError where a calibration is of another rig than a design. The paths are for the message."""
-    nominal, mechanism = calibration.correction.nominal, require_hexapod(design.mechanism)
-    names = [name for name in mechanism.geometry_arrays if name != "strut_zeros"]
-    if nominal.kind != mechanism.kind or not all(
-        np.allclose(getattr(nominal, name), getattr(mechanism, name), rtol=0, atol=1e-6) for name in names
-    ):
-        raise RigError(
-            f"{calibration_path} is a calibration of another rig than {design_path}: their stated joints differ"
-        )
-
-
-def _lengths(calibration: Calibration, wanted: RigidTransform, start: Floats) -> Floats:
-    """(axes,) m that give a wanted pose (), the axes coming from start (axes,)."""
-    T = RigidTransform.from_matrix(wanted.as_matrix()[None])
-    return commands_along_route(calibration, T, np.asarray(start, float)).values[0]
-
 
 STANDARD = RunOptions()
 Displays = Callable[[RunObserver], AbstractContextManager[list[RunDisplay]]]
@@ -160,6 +74,28 @@ class PlannedRun:
         check_steps(self.steps, start, move_checker(self.design))
         return step_distances(self.steps, start)
 
+    def controller_warnings(self, driver: Driver) -> list[str]:
+        """Lines where the controller's own limits are tighter than the rig.toml's. Raises Unreachable where it would
+        refuse a goal of the plan.
+        """
+        own = driver.limits()
+        if own is not None:
+            goals = np.array([step.goal for step in self.steps])
+            require_goals_within_limits(own, goals, self.design.driver().zero)
+        return driver.limit_warnings()
+
+    def compare_with_controller(self) -> list[str]:
+        """Lines of the controller's own limits before a run, or of why it was not reached; nothing moves. Raises
+        Unreachable where it would refuse a goal of the plan.
+        """
+        try:
+            with open_driver(self.design, self.options.trace, ignore_notice) as driver:
+                return [f"warning: {line}" for line in self.controller_warnings(driver)]
+        except Unreachable:
+            raise
+        except RigError as error:
+            return [f"the controller's own limits were not compared: {error}"]
+
     def carry_out(
         self, out: Path, displays: Displays = lambda _: nullcontext([]), notice: Notice = ignore_notice
     ) -> int:
@@ -179,27 +115,36 @@ class PlannedRun:
                     "it was reported"
                 )
             fresh = not journal.rows
+            before: Progress | None = None
             if not fresh:
                 self._require_same_plan(_began(journal), out)
-            shutter = open_cameras(self.design, clock)
-            stack.callback(shutter.close)
+                before = progress_from_journal(journal.rows, self.steps)
+                if before.ended == "":
+                    notice(f"{out} is finished: every step of its plan is done; nothing was opened or moved")
+                    return self.frames
+            seeing = options.uses_cameras(self.design)
+            shutter = open_cameras(self.design, clock) if seeing else None
+            if shutter is not None:
+                stack.callback(shutter.close)
             listeners: list[Callable[[str], None]] = [notice]  # of what the driver reports: later the journal too
-            if options.measure:
+            if options.measure and seeing:
                 Thread(target=compile_kernels_for_run, args=(self.design,), daemon=True).start()
             driver = stack.enter_context(
                 open_driver(self.design, options.trace, lambda text: _report(listeners, text), clock)
             )
-            homes, status = self._home(driver, settled_status(driver, clock), fresh, notice)
+            for line in self.controller_warnings(driver):
+                notice(f"warning: {line}")
+            homes, status = self._home(driver, settled_status(driver, clock), before, notice)
             check_steps(self.steps, status.lengths, move_checker(self.design))
             bench = open_run_equipment(self.design, driver, shutter, self.settling, clock)
-            exposure = options.exposure
-            for line in set_exposures(shutter, self.design, exposure) if not isinstance(exposure, str) else ():
-                notice(line)
+            exposures = self._set_exposures(shutter, before, notice)
             if fresh:
                 write_bytes(out / "rig.toml", read_bytes(self.path))
                 began = clock.now(), len(self.steps), _hash(self.steps), tuple(map(float, status.lengths))
                 journal.append(Began(0.0, *began))
             origin = _origin(journal, clock, notice)
+            if exposures and (before is None or exposures != before.exposures):
+                journal.append(CameraExposures(clock.now() - origin, tuple(exposures), tuple(exposures.values())))
             stopping = RunStop(options.stop_on, driver.stop)
             observer = run_observer(self.design, self.steps, status.lengths, clock, stopping, options, out)
             observer.displays += stack.enter_context(displays(observer))
@@ -215,23 +160,46 @@ class PlannedRun:
         return observer.view.frames
 
     def _home(
-        self, driver: Driver, status: ControllerStatus, fresh: bool, notice: Notice
+        self, driver: Driver, status: ControllerStatus, before: Progress | None, notice: Notice
     ) -> tuple[bool, ControllerStatus]:
-        """(whether the struts were homed, Status from which the run begins). fresh : whether nothing was recorded yet
+        """(whether the struts were homed, Status from which the run begins). before : the run so far, or None
 
-        Raises PositionLost where nobody knows where they stand
+        Raises PositionLost where nobody knows where they stand, ControllerFault for an alarm that is not the one of a
+        controller which must be homed first: homing out of it takes the operator's consent
         """
-        trust = self.options.trust_position
-        if trust and not status.known:
+        c, trust = self.design.driver(), self.options.trust_position
+        lost = (
+            ""
+            if before is None
+            else lost_position_reason(before, status.lengths, c.tolerance, driver.started_anew, c.homing)
+        )
+        if trust or (before is None and not c.homing and status.known):
             driver.trust()
-        believed = status.known or trust
-        homes = self.design.driver().homing and not (trust if fresh else believed)
+        believed = trust or (status.known and not lost)
+        homes = c.homing and not (trust if before is None else believed)
         if not homes and not believed:
-            raise PositionLost(f"the position of the struts is not known; {TRUST}")
+            raise PositionLost(f"{lost or 'the position of the struts is not known'}; {TRUST}")
         if not homes:
             return False, status
-        notice("homing")
+        if (status.activity == "alarm" or status.fault) and not status.homing_required:
+            raise ControllerFault(
+                f"{status.fault or status.activity} ({status.said}): a run does not home out of this unasked; see what "
+                "is wrong at the machine, then rig home, and start the run again"
+            )
+        notice(f"homing: {lost}" if lost else "homing")
         return True, driver.home()
+
+    def _set_exposures(
+        self, shutter: SynchronisedCameras | None, before: Progress | None, notice: Notice
+    ) -> dict[str, float]:
+        """{camera: s} set; a run that is resumed keeps those that it had."""
+        stated = self.options.exposure
+        if isinstance(stated, str) or shutter is None:
+            return {}
+        made, lines = set_exposures(shutter, self.design, stated, before.exposures if before is not None else {})
+        for line in lines:
+            notice(line)
+        return made
 
     def _require_same_plan(self, began: Began, out: Path) -> None:
         """Raise RigError where a journal is not of this plan."""

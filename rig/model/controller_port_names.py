@@ -1,0 +1,21 @@
+"""Names of protocols and ports of controllers, and what is wrong with one; imports nothing that takes time."""
+
+PROTOCOLS = ("grblhal", "gcs", "linuxcnc", "struts")
+SHOWN = 80  # characters of a port's name that a message repeats
+SCHEMES = (
+    "socket",
+    "rfc2217",
+    "loop",
+)  # of ports that are no device; pyserial knows others, which write files or search for devices
+
+
+def port_problem(port: str) -> str | None:
+    """Problem with the name of a port, in words; None for a device (/dev/ttyUSB0, COM3) or an accepted URL."""
+    scheme, stroke, _ = port.partition("://")
+    if not port.isprintable():
+        return f"{port[:SHOWN]!r} is not a port: it contains unprintable characters"
+    if stroke and scheme.lower() not in SCHEMES:
+        return f"{port[:SHOWN]!r} is not a port: it is a device (/dev/ttyUSB0, COM3) or " + ", ".join(
+            f"{name}://.." for name in SCHEMES
+        )
+    return None
