@@ -38,6 +38,8 @@ class MarkerMap:
     dictionary, target : m names
     shift : (m,) added to an identity where the same print is another row, as that of a cube that was put back turned; 0
         for all by default
+    stated : (m,) bool, whether the pose is what rig.toml states, all by default; one that is not is free in every
+        adjustment, and holds no frame
     heights : (m, 4) m by which the corners stand off the marker's plane, along its normal; (1, 4) zeros by default
     corners : (m, 4, 3) m, body frame, corner 0 the marker's own top left, then clockwise; they follow from pose, side
         and heights
@@ -53,9 +55,11 @@ class MarkerMap:
     stage: Floats
     shift: Floats = field(default_factory=lambda: np.zeros(1, int))
     heights: Floats = field(default_factory=lambda: np.zeros((1, 4)))
+    stated: Booleans = field(default_factory=lambda: np.ones(1, bool))
     corners: Floats = field(init=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "stated", np.broadcast_to(self.stated, self.id.shape))
         object.__setattr__(self, "corners", transform_points(self.T_body_marker, self.in_marker))
 
     @property

@@ -38,6 +38,7 @@ from vision.pose.frame_and_camera_poses import (
     locate_fixed_cameras,
     locate_frames,
 )
+from vision.pose.marker_places_from_sightings import marker_places_from_sightings
 from vision.pose.pose_refinement_and_ambiguity import FAR
 from vision.predict import MarkerMap, State, predict_corners
 
@@ -149,6 +150,8 @@ def measure_observations(
     stated = State(design.cameras, None, {}, marker_map)
     cameras, markers = cameras or design.cameras, marker_map
     finest, covariance = UNSURE if places else FINEST, observations.covariance
+    if places:
+        markers, _ = marker_places_from_sightings(observations, cameras, marker_map)
     for _ in range(2 if places else 1):  # once to find the places, once more with these
         views = Views(replace(observations, covariance=covariance), cameras, markers, finest)
         found = locate_fixed_cameras(views, cameras) if "poses" in free else {}
