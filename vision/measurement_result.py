@@ -30,7 +30,7 @@ NAMED = 5  # frames without a pose that a notebook shows
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasurementResult:
     """What there is to say of a measurement. collected : what its images gave, or None; held : of frames held out;
-    places : vision Places where markers' places were adjusted, else None; statement : lines on what the recording
+    places : vision Places where markers' stated places were adjusted, else None; statement : lines on what the recording
     determines; suspects : markers that are not as in rig.toml; determination : the combinations of unknowns that
     the recording determines, or None"""
 
@@ -75,7 +75,7 @@ class MeasurementResult:
         m, recording = self.measurement, self.recording
         text = replace_cameras(read_text(recording.folder / "rig.toml"), m.design.cameras)
         write_text(
-            folder / "rig.toml", replace_target_markers(text, adjusted_markers(m)) if self.places is not None else text
+            folder / "rig.toml", replace_target_markers(text, adjusted_markers(m)) if m.places_free else text
         )
         poses = Poses(m.frames, m.T_base_platform, m.covariance)
         recording_tables.write_poses(folder / "poses.csv", poses)

@@ -140,11 +140,13 @@ def measure_observations(
     """Measurement of observations: platform poses with cameras, lenses and, if free, marker places adjusted.
 
     observations : Observations; design : Design, nominal; marker_map : MarkerMap as stated
-    free : what is adjusted, see `adjust_bundle`; progress : called with (label, done, of), or None
-    t : (F,) s of the frames; with it, one sighting alone counts where the frames before and after confirm its pose
+    free : what is adjusted, see `adjust_bundle`; "markers" also where the pose of one that is seen is not stated
+    progress : called with (label, done, of), or None; t : (F,) s of the frames; with it, one sighting alone counts where the frames before and after confirm its pose
     cameras : to locate frames by, where they are better known than the design has them
     Returns Measurement. Raises NotEnoughData where no frame can be solved, with the reasons.
     """
+    if not marker_map.stated[observations.marker].all():
+        free = tuple(dict.fromkeys((*free, "markers")))
     places = bool({"markers", "targets"} & set(free))
     count = len(observations.frames)
     stated = State(design.cameras, None, {}, marker_map)
@@ -152,6 +154,7 @@ def measure_observations(
     finest, covariance = UNSURE if places else FINEST, observations.covariance
     if places:
         markers, _ = marker_places_from_sightings(observations, cameras, marker_map)
+        stated = replace(stated, markers=marker_map.with_unstated_at(markers))
     for _ in range(2 if places else 1):  # once to find the places, once more with these
         views = Views(replace(observations, covariance=covariance), cameras, markers, finest)
         found = locate_fixed_cameras(views, cameras) if "poses" in free else {}

@@ -237,12 +237,28 @@ class Sensor:
 class Marker:
     """One square marker. id : in its target's dictionary; side : m, outer side of the black border; margin : m, white
     paper beyond the border;
-    pose : T_body_marker, x right, y up, z out of the paper"""
+    pose : T_body_marker, x right, y up, z out of the paper; where it is not stated, measuring finds it from a recording
+    stated : whether the pose is what rig.toml states; else it was found from a recording, or is None"""
 
     id: int
     side: float
-    pose: RigidTransform
+    pose: RigidTransform | None
     margin: float
+    stated: bool = True
+
+    def __post_init__(self) -> None:
+        if self.pose is None and self.stated:
+            raise ValueError(f"marker {self.id}: expected a pose, or stated = False, got neither")
+
+    @property
+    def T_body_marker(self) -> RigidTransform:
+        """The pose. Raises RigError where none is stated and none was found."""
+        if self.pose is None:
+            raise RigError(
+                f"rig.toml: the pose of marker {self.id} is not stated; `rig measure` finds it from a recording and "
+                "writes it into the rig.toml of its output, which states it"
+            )
+        return self.pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -286,6 +302,11 @@ class Target:
         platform.
         """
         return int(self.body.removeprefix("stage ")) if self.body.startswith("stage ") else 0
+
+    @property
+    def unplaced(self) -> tuple[int, ...]:
+        """Identities of its markers whose pose nobody has stated or found."""
+        return tuple(marker.id + self.shift for marker in self.listed if marker.pose is None)
 
     @property
     def ids(self) -> tuple[int, ...]:

@@ -90,7 +90,7 @@ def drawn_block(
         )
         for name, f, T in zip("ab", stated_focal, cameras)
     )
-    listed = tuple(Marker(k, SIDE, place, SIDE / 8) for k, place in enumerate(places))
+    listed = tuple(Marker(k, SIDE, place, SIDE / 8, place is not None) for k, place in enumerate(places))
     stated = Design(
         "block",
         np.array([0, 0, -9.8]),
