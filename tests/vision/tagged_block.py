@@ -16,6 +16,8 @@ ON_A_FACE = ((-0.036, 0.03), (0.036, 0.03), (0.0, -0.034))  # m
 SIZE, FOCAL = np.array([1600, 1200]), 3290.0  # px
 EYES = np.array([[-0.5, -1.3, 0.3], [0.6, -1.25, 0.35]])  # m
 ARM = 0.04  # m; a stated place that is off by so much is turned by a radian
+BASE = ((-0.2, 0.15, 0.13), (0.2, 0.15, 0.13), (-0.2, 0.15, -0.13), (0.2, 0.15, -0.13), (-0.2, -0.1, -0.2), (0.2, -0.1, -0.2))
+BASE_SIDE = 0.05  # m, of the tags on the base, which face the cameras
 STEEPEST = 0.35  # cosine of the tilt beyond which a tag is not read
 FACES = {  # columns x right, y up, z out of the paper
     "+x": [[0, 0, 1], [1, 0, 0], [0, 1, 0]],
@@ -40,11 +42,6 @@ class Block:
     focal: np.ndarray
     corners: Corners
 
-    @property
-    def tag_corners(self) -> np.ndarray:
-        """(18, 4, 3) m, true, in the body's frame."""
-        return _placed(self.tags)
-
 
 def drawn_block(
     seed: int,
@@ -55,10 +52,12 @@ def drawn_block(
     tilt: float | None = None,
     far: float = 1.0,
     aside: float = 2e-3,
+    base: bool = False,
 ) -> Block:
     """A Block. noise : px; off : m by which each stated place is wrong along each axis, and the same at the middle of
     the tag's edges in rotation; None where no place is stated; focal : share by which stated focal lengths are wrong
     aside : m and rad, standard deviation of the stated camera poses; far : times the distance and the focal length
+    base : whether tags stand on the base, exactly where they are stated
     tilt : rad, standard deviation of the body's turns about each axis; None for any orientation
     """
     rng = np.random.default_rng([18, seed])
@@ -74,7 +73,8 @@ def drawn_block(
     poses = np.array([_matrix(R, x) for R, x in zip(turns.as_matrix(), rng.normal(0, 0.03, (frames, 3)))])
     sign = rng.choice([-1, 1], 2)
     stated_focal = true_focal * (1 + focal * sign)
-    corners = _seen(cameras, true_focal, poses, tags, noise, rng)
+    fixed = np.array([_matrix(np.array(FACES["-y"]), np.array(x)) for x in BASE if base]).reshape(-1, 4, 4)
+    corners = _seen(cameras, true_focal, poses, tags, fixed, noise, rng)
     places = [
         None if off is None else _transform(T @ _small(rng.normal(0, off, 3), rng.normal(0, off / ARM, 3)))
         for T in tags
@@ -90,6 +90,12 @@ def drawn_block(
         )
         for name, f, T in zip("ab", stated_focal, cameras)
     )
+    ground = Target(
+        "ground",
+        "base",
+        "DICT_5X5_100",
+        listed=tuple(Marker(50 + k, BASE_SIDE, _transform(T), BASE_SIDE / 8) for k, T in enumerate(fixed)),
+    )
     listed = tuple(Marker(k, SIDE, place, SIDE / 8, place is not None) for k, place in enumerate(places))
     stated = Design(
         "block",
@@ -99,7 +105,7 @@ def drawn_block(
         Actuator(None, None, None),
         Platform(None, None, None),
         believed,
-        (Target("block", "platform", "DICT_5X5_100", listed=listed),),
+        (Target("block", "platform", "DICT_5X5_100", listed=listed), *([ground] if base else [])),
     )
     return Block(stated, cameras, tags, poses, np.full(2, true_focal), corners)
 
@@ -109,6 +115,7 @@ def _seen(
     focal: float,
     poses: np.ndarray,
     tags: np.ndarray,
+    fixed: np.ndarray,
     noise: float,
     rng: np.random.Generator,
 ) -> Corners:
@@ -116,10 +123,12 @@ def _seen(
     frame, camera, marker, uv = [], [], [], []
     for f, pose in enumerate(poses):
         for c, eye in enumerate(cameras):
-            to_camera = np.linalg.inv(eye) @ pose
-            for k, points in enumerate(_placed(np.array([to_camera @ T for T in tags]))):
-                middle = points.mean(axis=0)
-                out = to_camera[:3, :3] @ tags[k, :3, 2]
+            back = np.linalg.inv(eye)
+            there = [(k, back @ pose @ T, SIDE) for k, T in enumerate(tags)]
+            there += [(50 + k, back @ T, BASE_SIDE) for k, T in enumerate(fixed)]
+            for k, T, side in there:
+                points = placed_corners(T[None], side)[0]
+                middle, out = T[:3, 3], T[:3, 2]
                 pixels = focal * points[:, :2] / points[:, 2:] + (SIZE - 1) / 2
                 if -out @ middle > STEEPEST * np.linalg.norm(middle) and ((pixels > 5) & (pixels < SIZE - 6)).all():
                     frame.append(f), camera.append("ab"[c]), marker.append(k), uv.append(pixels)
@@ -135,9 +144,9 @@ def _seen(
     )
 
 
-def _placed(tags: np.ndarray) -> np.ndarray:
-    """(n, 4, 3) m, corners of tags (n, 4, 4), clockwise from the top left."""
-    square = SIDE / 2 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0.0]])
+def placed_corners(tags: np.ndarray, side: float = SIDE) -> np.ndarray:
+    """(n, 4, 3) m, corners of tags (n, 4, 4) of a side (m), clockwise from the top left."""
+    square = side / 2 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0.0]])
     return square @ np.swapaxes(tags[:, :3, :3], 1, 2) + tags[:, None, :3, 3]
 
 
