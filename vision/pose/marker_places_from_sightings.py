@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Camera
 from vision.corner_observations import Observations
-from vision.pose.body_pose import undistort_corners
+from vision.pose.body_pose import RIVAL, undistort_corners
 from vision.pose.pose_refinement_and_ambiguity import AHEAD
 from vision.predict import SQUARE, MarkerMap
 
@@ -26,7 +26,8 @@ SHIFT = 0.5  # of the markers' side; and those that are closer
 IMAGES = 60  # of a pair that are compared with each other
 SWEEPS = 20  # of averaging
 SETTLED = 1e-6  # rad; rotations that move by less in a sweep are averaged
-LIKELIER = 1e-3  # of an image's vote that the larger reprojection error of two ambiguous poses costs, per px^2
+STATED = 0.2  # of the images that need not agree with a relative pose because it is as stated
+SPARE = 0.25  # mean square of a single marker's residuals over the corners' variance: of eight figures two are left
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,11 +68,11 @@ def marker_places_from_sightings(
     return replace(marker_map, T_body_marker=RigidTransform.from_matrix(matrices)), found
 
 
-_Sighting = tuple[int, int, Floats, Floats]  # image, row of the marker map, (k, 4, 4) T_camera_marker, (k,) px^2
+_Sighting = tuple[int, int, Floats]  # image, row of the marker map, (k, 4, 4) T_camera_marker
 
 
 def _poses_of_sightings(o: Observations, cameras: Sequence[Camera], markers: MarkerMap) -> list[_Sighting]:
-    """Poses of every marker that an image shows with its four corners, those of the least reprojection error first."""
+    """Poses of every marker that an image shows with its four corners: two where both fit them equally well."""
     ideal, _ = undistort_corners(o.uv, o.covariance, o.camera, cameras)
     image, out = o.camera * len(o.frames) + o.frame, []
     order = np.lexsort((o.corner, o.marker, image))
@@ -89,7 +90,10 @@ def _poses_of_sightings(o: Observations, cameras: Sequence[Camera], markers: Mar
         ahead = np.isfinite(T).all(axis=(1, 2)) & (T[:, 2, 3] > AHEAD)
         if ahead.any():
             out.append((int(image[rows[0]]), row, T[ahead], (focal * np.ravel(errors)[ahead]) ** 2))
-    return out
+    if not out:
+        return []
+    variance = np.median([miss.min() for *_, miss in out]) / (np.log(2) * SPARE)
+    return [(i, row, T[8 * (miss - miss.min()) <= RIVAL * variance]) for i, row, T, miss in out]
 
 
 def _agreed_pairs(sightings: Sequence[_Sighting], markers: MarkerMap) -> list[_Pair]:
@@ -97,30 +101,38 @@ def _agreed_pairs(sightings: Sequence[_Sighting], markers: MarkerMap) -> list[_P
     images: dict[int, list[_Sighting]] = {}
     for one in sightings:
         images.setdefault(one[0], []).append(one)
-    together: dict[tuple[int, int], list[tuple[Floats, Floats]]] = {}
+    together: dict[tuple[int, int], list[Floats]] = {}
     for shown in images.values():
-        for (_, a, Ts_a, miss_a), (_, b, Ts_b, miss_b) in combinations(sorted(shown, key=lambda one: one[1]), 2):
-            relative = (np.linalg.inv(Ts_a)[:, None] @ Ts_b).reshape(-1, 4, 4)
-            together.setdefault((a, b), []).append((relative, (miss_a[:, None] + miss_b).ravel()))
+        for (_, a, Ts_a), (_, b, Ts_b) in combinations(sorted(shown, key=lambda one: one[1]), 2):
+            together.setdefault((a, b), []).append((np.linalg.inv(Ts_a)[:, None] @ Ts_b).reshape(-1, 4, 4))
+    stated = markers.T_body_marker.as_matrix()
     return [
-        _agreed(a, b, of_images, SHIFT * float(np.mean(markers.side[[a, b]])))
+        _agreed(
+            a,
+            b,
+            of_images,
+            SHIFT * float(np.mean(markers.side[[a, b]])),
+            np.linalg.inv(stated[a]) @ stated[b] if markers.stated[[a, b]].all() else None,
+        )
         for (a, b), of_images in together.items()
     ]
 
 
-def _agreed(a: int, b: int, of_images: list[tuple[Floats, Floats]], shift: float) -> _Pair:
-    """The pair's relative pose: of all candidates the one with most votes, averaged over the images that agree. shift
-    : m within which poses agree
+def _agreed(a: int, b: int, of_images: list[Floats], shift: float, stated: Floats | None) -> _Pair:
+    """The pair's relative pose: of all candidates the one that images contradict least, averaged over those that agree.
+
+    of_images : (k, 4, 4) candidates of each; shift : m within which poses agree; stated : (4, 4) or None, which decides
+    where images hardly do
     """
     if len(of_images) > IMAGES:
         of_images = [of_images[k] for k in np.linspace(0, len(of_images) - 1, IMAGES).astype(int)]
-    T = np.concatenate([relative for relative, _ in of_images])
-    image = np.repeat(np.arange(len(of_images)), [len(relative) for relative, _ in of_images])
-    edges = np.searchsorted(image, np.arange(len(of_images)))
-    miss = np.concatenate([errors - errors.min() for _, errors in of_images])
-    apart = _squares_apart(T, T, shift)  # (candidate, other)
-    votes = np.minimum.reduceat(np.minimum(apart, 1), edges, axis=1).sum(axis=1)
-    best = T[np.argmin(votes + LIKELIER * np.minimum(miss, 1 / LIKELIER))]
+    T = np.concatenate(of_images)
+    edges = np.cumsum([0, *(len(relative) for relative in of_images[:-1])])
+    apart = np.minimum(_squares_apart(T, T, shift), 1)  # (candidate, other)
+    against = np.minimum.reduceat(apart, edges, axis=1).sum(axis=1)
+    if stated is not None:
+        against += STATED * len(of_images) * np.minimum(_squares_apart(T, stated[None], 2 * shift)[:, 0], 1)
+    best = T[np.argmin(against)]
     for _ in range(3):
         own = _squares_apart(best[None], T, shift)[0]
         nearest = np.array([start + np.argmin(part) for start, part in zip(edges, np.split(own, edges[1:]))])
