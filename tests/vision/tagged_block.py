@@ -18,6 +18,8 @@ EYES = np.array([[-0.5, -1.3, 0.3], [0.6, -1.25, 0.35]])  # m
 ARM = 0.04  # m; a stated place that is off by so much is turned by a radian
 BASE = ((-0.2, 0.15, 0.13), (0.2, 0.15, 0.13), (-0.2, 0.15, -0.13), (0.2, 0.15, -0.13), (-0.2, -0.1, -0.2), (0.2, -0.1, -0.2))
 BASE_SIDE = 0.05  # m, of the tags on the base, which face the cameras
+LENS = np.array([0.1, 0.3, 0.005, 0.005, 0.3])  # standard deviations of k1, k2, p1, p2, k3 that nobody states
+CENTRE = 0.02  # of the image's width, standard deviation of the principal point about the middle
 STEEPEST = 0.35  # cosine of the tilt beyond which a tag is not read
 FACES = {  # columns x right, y up, z out of the paper
     "+x": [[0, 0, 1], [1, 0, 0], [0, 1, 0]],
@@ -53,10 +55,12 @@ def drawn_block(
     far: float = 1.0,
     aside: float = 2e-3,
     base: bool = False,
+    lens: float = 1.0,
 ) -> Block:
     """A Block. noise : px; off : m by which each stated place is wrong along each axis, and the same at the middle of
     the tag's edges in rotation; None where no place is stated; focal : share by which stated focal lengths are wrong
     aside : m and rad, standard deviation of the stated camera poses; far : times the distance and the focal length
+    lens : times the usual distortion and offset of the principal point, which the stated cameras do not have
     base : whether tags stand on the base, exactly where they are stated
     tilt : rad, standard deviation of the body's turns about each axis; None for any orientation
     """
@@ -74,7 +78,11 @@ def drawn_block(
     sign = rng.choice([-1, 1], 2)
     stated_focal = true_focal * (1 + focal * sign)
     fixed = np.array([_matrix(np.array(FACES["-y"]), np.array(x)) for x in BASE if base]).reshape(-1, 4, 4)
-    corners = _seen(cameras, true_focal, poses, tags, fixed, noise, rng)
+    lenses = [
+        (true_focal, (SIZE - 1) / 2 + lens * CENTRE * SIZE[0] * rng.normal(size=2), lens * LENS * rng.normal(size=5))
+        for _ in cameras
+    ]
+    corners = _seen(cameras, lenses, poses, tags, fixed, noise, rng)
     places = [
         None if off is None else _transform(T @ _small(rng.normal(0, off, 3), rng.normal(0, off / ARM, 3)))
         for T in tags
@@ -112,7 +120,7 @@ def drawn_block(
 
 def _seen(
     cameras: np.ndarray,
-    focal: float,
+    lenses: list[tuple[float, np.ndarray, np.ndarray]],
     poses: np.ndarray,
     tags: np.ndarray,
     fixed: np.ndarray,
@@ -129,7 +137,7 @@ def _seen(
             for k, T, side in there:
                 points = placed_corners(T[None], side)[0]
                 middle, out = T[:3, 3], T[:3, 2]
-                pixels = focal * points[:, :2] / points[:, 2:] + (SIZE - 1) / 2
+                pixels = _projected(points, *lenses[c])
                 if -out @ middle > STEEPEST * np.linalg.norm(middle) and ((pixels > 5) & (pixels < SIZE - 6)).all():
                     frame.append(f), camera.append("ab"[c]), marker.append(k), uv.append(pixels)
     n = len(uv)
@@ -142,6 +150,21 @@ def _seen(
         seen.reshape(-1, 2),
         None,
     )
+
+
+def _projected(points: np.ndarray, focal: float, centre: np.ndarray, terms: np.ndarray) -> np.ndarray:
+    """(n, 2) px of points (n, 3) m in a camera: a pinhole behind a radial and tangential distortion (Brown 1966)."""
+    (x, y), (k1, k2, p1, p2, k3) = (points[:, :2] / points[:, 2:]).T, terms
+    r2 = x**2 + y**2
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    bent = np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2),
+            y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y,
+        ],
+        axis=1,
+    )
+    return focal * bent + centre
 
 
 def placed_corners(tags: np.ndarray, side: float = SIDE) -> np.ndarray:
