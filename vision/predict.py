@@ -99,10 +99,7 @@ def marker_map(design: Design, unplaced: RigidTransform | None = None) -> Marker
         id=np.array([marker.id for marker, _ in rows]),
         on_platform=np.array([target.body != "base" for _, target in rows]),
         T_body_marker=RigidTransform.concatenate(
-            [
-                unplaced if marker.pose is None and unplaced is not None else marker.T_body_marker
-                for marker, _ in rows
-            ]
+            [unplaced if marker.pose is None and unplaced is not None else marker.T_body_marker for marker, _ in rows]
         ),
         side=np.array([marker.side for marker, _ in rows]),
         margin=np.array([marker.margin for marker, _ in rows]),

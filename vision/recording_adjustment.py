@@ -141,7 +141,8 @@ def measure_observations(
 
     observations : Observations; design : Design, nominal; marker_map : MarkerMap as stated
     free : what is adjusted, see `adjust_bundle`; "markers" also where the pose of one that is seen is not stated
-    progress : called with (label, done, of), or None; t : (F,) s of the frames; with it, one sighting alone counts where the frames before and after confirm its pose
+    progress : called with (label, done, of), or None
+    t : (F,) s of the frames; with it, one sighting alone counts where the frames before and after confirm its pose
     cameras : to locate frames by, where they are better known than the design has them
     Returns Measurement. Raises NotEnoughData where no frame can be solved, with the reasons.
     """

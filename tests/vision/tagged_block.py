@@ -16,7 +16,14 @@ ON_A_FACE = ((-0.036, 0.03), (0.036, 0.03), (0.0, -0.034))  # m
 SIZE, FOCAL = np.array([1600, 1200]), 3290.0  # px
 EYES = np.array([[-0.5, -1.3, 0.3], [0.6, -1.25, 0.35]])  # m
 ARM = 0.04  # m; a stated place that is off by so much is turned by a radian
-BASE = ((-0.2, 0.15, 0.13), (0.2, 0.15, 0.13), (-0.2, 0.15, -0.13), (0.2, 0.15, -0.13), (-0.2, -0.1, -0.2), (0.2, -0.1, -0.2))
+BASE = (
+    (-0.2, 0.15, 0.13),
+    (0.2, 0.15, 0.13),
+    (-0.2, 0.15, -0.13),
+    (0.2, 0.15, -0.13),
+    (-0.2, -0.1, -0.2),
+    (0.2, -0.1, -0.2),
+)
 BASE_SIDE = 0.05  # m, of the tags on the base, which face the cameras
 LENS = np.array([0.1, 0.3, 0.005, 0.005, 0.3])  # standard deviations of k1, k2, p1, p2, k3 that nobody states
 CENTRE = 0.02  # of the image's width, standard deviation of the principal point about the middle
@@ -158,11 +165,7 @@ def _projected(points: np.ndarray, focal: float, centre: np.ndarray, terms: np.n
     r2 = x**2 + y**2
     radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
     bent = np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2),
-            y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y,
-        ],
-        axis=1,
+        [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2), y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y], axis=1
     )
     return focal * bent + centre
 

@@ -293,7 +293,9 @@ def align_with_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> 
         D[on] = (
             RigidTransform.identity()
             if held or not len(body)
-            else align_points(*(m.corners[datum_markers(m, body)].reshape(-1, 3) for m in (state.placed, stated.placed)))
+            else align_points(
+                *(m.corners[datum_markers(m, body)].reshape(-1, 3) for m in (state.placed, stated.placed))
+            )
         )
     free = np.array(
         [row in unknowns.markers or name in unknowns.targets for row, name in enumerate(state.placed.target)]

@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Camera
 from vision.corner_observations import Observations
-from vision.pose.body_pose import RIVAL, undistort_corners
+from vision.pose.body_pose import RIVAL, inverse_pose, undistort_corners
 from vision.pose.pose_refinement_and_ambiguity import AHEAD
 from vision.predict import SQUARE, MarkerMap
 
@@ -170,7 +170,7 @@ def _graph(pairs: Sequence[_Pair], count: int) -> csr_array:
 def _along_tree(pairs: Sequence[_Pair], rows: Integers) -> Floats:
     """(r, 4, 4) T_root_marker of rows (r,) along the tree of pairs with most images; the root is the best linked."""
     links = {(p.first, p.second): p.matrix for p in pairs}
-    links |= {(b, a): np.linalg.inv(matrix) for (a, b), matrix in links.items()}
+    links |= {(p.second, p.first): inverse_pose(p.matrix) for p in pairs}
     tree = csgraph.minimum_spanning_tree(_graph(pairs, int(rows.max()) + 1))
     agreeing = np.zeros(len(rows))
     for pair in pairs:
@@ -228,4 +228,6 @@ def _at_stated_places(placed: Floats, rows: Integers, markers: MarkerMap) -> Flo
     there = np.concatenate([T.apply(points) for T, points in zip(own[np.flatnonzero(known)], square)])
     stated = markers.corners[rows[known]].reshape(-1, 3)
     turn, _ = Rotation.align_vectors(stated - stated.mean(axis=0), there - there.mean(axis=0))
-    return (RigidTransform.from_components(stated.mean(axis=0) - turn.apply(there.mean(axis=0)), turn) * own).as_matrix()
+    return (
+        RigidTransform.from_components(stated.mean(axis=0) - turn.apply(there.mean(axis=0)), turn) * own
+    ).as_matrix()
