@@ -36,8 +36,8 @@ NAMED = 5  # frames without a pose that a notebook shows
 class MeasurementResult:
     """What there is to say of a measurement. collected : what its images gave, or None; held : of frames held out;
     places : vision Places where markers' stated places were adjusted, else None; statement : lines on what the
-    recording determines; suspects : markers that are not as in rig.toml; determination : the combinations of unknowns that
-    the recording determines, or None"""
+    recording determines; suspects : markers that are not as in rig.toml
+    determination : the combinations of unknowns that the recording determines, or None"""
 
     recording: Recording
     measurement: Measurement

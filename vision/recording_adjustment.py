@@ -19,7 +19,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.errors import RigError
 from rig.model.design import Camera, Design
 from rig.model.pose import adjoint
 from rig.recording.recording_folder import Recording
@@ -307,16 +306,6 @@ def invert_measured_poses(measured: Measurement) -> Measurement:
 def _stage_numbers(markers: MarkerMap) -> list[int]:
     """Numbers (from 1) of the stages below the last that carry markers."""
     return np.unique(markers.stage[markers.stage > 0]).tolist()
-
-
-def require_stated_marker_places(places: str) -> None:
-    """Require stated places of markers on a rig with targets on stages. Raises RigError where places are free."""
-    if places == "free":
-        raise RigError(
-            "positions of markers cannot be adjusted on a rig with targets on stages of a chain: the stated "
-            "places of all a stage's markers "
-            "determine its pose; measure with positions as stated"
-        )
 
 
 def separate_stage_frames(observations: Observations, markers: MarkerMap) -> Observations:

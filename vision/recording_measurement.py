@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
-from rig.errors import NotEnoughData
+from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
@@ -80,11 +80,11 @@ def place_unstated_markers(
     markers on a stage of a chain, whose poses must be stated
     """
     design = recording.design
-    unplaced = [number for target in design.targets for number in target.unplaced]
+    unplaced = [(target, one) for target in design.targets for one in target.listed if one.pose is None]
     if not unplaced or not design.cameras:
         return recording
-    if any(target.stage and target.unplaced for target in design.targets):
-        recording_adjustment.require_stated_marker_places("free")
+    if any(target.stage for target, _ in unplaced):
+        require_stated_marker_places("free")
     seen = recording_seen_from_hand(recording).design
     markers, (frames, t) = marker_map(seen, RigidTransform.identity()), recording.exposures.times()
     corners = recording.corners
@@ -106,7 +106,7 @@ def place_unstated_markers(
             "can be found shows them together with markers that are placed: state their poses, roughly, or record "
             "images that show both"
         )
-    left_out = set(unplaced) - held
+    left_out = {marker.id for _, marker in unplaced} - held
     targets = tuple(
         replace(
             target,
@@ -186,6 +186,16 @@ def _measured(
     return measured, found
 
 
+def require_stated_marker_places(places: str) -> None:
+    """Require stated places of markers on a rig with targets on stages. Raises RigError where places are free."""
+    if places == "free":
+        raise RigError(
+            "positions of markers cannot be adjusted on a rig with targets on stages of a chain: the stated "
+            "places of all a stage's markers "
+            "determine its pose; measure with positions as stated"
+        )
+
+
 def measure_with_stated_or_free_places(
     observed: Observations,
     design: Design,
@@ -199,7 +209,7 @@ def measure_with_stated_or_free_places(
     t : (F,) s
     """
     if markers.stage.any():
-        recording_adjustment.require_stated_marker_places(places)
+        require_stated_marker_places(places)
         return recording_adjustment.separate_stage_measurements(
             measure_observations(
                 recording_adjustment.separate_stage_frames(observed, markers),

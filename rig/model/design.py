@@ -15,11 +15,8 @@ from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Plan
 
 PROTOCOLS = ("grblhal", "gcs", "linuxcnc", "struts")
 SHOWN = 80  # characters of a port's name that a message repeats
-SCHEMES = (
-    "socket",
-    "rfc2217",
-    "loop",
-)  # of ports that are no device; pyserial knows others, which write files or search for devices
+# of ports that are no device; pyserial knows others, which write files or search for devices
+SCHEMES = ("socket", "rfc2217", "loop")
 
 
 def port_problem(port: str) -> str | None:
@@ -235,8 +232,8 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marker:
-    """One square marker. id : in its target's dictionary; side : m, outer side of the black border; margin : m, white
-    paper beyond the border;
+    """One square marker. id : in its target's dictionary; side : m, outer side of the black border
+    margin : m, white paper beyond the border
     pose : T_body_marker, x right, y up, z out of the paper; where it is not stated, measuring finds it from a recording
     stated : whether the pose is what rig.toml states; else it was found from a recording, or is None"""
 
@@ -254,10 +251,7 @@ class Marker:
     def T_body_marker(self) -> RigidTransform:
         """The pose. Raises RigError where none is stated and none was found."""
         if self.pose is None:
-            raise RigError(
-                f"rig.toml: the pose of marker {self.id} is not stated; `rig measure` finds it from a recording and "
-                "writes it into the rig.toml of its output, which states it"
-            )
+            raise RigError(f"rig.toml: the pose of marker {self.id} is not stated; `rig measure` finds and writes it")
         return self.pose
 
 
@@ -265,15 +259,13 @@ class Marker:
 class Target:
     """Markers fixed to one body. A cube has edge, marker, faces and pose; any other target lists its markers.
 
-    name : its own; body : what it is fixed to, of a chain also what a stage below the last moves, as "stage 1";
-        dictionary : OpenCV's name of
-    the markers'; edge : m, of the cube; marker : m, outer side of the black border; faces : pairs of face and id;
+    name : its own; body : what it is fixed to, of a chain also what a stage below the last moves, as "stage 1"
+    dictionary : OpenCV's name of the markers'; edge : m, of the cube; marker : m, outer side of the black border; faces : pairs of face and id;
     pose : T_body_cube, of the cube's centre; listed : the markers of one that is no cube
     turned : quarter turns about the cube's own z, right-handed, with which it was taken off and put back since its pose
     was stated: its place is that only to what remounting may do; None for a target that was never taken off
     shift : added to its identities where it is one of several recordings together (see
-        rig.recording.combined_recordings): the same prints are
-    another target there
+    rig.recording.combined_recordings): the same prints are another target there
     """
 
     name: str
@@ -302,11 +294,6 @@ class Target:
         platform.
         """
         return int(self.body.removeprefix("stage ")) if self.body.startswith("stage ") else 0
-
-    @property
-    def unplaced(self) -> tuple[int, ...]:
-        """Identities of its markers whose pose nobody has stated or found."""
-        return tuple(marker.id + self.shift for marker in self.listed if marker.pose is None)
 
     @property
     def ids(self) -> tuple[int, ...]:
