@@ -260,8 +260,8 @@ class Target:
     """Markers fixed to one body. A cube has edge, marker, faces and pose; any other target lists its markers.
 
     name : its own; body : what it is fixed to, of a chain also what a stage below the last moves, as "stage 1"
-    dictionary : OpenCV's name of the markers'; edge : m, of the cube; marker : m, outer side of the black border; faces : pairs of face and id;
-    pose : T_body_cube, of the cube's centre; listed : the markers of one that is no cube
+    dictionary : OpenCV's name of the markers'; edge : m, of the cube; marker : m, outer side of the black border
+    faces : pairs of face and id; pose : T_body_cube, of the cube's centre; listed : the markers of one that is no cube
     turned : quarter turns about the cube's own z, right-handed, with which it was taken off and put back since its pose
     was stated: its place is that only to what remounting may do; None for a target that was never taken off
     shift : added to its identities where it is one of several recordings together (see
