@@ -233,8 +233,13 @@ def measure_with_stated_or_free_places(
     else:
         begun = _other_lenses(observed, design, markers, free) if _contradicts(measured) else None
     if begun is not None:
-        other = measure_observations(observed, design, markers, free, progress, t, begun)
-        measured = other if measured is None or other.inliers.sum() > measured.inliers.sum() else measured
+        try:
+            other = measure_observations(observed, design, markers, free, progress, t, begun)
+        except (NotEnoughData, NoOptimum):  # all frames do not agree with what a few of them did
+            if measured is None and places == "stated":
+                raise
+        else:
+            measured = other if measured is None or other.inliers.sum() > measured.inliers.sum() else measured
     contradicted = measured is None or len(unsolved_frames_with_enough_markers(measured)) > REFUSED * len(
         observed.frames
     )
