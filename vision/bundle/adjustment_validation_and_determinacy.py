@@ -211,6 +211,8 @@ def _datum(adjustment: Adjustment, on_platform: bool) -> str:
     datum = datum_markers(m, rows)
     if not m.stated[datum].any():
         return f"that of its marker {m.id[datum[0]]}, since the position of none is stated"
+    if len(datum) == 1 < len(rows):
+        return f"fixed by the stated position of its marker {m.id[datum[0]]}"
     some = "" if len(datum) == len(rows) else " " + ", ".join(map(str, m.id[datum]))
     return f"fixed by the stated positions of its markers{some} as a whole"
 
