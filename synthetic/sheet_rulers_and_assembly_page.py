@@ -173,7 +173,7 @@ def target_outline(target: Target) -> Floats:
         corners = np.zeros((4, 3))
         corners[:, [a, b]] = target.edge / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         return target.pose.apply(corners)[:, :2]
-    poses = RigidTransform.concatenate([marker.pose for marker in target.listed])
+    poses = RigidTransform.concatenate([marker.T_body_marker for marker in target.listed])
     half = max(marker.side for marker in target.listed) / 2
     places = poses.translation[:, :2]
     low, high = places.min(axis=0) - half, places.max(axis=0) + half

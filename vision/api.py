@@ -17,7 +17,7 @@ from vision.predict import marker_map
 from vision.reading.marker_identity_mistakes import find_suspicious_markers
 from vision.reading.recording_corners import image_reader
 from vision.recording_adjustment import has_hand_cameras, invert_measured_poses, recording_seen_from_hand
-from vision.recording_measurement import PLACES, measure_recording
+from vision.recording_measurement import PLACES, measure_recording, place_unstated_markers
 
 Progress = Callable[[str, int, int], None]
 HELD = ("lenses", "poses")
@@ -60,6 +60,7 @@ def measure(
     >>> found.noise < 0.1  # px, standard deviation of a corner
     True
     """
+    recording = place_unstated_markers(recording, options.detect, progress)
     refuse_spoilt_files(recording, options.anyway, notice)
     measured, collected = measure_recording(
         recording,
@@ -71,8 +72,11 @@ def measure(
     )
     held = crossvalidate_adjustment(measured.used(), measured.adjustment)
     determination = determined_combinations(measured.adjustment)
+    stated = measured.adjustment.stated.placed.stated[measured.adjustment.unknowns.seen].any()
     moved = (
-        compare_stated_and_adjusted_places(measured, recording.exposures.times()[1]) if measured.places_free else None
+        compare_stated_and_adjusted_places(measured, recording.exposures.times()[1])
+        if measured.places_free and stated
+        else None
     )
     seen, as_seen = recording_seen_from_hand(recording), measured
     if has_hand_cameras(recording.design):

@@ -4,10 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from rig.array_and_json_types import Json
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import replace_cameras, replace_target_markers
+from rig.model.design import Camera
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from rig.recording import recording_tables
 from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
@@ -16,10 +19,12 @@ from rig.report.pages.page_templates_and_elements import result_html
 from rig.report.verdict_and_refutations_of_results import AGREES, Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.bundle.adjustment_validation_and_determinacy import DeterminedUnknowns, HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places, adjusted_markers
+from vision.bundle.unknown_priors import stated_lens_prior_sigmas
 from vision.reading.marker_identity_mistakes import Suspect
 from vision.reading.recording_corners import Collected
 from vision.recording_adjustment import Measurement
 
+ZOOMED = 2.0  # standard uncertainties of a stated focal length, from which its adjustment is an alarm
 SOLVED = 0.5  # of the frames, below which a measurement is bad
 TWICE = 2.0  # of the squares that the covariance predicts, from which it is not reliable
 NAMED = 5  # frames without a pose that a notebook shows
@@ -28,9 +33,9 @@ NAMED = 5  # frames without a pose that a notebook shows
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasurementResult:
     """What there is to say of a measurement. collected : what its images gave, or None; held : of frames held out;
-    places : vision Places where markers' places were adjusted, else None; statement : lines on what the recording
-    determines; suspects : markers that are not as in rig.toml; determination : the combinations of unknowns that
-    the recording determines, or None"""
+    places : vision Places where markers' stated places were adjusted, else None; statement : lines on what the
+    recording determines; suspects : markers that are not as in rig.toml
+    determination : the combinations of unknowns that the recording determines, or None"""
 
     recording: Recording
     measurement: Measurement
@@ -72,9 +77,7 @@ class MeasurementResult:
         """
         m, recording = self.measurement, self.recording
         text = replace_cameras(read_text(recording.folder / "rig.toml"), m.design.cameras)
-        write_text(
-            folder / "rig.toml", replace_target_markers(text, adjusted_markers(m)) if self.places is not None else text
-        )
+        write_text(folder / "rig.toml", replace_target_markers(text, adjusted_markers(m)) if m.places_free else text)
         poses = Poses(m.frames, m.T_base_platform, m.covariance)
         recording_tables.write_poses(folder / "poses.csv", poses)
         recording_tables.write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
@@ -115,6 +118,25 @@ class MeasurementResult:
         }
 
 
+def focal_length_alarms(stated: Sequence[Camera], adjusted: Sequence[Camera]) -> list[str]:
+    """Alarms of cameras whose focal length was adjusted by more than ZOOMED times what its stated one is taken to be
+    worth: one sentence for each.
+    """
+    out = []
+    for before, after in zip(stated, adjusted):
+        moved, worth = np.diag(after.matrix - before.matrix)[:2], stated_lens_prior_sigmas(before)[:2]
+        worst = int(np.argmax(np.abs(moved) / worth))
+        if abs(moved[worst]) > ZOOMED * worth[worst]:
+            focal = before.matrix[worst, worst]
+            out.append(
+                f"the focal length of camera {before.name!r} was adjusted by {moved[worst]:+.0f} px "
+                f"({moved[worst] / focal:+.1%}), {abs(moved[worst]) / worth[worst]:.1f} times the standard uncertainty "
+                f"of the stated one ({worth[worst] / focal:.0%}): state it as calibrated, and check positions and "
+                "sides of the markers"
+            )
+    return out
+
+
 def measurement_verdict(result: MeasurementResult) -> Verdict:
     """The verdict on a measurement."""
     m, total, (position, rotation) = result.measurement, result.frame_count, result.uncertainty
@@ -129,6 +151,9 @@ def measurement_verdict(result: MeasurementResult) -> Verdict:
                 f"{len(result.suspects)} marker{'s are' if len(result.suspects) > 1 else ' is'} not as in rig.toml"
             )
         )
+    missing += [
+        MissingEvidence(text) for text in focal_length_alarms(result.recording.design.cameras, m.design.cameras)
+    ]
     if isinstance(result.held, NotHeldOut):
         missing.append(MissingEvidence("no frame could be held out to check the uncertainties"))
     elif abs(result.held.ratio - 1) > 2 * result.held.scatter:

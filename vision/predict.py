@@ -6,7 +6,7 @@ And the map of all markers of a rig on their bodies.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Protocol, cast
 
@@ -39,6 +39,8 @@ class MarkerMap:
     dictionary, target : m names
     shift : (m,) added to an identity where the same print is another row, as that of a cube that was put back turned; 0
         for all by default
+    stated : (m,) bool, whether the pose is what rig.toml states, all by default; one that is not is free in every
+        adjustment, and holds no frame
     heights : (m, 4) m by which the corners stand off the marker's plane, along its normal; (1, 4) zeros by default
     corners : (m, 4, 3) m, body frame, corner 0 the marker's own top left, then clockwise; they follow from pose, side
         and heights
@@ -54,10 +56,18 @@ class MarkerMap:
     stage: Floats
     shift: Floats = field(default_factory=lambda: np.zeros(1, int))
     heights: Floats = field(default_factory=lambda: np.zeros((1, 4)))
+    stated: Booleans = field(default_factory=lambda: np.ones(1, bool))
     corners: Floats = field(init=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "stated", np.broadcast_to(self.stated, self.id.shape))
         object.__setattr__(self, "corners", transform_points(self.T_body_marker, self.in_marker))
+
+    def with_unstated_at(self, other: MarkerMap) -> MarkerMap:
+        """The same with markers whose pose is not stated where another MarkerMap of the same markers has them."""
+        own, theirs = self.T_body_marker.as_matrix(), other.T_body_marker.as_matrix()
+        matrices = np.where(self.stated[:, None, None], own, theirs)
+        return replace(self, T_body_marker=RigidTransform.from_matrix(matrices))
 
     @property
     def in_marker(self) -> Floats:
@@ -77,9 +87,11 @@ class MarkerMap:
         return np.where(own[order][at] == keys, order[at], -1)
 
 
-def marker_map(design: Design) -> MarkerMap:
+def marker_map(design: Design, unplaced: RigidTransform | None = None) -> MarkerMap:
     """MarkerMap of all markers of a Design.
-    Raises ValueError for a design without targets.
+
+    unplaced : pose of markers whose pose is neither stated nor found; None where there must not be any
+    Raises ValueError for a design without targets, RigError for a marker without a pose
     """
     rows = [(marker, target) for target in design.targets for marker in markers_of_target(target)]
     if not rows:
@@ -87,13 +99,16 @@ def marker_map(design: Design) -> MarkerMap:
     return MarkerMap(
         id=np.array([marker.id for marker, _ in rows]),
         on_platform=np.array([target.body != "base" for _, target in rows]),
-        T_body_marker=RigidTransform.concatenate([marker.pose for marker, _ in rows]),
+        T_body_marker=RigidTransform.concatenate(
+            [unplaced if marker.pose is None and unplaced is not None else marker.T_body_marker for marker, _ in rows]
+        ),
         side=np.array([marker.side for marker, _ in rows]),
         margin=np.array([marker.margin for marker, _ in rows]),
         dictionary=[target.dictionary for _, target in rows],
         target=[target.name for _, target in rows],
         stage=np.array([target.stage for _, target in rows]),
         shift=np.array([target.shift for _, target in rows]),
+        stated=np.array([marker.stated for marker, _ in rows]),
     )
 
 

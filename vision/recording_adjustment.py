@@ -19,7 +19,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.errors import RigError
 from rig.model.design import Camera, Design
 from rig.model.pose import adjoint
 from rig.recording.recording_folder import Recording
@@ -38,6 +37,7 @@ from vision.pose.frame_and_camera_poses import (
     locate_fixed_cameras,
     locate_frames,
 )
+from vision.pose.marker_places_from_sightings import marker_places_from_sightings
 from vision.pose.pose_refinement_and_ambiguity import FAR
 from vision.predict import MarkerMap, State, predict_corners
 
@@ -139,16 +139,22 @@ def measure_observations(
     """Measurement of observations: platform poses with cameras, lenses and, if free, marker places adjusted.
 
     observations : Observations; design : Design, nominal; marker_map : MarkerMap as stated
-    free : what is adjusted, see `adjust_bundle`; progress : called with (label, done, of), or None
+    free : what is adjusted, see `adjust_bundle`; "markers" also where the pose of one that is seen is not stated
+    progress : called with (label, done, of), or None
     t : (F,) s of the frames; with it, one sighting alone counts where the frames before and after confirm its pose
     cameras : to locate frames by, where they are better known than the design has them
     Returns Measurement. Raises NotEnoughData where no frame can be solved, with the reasons.
     """
+    if not marker_map.stated[observations.marker].all():
+        free = tuple(dict.fromkeys((*free, "markers")))
     places = bool({"markers", "targets"} & set(free))
     count = len(observations.frames)
     stated = State(design.cameras, None, {}, marker_map)
     cameras, markers = cameras or design.cameras, marker_map
     finest, covariance = UNSURE if places else FINEST, observations.covariance
+    if places:
+        markers, _ = marker_places_from_sightings(observations, cameras, marker_map)
+        stated = replace(stated, markers=marker_map.with_unstated_at(markers))
     for _ in range(2 if places else 1):  # once to find the places, once more with these
         views = Views(replace(observations, covariance=covariance), cameras, markers, finest)
         found = locate_fixed_cameras(views, cameras) if "poses" in free else {}
@@ -301,16 +307,6 @@ def invert_measured_poses(measured: Measurement) -> Measurement:
 def _stage_numbers(markers: MarkerMap) -> list[int]:
     """Numbers (from 1) of the stages below the last that carry markers."""
     return np.unique(markers.stage[markers.stage > 0]).tolist()
-
-
-def require_stated_marker_places(places: str) -> None:
-    """Require that marker places are stated, not free, on a rig with targets on stages. Raises RigError otherwise."""
-    if places == "free":
-        raise RigError(
-            "positions of markers cannot be adjusted on a rig with targets on stages of a chain: the stated "
-            "places of all a stage's markers "
-            "determine its pose; measure with positions as stated"
-        )
 
 
 def separate_stage_frames(observations: Observations, markers: MarkerMap) -> Observations:

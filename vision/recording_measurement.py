@@ -1,19 +1,28 @@
 """Measurement of a recording from its corners or images: reading, adjustment, reading of missed markers."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
-from rig.errors import NotEnoughData
+from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from vision import recording_adjustment
 from vision.bundle.bundle_adjustment import NoOptimum
-from vision.bundle.marker_displacements import HALVED, are_stated_places_doubtful, marker_displacements
+from vision.bundle.marker_displacements import (
+    HALVED,
+    adjusted_markers,
+    are_stated_places_doubtful,
+    marker_displacements,
+)
 from vision.corner_observations import Observations, observations_from_corners, observations_of_frames
 from vision.lenses.lens_calibration import alternative_initial_lenses, are_lenses_plausible
+from vision.pose.marker_places_from_sightings import marker_places_from_sightings
 from vision.predict import MarkerMap, marker_map
 from vision.reading.corner_refit import ROUNDS, SETTLED, largest_lens_difference, refit_corners
 from vision.reading.marker_identity_mistakes import LOOKED_AT, no_marker_reason
@@ -52,12 +61,64 @@ def measure_recording(
         or None; what it raises ends it
     Raises NotEnoughData for a recording with neither corners nor images, and what reading and measuring raise
     """
+    recording = place_unstated_markers(recording, read_images, progress)
     if not has_hand_cameras(recording.design):
         return _measured(recording, free, read_images, progress, places, check_corners)
     measured, collected = _measured(
         recording_seen_from_hand(recording), free, read_images, progress, places, check_corners
     )
     return invert_measured_poses(measured), collected
+
+
+def place_unstated_markers(
+    recording: Recording, read_images: bool = False, progress: Callable[[str, int, int], None] | None = None
+) -> Recording:
+    """The recording with markers whose pose is not stated in its design where its corners or images put them.
+
+    read_images, progress : as of `measure_recording`; those that are never seen are left out of the design
+    Raises NotEnoughData for markers that are seen, and never in one image with another that is placed; RigError for
+    markers on a stage of a chain, whose poses must be stated
+    """
+    design = recording.design
+    unplaced = [(target, one) for target in design.targets for one in target.listed if one.pose is None]
+    if not unplaced or not design.cameras:
+        return recording
+    if any(target.stage for target, _ in unplaced):
+        require_stated_marker_places("free")
+    seen = recording_seen_from_hand(recording).design
+    markers, (frames, t) = marker_map(seen, RigidTransform.identity()), recording.exposures.times()
+    corners = recording.corners
+    if corners is None or read_images:
+        label = None if progress is None else partial(progress, "reading images for places of markers")
+        corners = collect_corners(replace(recording, design=seen), markers, label).corners
+    observed = observations_from_corners(corners, frames, seen, markers)
+    _, linked = marker_places_from_sightings(observed, seen.cameras, markers)
+    shown = np.isin(np.arange(len(markers.id)), observed.marker)
+    alone = markers.id[shown & ~markers.stated & ~linked].tolist()
+    if not alone:
+        found = measure_observations(observed, seen, markers, ("poses", "lenses", "markers"), progress, t)
+        placed = {marker.id: marker.pose for rows in adjusted_markers(found).values() for marker in rows}
+        held = set(markers.id[list(found.adjustment.unknowns.markers)].tolist())
+        alone = [int(markers.id[row]) for row in np.flatnonzero(shown & ~markers.stated) if markers.id[row] not in held]
+    if alone:
+        raise NotEnoughData(
+            f"rig.toml does not state the pose of markers {', '.join(map(str, alone))}, and no image in which a pose "
+            "can be found shows them together with markers that are placed: state their poses, roughly, or record "
+            "images that show both"
+        )
+    left_out = {marker.id for _, marker in unplaced} - held
+    targets = tuple(
+        replace(
+            target,
+            listed=tuple(
+                replace(marker, pose=placed[marker.id]) if marker.pose is None else marker
+                for marker in target.listed
+                if marker.id not in left_out
+            ),
+        )
+        for target in design.targets
+    )
+    return replace(recording, design=replace(design, targets=targets))
 
 
 def _measured(
@@ -125,6 +186,16 @@ def _measured(
     return measured, found
 
 
+def require_stated_marker_places(places: str) -> None:
+    """Require stated places of markers on a rig with targets on stages. Raises RigError where places are free."""
+    if places == "free":
+        raise RigError(
+            "positions of markers cannot be adjusted on a rig with targets on stages of a chain: the stated "
+            "places of all a stage's markers "
+            "determine its pose; measure with positions as stated"
+        )
+
+
 def measure_with_stated_or_free_places(
     observed: Observations,
     design: Design,
@@ -138,7 +209,7 @@ def measure_with_stated_or_free_places(
     t : (F,) s
     """
     if markers.stage.any():
-        recording_adjustment.require_stated_marker_places(places)
+        require_stated_marker_places(places)
         return recording_adjustment.separate_stage_measurements(
             measure_observations(
                 recording_adjustment.separate_stage_frames(observed, markers),
@@ -151,7 +222,7 @@ def measure_with_stated_or_free_places(
             markers,
         )
     loose, measured = (*free, "markers"), None
-    if places == "free":
+    if places == "free" or not markers.stated[observed.marker].all():
         return measure_observations(observed, design, markers, loose, progress, t)
     try:
         measured = measure_observations(observed, design, markers, free, progress, t)
@@ -162,8 +233,13 @@ def measure_with_stated_or_free_places(
     else:
         begun = _other_lenses(observed, design, markers, free) if _contradicts(measured) else None
     if begun is not None:
-        other = measure_observations(observed, design, markers, free, progress, t, begun)
-        measured = other if measured is None or other.inliers.sum() > measured.inliers.sum() else measured
+        try:
+            other = measure_observations(observed, design, markers, free, progress, t, begun)
+        except (NotEnoughData, NoOptimum):  # all frames do not agree with what a few of them did
+            if measured is None and places == "stated":
+                raise
+        else:
+            measured = other if measured is None or other.inliers.sum() > measured.inliers.sum() else measured
     contradicted = measured is None or len(unsolved_frames_with_enough_markers(measured)) > REFUSED * len(
         observed.frames
     )

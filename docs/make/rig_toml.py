@@ -191,6 +191,7 @@ HANGS_ON_ANOTHER = {
     ("[[camera]]", "row_time"): "`0`; **required** of a rolling shutter",
     ("[controller]", "max_speed"): "`[actuator]` `max_speed`",
     ("[[target.marker]]", "margin"): "an eighth of `side`",
+    ("[[target.marker]]", "pose"): "found from the recording",
 }
 KINDS_OF_GET = {
     "homing": "true or false",

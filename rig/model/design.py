@@ -238,29 +238,40 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marker:
-    """One square marker. id : in its target's dictionary; side : m, outer side of the black border; margin : m, white
-    paper beyond the border;
-    pose : T_body_marker, x right, y up, z out of the paper"""
+    """One square marker. id : in its target's dictionary; side : m, outer side of the black border
+    margin : m, white paper beyond the border
+    pose : T_body_marker, x right, y up, z out of the paper; where it is not stated, measuring finds it from a recording
+    stated : whether the pose is what rig.toml states; else it was found from a recording, or is None"""
 
     id: int
     side: float
-    pose: RigidTransform
+    pose: RigidTransform | None
     margin: float
+    stated: bool = True
+
+    def __post_init__(self) -> None:
+        if self.pose is None and self.stated:
+            raise ValueError(f"marker {self.id}: expected a pose, or stated = False, got neither")
+
+    @property
+    def T_body_marker(self) -> RigidTransform:
+        """The pose. Raises RigError where none is stated and none was found."""
+        if self.pose is None:
+            raise RigError(f"rig.toml: the pose of marker {self.id} is not stated; `rig measure` finds and writes it")
+        return self.pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Target:
     """Markers fixed to one body. A cube has edge, marker, faces and pose; any other target lists its markers.
 
-    name : its own; body : what it is fixed to, of a chain also what a stage below the last moves, as "stage 1";
-        dictionary : OpenCV's name of
-    the markers'; edge : m, of the cube; marker : m, outer side of the black border; faces : pairs of face and id;
-    pose : T_body_cube, of the cube's centre; listed : the markers of one that is no cube
+    name : its own; body : what it is fixed to, of a chain also what a stage below the last moves, as "stage 1"
+    dictionary : OpenCV's name of the markers'; edge : m, of the cube; marker : m, outer side of the black border
+    faces : pairs of face and id; pose : T_body_cube, of the cube's centre; listed : the markers of one that is no cube
     turned : quarter turns about the cube's own z, right-handed, with which it was taken off and put back since its pose
     was stated: its place is that only to what remounting may do; None for a target that was never taken off
     shift : added to its identities where it is one of several recordings together (see
-        rig.recording.combined_recordings): the same prints are
-    another target there
+    rig.recording.combined_recordings): the same prints are another target there
     """
 
     name: str

@@ -10,7 +10,7 @@ from rig.array_and_json_types import Floats
 from vision.bundle.bundle_adjustment import Adjustment
 from vision.bundle.normal_equations_and_corner_jacobians import linearise, normal_equations, schur_complement
 from vision.bundle.unknown_priors import POSE_SIGMA, adjustment_unknowns
-from vision.bundle.unknowns_estimate_and_printing_errors import Unknowns, offset_from_stated
+from vision.bundle.unknowns_estimate_and_printing_errors import Unknowns, datum_markers, offset_from_stated
 from vision.corner_observations import Observations, observations_of_frames, whitener_of_observations
 
 FOLDS = 10
@@ -204,14 +204,28 @@ def _names(vector: Floats, names: list[str]) -> tuple[str, ...]:
     return tuple(names[k] for k in kept)
 
 
+def _datum(adjustment: Adjustment, on_platform: bool) -> str:
+    """Which markers hold a body's frame where their positions were adjusted."""
+    m, rows = adjustment.stated.placed, adjustment.unknowns.seen
+    rows = rows[m.on_platform[rows] == on_platform]
+    datum = datum_markers(m, rows)
+    if not m.stated[datum].any():
+        return f"that of its marker {m.id[datum[0]]}, since the position of none is stated"
+    if len(datum) == 1 < len(rows):
+        return f"fixed by the stated position of its marker {m.id[datum[0]]}"
+    some = "" if len(datum) == len(rows) else " " + ", ".join(map(str, m.id[datum]))
+    return f"fixed by the stated positions of its markers{some} as a whole"
+
+
 def _held(adjustment: Adjustment, u: Unknowns) -> tuple[str, ...]:
     """Who holds the frames, and what was kept as stated."""
     state, out = adjustment.state, []
     loose = bool(u.markers or u.targets)
     bodies = {bool(state.markers.on_platform[row]) for row in u.seen} if state.markers is not None else {False, True}
-    together = "the stated positions of its markers as a whole" if loose else "the stated positions of its markers"
     out += [
-        f"the {name} frame is fixed by {together}" for on, name in ((False, "base"), (True, "platform")) if on in bodies
+        f"the {name} frame is {_datum(adjustment, on) if loose else 'fixed by the stated positions of its markers'}"
+        for on, name in ((False, "base"), (True, "platform"))
+        if on in bodies
     ]
     if False not in bodies:
         out.append("the base frame is fixed by the stated poses of the cameras")

@@ -140,11 +140,13 @@ def adjusted_markers(measurement: Measured) -> dict[str, tuple[Marker, ...]]:
 
 
 def marker_displacements(adjustment: Adjustment) -> tuple[Move, ...]:
-    """Displacements (Move, ...) of the markers and targets that an Adjustment left free."""
+    """Displacements (Move, ...) of the markers that an Adjustment left free from where they are stated."""
     u, out = adjustment.unknowns, []
     moved = log(adjustment.stated.placed.T_body_marker.inv() * adjustment.state.placed.T_body_marker)
     ids = adjustment.state.placed.id
     for row, columns in u.markers.items():
+        if not adjustment.stated.placed.stated[row]:
+            continue
         by = moved[row]
         C = adjustment.shared_covariance[columns, columns]
         scale = adjustment.prior[columns]

@@ -103,7 +103,8 @@ def adjust_robustly(
         progress(ROUNDS, ROUNDS)
     everywhere = np.zeros(len(observations), bool)
     everywhere[mine] = inliers
-    scale = np.sqrt(result.cost / result.dof) if result.dof >= ENOUGH else 1.0
+    # of the corners alone: what is stated wrongly pulls, and is no scatter of theirs
+    scale = np.sqrt((result.whitened**2).sum() / result.dof) if result.dof >= ENOUGH else 1.0
     return RobustAdjustment(
         result, solved, everywhere, (scale**2 * factor)[:, None, None] * observations.covariance, float(scale)
     )

@@ -24,6 +24,7 @@ from vision.bundle.unknowns_estimate_and_printing_errors import (
     Prints,
     UnknownName,
     Unknowns,
+    datum_markers,
     do_cameras_hold_base,
     marker_motions_relative_to_targets,
     target_motion_from_stated,
@@ -144,7 +145,7 @@ def adjustment_unknowns(
             markers[row] = add(
                 6,
                 _place_prior(state.placed.side[row]),
-                1.0,
+                float(state.placed.stated[row]),
                 [UnknownName(Place("marker", str(state.placed.id[row])), part) for part in PARTS],
             )
     if "targets" in free:
@@ -221,7 +222,7 @@ def _basis(observations: Observations, state: State, unknowns: Unknowns) -> Floa
         for on in (False, True):
             body = seen[m.on_platform[seen] == on]
             if len(body) and (on or not do_cameras_hold_base(unknowns, state)):
-                rows.append(_mean_motion(m, body, unknowns, True))
+                rows.append(_mean_motion(m, datum_markers(m, body), unknowns, True))
         if unknowns.markers and unknowns.targets:
             rows += [_mean_motion(m, seen[target[seen] == name], unknowns, False) for name in unknowns.targets]
     stacked = np.concatenate(rows) * unknowns.scale

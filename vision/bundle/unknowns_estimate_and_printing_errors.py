@@ -269,10 +269,19 @@ def offset_from_stated(estimate: Estimate, stated: State, unknowns: Unknowns) ->
     return out / unknowns.scale
 
 
+def datum_markers(markers: MarkerMap, rows: Integers) -> Integers:
+    """Rows of the markers that hold their body's frame together: of rows (k,) of one body those whose places are
+    stated, the first where none is.
+    """
+    stated = markers.stated[rows]
+    return rows[stated] if stated.any() else rows[:1]
+
+
 def align_with_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> Estimate:
     """The Estimate aligned with the datums: seen from the frames that the stated places define.
 
-    Corners of all seen markers of a body, taken together, end where they were stated, in the least-squares sense.
+    Corners of all seen markers of a body whose places are stated, taken together, end where they were stated, in the
+    least-squares sense; those of the first where none is.
     """
     if not (unknowns.markers or unknowns.targets):
         return estimate
@@ -284,7 +293,9 @@ def align_with_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> 
         D[on] = (
             RigidTransform.identity()
             if held or not len(body)
-            else align_points(state.placed.corners[body].reshape(-1, 3), stated.placed.corners[body].reshape(-1, 3))
+            else align_points(
+                *(m.corners[datum_markers(m, body)].reshape(-1, 3) for m in (state.placed, stated.placed))
+            )
         )
     free = np.array(
         [row in unknowns.markers or name in unknowns.targets for row, name in enumerate(state.placed.target)]

@@ -106,11 +106,11 @@ def _middle(target: Target) -> Floats | None:
     if target.pose is not None:
         return np.asarray(target.pose.translation)
     own = markers_of_target(target)
-    normals = np.array([marker.pose.rotation.as_matrix()[:, 2] for marker in own])
+    normals = np.array([marker.T_body_marker.rotation.as_matrix()[:, 2] for marker in own])
     if len(own) < 3 or np.linalg.matrix_rank(normals, tol=0.1) < 3:
         return None
     across = np.eye(3) - normals[:, :, None] * normals[:, None, :]
-    places = np.array([marker.pose.translation for marker in own])
+    places = np.array([marker.T_body_marker.translation for marker in own])
     return np.linalg.lstsq(across.reshape(-1, 3), (across @ places[:, :, None]).reshape(-1), rcond=None)[0]
 
 
@@ -148,7 +148,10 @@ def _faces(target: Target) -> Iterator[str]:
     middle = None if target.pose is not None else _middle(target)
     if middle is None:
         return
-    off = [(marker.id, marker.side, (marker.pose.inv().apply(middle))[:2] * -1) for marker in markers_of_target(target)]
+    off = [
+        (marker.id, marker.side, (marker.T_body_marker.inv().apply(middle))[:2] * -1)
+        for marker in markers_of_target(target)
+    ]
     aside = [
         f"{number} by {by[0] * 1e3:+.2f}, {by[1] * 1e3:+.2f}"
         for number, side, by in off

@@ -98,7 +98,7 @@ def _target(stream: RecordingStream, rr: ModuleType, target: Target) -> None:
     boxes = (
         [(target.pose, [target.edge / 2] * 3)]
         if target.pose is not None and target.edge
-        else [(marker.pose, [marker.side / 2, marker.side / 2, 1e-4]) for marker in target.listed]
+        else [(marker.T_body_marker, [marker.side / 2, marker.side / 2, 1e-4]) for marker in target.listed]
     )
     for number, (T, half) in enumerate(boxes):
         place = f"{body}/{target.name}/{number}"

@@ -295,16 +295,20 @@ def replace_target_markers(text: str, markers: dict[str, tuple[Marker, ...]]) ->
     """The rig.toml text with the markers of each target replaced; cubes become lists of markers.
 
     text : a valid rig.toml; markers : {target name: (Marker, ...)}
+    A marker that is not among them and whose pose is not stated remains so.
     """
     import tomlkit
 
     document = tomlkit.parse(text)
     for table in (table for table in document["target"] if table["name"] in markers):
+        found = {marker.id for marker in markers[table["name"]]}
+        listed = table["marker"] if isinstance(table.get("marker"), list) else []
+        unplaced = [row for row in listed if "pose" not in row and row["id"] not in found]
         for key in ("edge", "marker", "faces", "pose"):
             table.pop(key, None)
         rows = tomlkit.aot()
         for marker in markers[table["name"]]:
-            position, rotvec = np.split(np.round(pose_to_vector(marker.pose), 10), 2)
+            position, rotvec = np.split(np.round(pose_to_vector(marker.T_body_marker), 10), 2)
             row, entry = tomlkit.table(), tomlkit.inline_table()
             entry.update({"position": position.tolist(), "rotvec": rotvec.tolist()})
             row.update(
@@ -315,6 +319,8 @@ def replace_target_markers(text: str, markers: dict[str, tuple[Marker, ...]]) ->
                     "pose": entry,
                 }
             )
+            rows.append(row)
+        for row in unplaced:
             rows.append(row)
         table["marker"] = rows
     return tomlkit.dumps(document)

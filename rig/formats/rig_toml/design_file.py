@@ -268,8 +268,9 @@ def _cube(table: Entries, name: str, body: str, dictionary: str) -> Target:
 def _listed(table: Entries, name: str, body: str, dictionary: str) -> Target:
     markers = []
     for row in table.tables("marker"):
-        row.refuse_misspelt([field.name for field in fields(Marker)])
+        row.refuse_misspelt(("id", "side", "pose", "margin"))
         side = row.number("side", above=0, most=LARGEST_MARKER, unit="m (is it in millimetres?)")
         margin = row.number("margin", default=side / 8, least=0, most=LARGEST_MARKER, unit="m")
-        markers.append(Marker(row.whole("id", 0), side, row.pose("pose"), margin))
+        placed = "pose" in row.tree
+        markers.append(Marker(row.whole("id", 0), side, row.pose("pose") if placed else None, margin, placed))
     return Target(name, body, dictionary, listed=tuple(markers))
