@@ -13,7 +13,7 @@ import numpy as np
 from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text_and_dict import Kinds, parse_effect, require_existing_place, require_nonzero_effect
+from rig.effects.texts.effect_text_parsing import Kinds, parse_effect, require_existing_place, require_nonzero_effect
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design, Sensor

@@ -17,7 +17,7 @@ from rig.compute import parallel_map_and_dask_cluster
 from rig.compute.worker_processes import process_map, worker_count
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text_and_dict import Kinds
+from rig.effects.texts.effect_text_parsing import Kinds
 from rig.errors import FileError, RigError
 from rig.formats.output_files import write_bytes
 from rig.model import motion_simulation

@@ -34,9 +34,8 @@ class MarkerMap:
     """All markers of a rig, one row each.
 
     id : (m,), as printed; on_platform : (m,) bool, on what moves: the platform, or a stage of a chain below it;
-        stage : (m,) number (from 1) of
-    that stage, 0 for the base's and the platform's own; T_body_marker : RigidTransform (m,); side, margin : (m,) m;
-    dictionary, target : m names
+        stage : (m,) number (from 1) of that stage, 0 for the base's and the platform's own
+    T_body_marker : RigidTransform (m,); side, margin : (m,) m; dictionary, target : m names
     shift : (m,) added to an identity where the same print is another row, as that of a cube that was put back turned; 0
         for all by default
     stated : (m,) bool, whether the pose is what rig.toml states, all by default; one that is not is free in every

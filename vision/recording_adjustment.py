@@ -152,7 +152,7 @@ def measure_observations(
     stated = State(design.cameras, None, {}, marker_map)
     cameras, markers = cameras or design.cameras, marker_map
     finest, covariance = UNSURE if places else FINEST, observations.covariance
-    if places:
+    if "markers" in free:  # a target that is free moves as a whole: its markers stay where they are stated on it
         markers, _ = marker_places_from_sightings(observations, cameras, marker_map)
         stated = replace(stated, markers=marker_map.with_unstated_at(markers))
     for _ in range(2 if places else 1):  # once to find the places, once more with these

@@ -40,7 +40,7 @@ from calib.online.platform_poses_from_measuring_limbs import LimbSource, sample_
 from calib.report import platform_and_lens_calibration_pages as platform_page
 from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from rig.array_and_json_types import Floats, Json
-from rig.effects.texts.effect_text_and_dict import Kinds
+from rig.effects.texts.effect_text_parsing import Kinds
 from rig.effects.texts.user_effect_file_loading import Plugin, catalogue_with_files
 from rig.errors import RigError
 from rig.model.design import Design

@@ -33,7 +33,7 @@ from calib.samples.confounded_conditions import confounds_of_configurations
 from rig import api
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text_and_dict import parse_effect, require_existing_place
+from rig.effects.texts.effect_text_parsing import parse_effect, require_existing_place
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model import mechanisms

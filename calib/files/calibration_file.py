@@ -27,7 +27,7 @@ from calib.samples.confounded_conditions import confounds_from_entries
 from calib.workspace.workspace_map_and_lost_poses import workspace_dict, workspace_from_entries
 from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.texts.effect_text_and_dict import Kinds
+from rig.effects.texts.effect_text_parsing import Kinds
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files import write_text

@@ -12,11 +12,11 @@ from calib.correction.physics_compensation import Physics, Unknown
 from rig.array_and_json_types import Booleans, Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
-from rig.effects.texts.effect_text_and_dict import Kinds, effect_to_dict
+from rig.effects.texts.effect_text_parsing import Kinds
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import short_repr
-from rig.formats.machine_json import effects_from_entries
+from rig.formats.machine_json import effect_to_dict, effects_from_entries
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
 from rig.model.effect_places_and_part_tolerances import Place

@@ -1,4 +1,4 @@
-"""Machine as a JSON file: its true or identified geometry, cameras and effects."""
+"""Machine and its effects as a JSON file: true or identified geometry, cameras, effects."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -10,10 +10,12 @@ import numpy as np
 from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text_and_dict import Kinds, effect_from_dict, effect_to_dict, require_existing_place
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
+from rig.effects.texts.effect_text_parsing import Kinds, named_effect, require_existing_place
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import LARGEST_RIG, Entries
+from rig.formats.local_and_remote_input_files import short_repr
 from rig.model.design import Camera, Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_stages
 from rig.model.pose import pose, pose_to_vector
@@ -48,6 +50,45 @@ def _geometry(m: Mechanism) -> Json:
         **{name: array.tolist() for name, array in m.geometry_arrays.items()},
         **{name: pose_to_vector(getattr(m, name)).tolist() for name in m.placements},
     }
+
+
+def effect_to_dict(effect: Effect) -> Json:
+    """Dict {"effect", "place", "parameters"} of an effect, as truth files and diagnoses write it."""
+    return {
+        "effect": effect.name,
+        "place": effect.place,
+        "parameters": {
+            key: list(value) if isinstance(value, tuple) else value
+            for key, value in effect.values().items()
+            if isinstance(value, tuple) or np.isfinite(value)
+        },
+    }  # what is infinite is its default
+
+
+def effect_from_dict(tree: Json, known_effects: Kinds = BY_NAME) -> Effect:
+    """Effect from a dict as `effect_to_dict` writes it, of known kinds. Raises RigError for anything else."""
+    if (
+        not isinstance(tree, dict)
+        or not isinstance(tree.get("effect"), str)
+        or not isinstance(tree.get("place"), str)
+        or not isinstance(tree.get("parameters"), dict)
+    ):
+        raise RigError(f"{short_repr(tree)} is not an effect: it requires effect, place and parameters")
+    kind = named_effect(tree["effect"], tree["effect"], known_effects)
+    own = {parameter.name for parameter in kind.parameters}
+    values = {}
+    for key, value in tree["parameters"].items():
+        numbers = value if isinstance(value, list) else [value]
+        if key not in own or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
+            raise RigError(
+                f"{short_repr(tree)} is no effect: {short_repr(key)} = {short_repr(value)}; {kind.name} has "
+                f"{', '.join(sorted(own))}, numbers"
+            )
+        values[key] = tuple(value) if isinstance(value, list) else value
+    try:
+        return check_effect(kind(tree["place"], **values))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise RigError(f"{short_repr(tree)} is no effect: {error}") from None
 
 
 def load_machine(

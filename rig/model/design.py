@@ -20,20 +20,16 @@ from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Plan
 class Controller:
     """What drives the axes.
 
-    protocol : one of PROTOCOLS; baudrate : bits per second; port : device, or URL socket://, rfc2217://, loop://;
-    usb : serial number or hardware id by which to find the port again, or ""; axes : the controller's names of the
-        axes, in the mechanism's
-    order, () for the protocol's own
+    protocol : one of PROTOCOLS; baudrate : bits per second; port : device, or URL socket://, rfc2217://, loop://
+    usb : serial number or hardware id by which to find the port again, or ""
+    axes : the controller's names of the axes, in the mechanism's order, () for the protocol's own
     homing : whether the controller can home; without, the position that it reads at the start is believed
-    zero : (n,) m, an axis's length where the controller reads 0; home : (n,) m, lengths after homing, or None where not
-        stated
+    zero : (n,) m, an axis's length where the controller reads 0; home : (n,) m, lengths after homing, None if not stated
     max_speed : (n,) m/s; max_acceleration : (n,) m/s^2, None for what the controller itself allows
-    tolerance : m, of a read-back; max_step : m, largest change of one axis in a move, None for any; margin : smallest
-    share that the Jacobian's least singular value may have of its value at home
-    timeout, home_timeout : s, for an answer and for homing; watchdog : s of silence after which a controller that can
-        shall stop
-    kinematics : "joint" (an axis word is an axis) or "world" (the controller has the inverse kinematics and is sent
-        poses)
+    tolerance : m, of a read-back; max_step : m, largest change of one axis in a move, None for any
+    margin : smallest share that the Jacobian's least singular value may have of its value at home
+    timeout, home_timeout : s, for an answer and for homing; watchdog : s of silence after which a controller stops
+    kinematics : "joint" (an axis word is an axis) or "world" (the controller has the inverse kinematics, takes poses)
     password, enable_password : of linuxcncrsh; ini : path of LinuxCNC's .ini, whose limits are compared, or ""
     """
 
@@ -311,11 +307,10 @@ class Target:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """The whole rig.toml. name : of the rig; gravity : (3,) m/s^2 in the base frame; sensor : Sensor of its simulated
-    cameras;
-    insitu : MeasuringLimbs or None; controller : Controller or None where nothing is driven; sensors : SensorPort or
-        None
-    experiment : Permission."""
+    """The whole rig.toml. name : of the rig; gravity : (3,) m/s^2 in the base frame
+
+    sensor : of its simulated cameras; controller : None where nothing is driven
+    """
 
     name: str
     gravity: Floats

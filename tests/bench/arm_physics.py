@@ -21,7 +21,7 @@ from calib.models.arm.certification import arm_workspace_claim, certify_arm
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.pose_samples import sample_recording
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text_and_dict import parse_effect
+from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference

@@ -20,7 +20,7 @@ from calib.correction.interpolation_methods_and_correction_summand_fields import
 )
 from calib.diagnosis.findings_refit import findings_of_diagnosis
 from calib.samples.pose_samples import sample_recording
-from rig.effects.texts.effect_text_and_dict import parse_effect
+from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib.diagnose_recording import diagnosis_of

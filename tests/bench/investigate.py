@@ -20,7 +20,7 @@ from calib.api.next_experiment import Experiment, available_plans, choose_experi
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_questions_and_information import NAME
 from calib.experiment.platform_questions import platform_questions as questions
-from rig.effects.texts.effect_text_and_dict import parse_effect, require_existing_place
+from rig.effects.texts.effect_text_parsing import parse_effect, require_existing_place
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design

@@ -30,7 +30,7 @@ WATCHED = (
     "rig.model.design",
     "rig.report.pages.run_page_server",
     "calib.files.mechanism_and_physics_entries_of_calibration_json",
-    "rig.effects.texts.effect_text_and_dict",
+    "rig.effects.texts.effect_text_parsing",
     "calib.files.calibration_file",
     "calib.online.filter_state",
     "synthetic.diagnosis_score",

@@ -14,16 +14,12 @@ from calib.correction.correction import Correction
 from calib.files import calibration_file
 from calib.online.information_filter import Online
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.texts.effect_text_and_dict import (
-    effect_from_dict,
-    parse_effect,
-    require_existing_place,
-    require_known_effect,
-)
+from rig.effects.texts.effect_text_parsing import parse_effect, require_existing_place, require_known_effect
 from rig.errors import RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin, importers
 from rig.formats.importers import image_file_frames as frames
 from rig.formats.importers.import_recipe import ForeignTable
+from rig.formats.machine_json import effect_from_dict
 from rig.formats.rig_toml import design_file
 from rig.model.pose import TRIANGLE
 from rig.planning import plan

@@ -20,7 +20,7 @@ from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable
 if TYPE_CHECKING:
     from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
     from calib.online.platform_poses_from_measuring_limbs import LimbSource
-    from rig.effects.texts.effect_text_and_dict import Kinds
+    from rig.effects.texts.effect_text_parsing import Kinds
     from rig.effects.texts.user_effect_file_loading import Plugin
     from rig.recording.recording_folder import Recording
     from rig.report.verdict_and_refutations_of_results import Refutation, State

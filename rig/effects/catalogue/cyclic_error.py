@@ -44,9 +44,7 @@ class CyclicError(Effect):
     )
     form: ClassVar = "sinusoid"
     own_axis: ClassVar = 2
-
-    def needs(self, motion: Motion) -> str | None:
-        return motion.no_turn(self.axes(motion.places))
+    whole_turns: ClassVar = True
 
     def angle(self, motion: Motion) -> Floats:
         """(n, axes) rad that the order multiplies; 0 at axes where it does not sit."""

@@ -44,14 +44,13 @@ class JointOffset(Effect):
     experiment: ClassVar = "tilt and turn the platform far out: the strut's cardan must swing about its second axis"
     action: ClassVar = "Enter the offset in the kinematics, or exchange that cardan for one whose axes meet."
     on_pose: ClassVar = True
+    cardans: ClassVar = tuple(CARDANS)
 
     def needs(self, motion: Motion) -> str | None:
-        if motion.mechanism.plates is None:
-            return "takes a hexapod, whose struts end in cardans"
-        if motion.actuator.joints is None:
-            return "needs [actuator] joints in rig.toml"
-        ends = CARDANS[motion.actuator.joints]
-        return None if self.end in ends else f"takes a cardan at end {' or '.join(f'{e:g}' for e in ends)} of the strut"
+        lacking = motion.no_cardans(self.cardans)
+        if lacking or self.end in (ends := CARDANS[str(motion.actuator.joints)]):
+            return lacking
+        return f"takes a cardan at end {' or '.join(f'{e:g}' for e in ends)} of the strut"
 
     def deviation(self, motion: Motion) -> Floats:
         excess, home = (self._excess(motion, T) for T in (motion.posed(), require_hexapod(motion.mechanism).home))

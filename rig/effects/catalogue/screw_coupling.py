@@ -28,17 +28,8 @@ class ScrewCoupling(Effect):
     experiment: ClassVar = "turn the platform about its axis and tilt it, far out: the pose alone determines it"
     action: ClassVar = "Correct lengths by the twist of the joints, or guide the nut so that it cannot turn."
     on_pose: ClassVar = True
-
-    def needs(self, motion: Motion) -> str | None:
-        if motion.mechanism.plates is None:
-            return "takes a hexapod, whose struts end in cardans"
-        if motion.actuator.screw_lead is None or motion.actuator.joints is None:
-            return "needs [actuator] screw_lead and joints in rig.toml"
-        return (
-            "takes cardans at both ends: a ball turns freely and cannot turn the nut"
-            if motion.actuator.joints != "cardan-cardan"
-            else None
-        )
+    cardans: ClassVar = ("cardan-cardan",)
+    whole_turns: ClassVar = True
 
     def deviation(self, motion: Motion) -> Floats:
         return self.axes(motion.places) * self.gain * motion.turn() / (2 * np.pi) * self._twist(motion)

@@ -95,6 +95,8 @@ class Effect:
     lasting : the machine does it again the next time, as found, so that commands can undo it; what happened at one
     moment, or swings with a phase of its own, it does not
     tolerance : manufacturing tolerance within which as much is nobody's fault
+    cardans : [actuator] joints, those of struts' ends, one of which it needs; empty where it needs no cardan
+    whole_turns : it needs the travel of one turn of its axis' screw
     fixed_mount : at a camera, it takes one whose mount does not move with the machine
     flat : markers stay flat with it, as drawn images have them
     warps : takes in every smooth displacement fixed in a camera's image
@@ -119,6 +121,8 @@ class Effect:
     once: ClassVar[bool] = False
     lasting: ClassVar[bool] = True
     tolerance: ClassVar[Tolerance | tuple[float, float] | None] = None
+    cardans: ClassVar[tuple[str, ...]] = ()
+    whole_turns: ClassVar[bool] = False
     fixed_mount: ClassVar[bool] = False
     flat: ClassVar[bool] = True
     warps: ClassVar[bool] = False
@@ -132,7 +136,8 @@ class Effect:
 
     def needs(self, motion: Motion) -> str | None:
         """What a machine or its recording lacks for this effect, in words that follow its name; None for nothing."""
-        return None
+        lacks_cardan = motion.no_cardans(self.cardans) if self.cardans else None
+        return lacks_cardan or (motion.no_turn(self.axes(motion.places)) if self.whole_turns else None)
 
     def times(self, t: Floats) -> Floats:
         """(n,) s on the commands' clock at which exposures logged at t (n,) really happened."""

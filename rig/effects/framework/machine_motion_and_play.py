@@ -208,6 +208,14 @@ class Motion:
         """Why the travel of one turn is not known of the axes that something sits at (axes,), or None."""
         return "needs [actuator] screw_lead in rig.toml" if np.isnan(self.turn()[sits > 0]).any() else None
 
+    def no_cardans(self, wanted: tuple[str, ...]) -> str | None:
+        """Why the struts do not end in joints of one of these kinds ([actuator] joints), or None."""
+        if self.mechanism.plates is None:
+            return "takes a hexapod, whose struts end in cardans"
+        if self.actuator.joints is None:
+            return "needs [actuator] joints in rig.toml"
+        return None if self.actuator.joints in wanted else f"takes {' or '.join(wanted)} joints: a ball turns freely"
+
     def channel(self, *names: str) -> Floats:
         """(n,) the first of these sensor channels that there is, at the exposures. Raises RigError where the recording
         lacks them all.

@@ -5,7 +5,7 @@ import pytest
 
 from calib.diagnosis.effect_signal_and_separation import effect_separation
 from rig.cli import command_line
-from rig.effects.texts.effect_text_and_dict import parse_effect
+from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.planning.plan import build_plan, sensors_with_payload
 from synthetic.secret_machine import draw_temperatures
 

@@ -15,7 +15,7 @@ from calib.experiment.experiment_questions_and_information import (
     discriminating_configurations,
 )
 from calib.experiment.platform_questions import PlatformQuestion, predict_outcomes_by_frame
-from rig.effects.texts.effect_text_and_dict import parse_effect
+from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.planning.plan import build_plan
 from tests.calib.recordings_with_effects import recorded
 

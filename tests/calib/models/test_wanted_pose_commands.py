@@ -17,7 +17,7 @@ from calib.models.arm.correction import ArmCorrection
 from calib.models.chain import error_model as chains
 from calib.models.machine_models import corrected_pose_covariance
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
-from rig.effects.texts.effect_text_and_dict import parse_effect
+from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.rig_toml import design_file

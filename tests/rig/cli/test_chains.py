@@ -14,7 +14,7 @@ from calib.models.chain import error_model
 from calib.models.chain.identification import identify_chain
 from calib.samples.pose_samples import Samples, sample_recording
 from rig.cli import command_line
-from rig.effects.texts.effect_text_and_dict import parse_effect, require_existing_place
+from rig.effects.texts.effect_text_parsing import parse_effect, require_existing_place
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_and_parquet_tables_and_time_origin, machine_json
 from rig.formats.rig_toml import design_file

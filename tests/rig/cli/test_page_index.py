@@ -10,7 +10,7 @@ import pytest
 
 from calib.report.pose_and_effect_figures import FACTORS, effect_displacements, scaled_effect
 from rig.cli.command_line import main
-from rig.effects.texts.effect_text_and_dict import parse_effect
+from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.planning import plan
 from rig.report.pages.page_templates_and_elements import Page, list_pages_below_folder, read_page_summary, write_page
 from rig.report.verdict_and_refutations_of_results import State, Verdict

@@ -8,13 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.effects.texts.effect_text_and_dict import (
-    effect_from_dict,
-    parse_effect,
-    require_existing_place,
-    require_known_effect,
-)
+from rig.effects.texts.effect_text_parsing import parse_effect, require_existing_place, require_known_effect
 from rig.errors import RigError
+from rig.formats.machine_json import effect_from_dict
 from rig.model.design import Planar2
 from rig.planning import plan
 

@@ -7,7 +7,7 @@ from rig.effects.catalogue.creep import Creep
 from rig.effects.catalogue.hysteresis import PLAYS, Hysteresis
 from rig.effects.catalogue.warm_up import WarmUp
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect, coordinates_of_effects
-from rig.effects.texts.effect_text_and_dict import parse_effect
+from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model import motion_simulation
 from rig.recording.recording_folder import Commands, Sensors
 from tests.rig.effects.test_effect_formulas import home, moved, out_and_back

@@ -7,7 +7,7 @@ import pytest
 from rig.cli import certify
 from rig.cli.command_line import main
 from rig.cli.go import parse_pose
-from rig.effects.texts.effect_text_and_dict import parse_effect
+from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.importers.foreign_table_columns import NUMBER

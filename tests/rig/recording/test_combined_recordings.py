@@ -12,7 +12,7 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.effects.framework.effect_parameters_and_covariates import Drawing
-from rig.effects.texts.effect_text_and_dict import parse_effect
+from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose, pose_to_vector
 from rig.recording import recording_folder as recording

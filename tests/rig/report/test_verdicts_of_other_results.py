@@ -34,9 +34,12 @@ SOUND = InvestigationRound(1, "rec1", 12.0, (), (), (), (), (), ())
 )
 def test_a_measurement_whose_noise_is_not_the_stated_one_is_not_good(ratio, state, says):
     """Of frames held out, over the squares predicted: noiseless drawings come to 0.49."""
-    recording = SimpleNamespace(exposures=SimpleNamespace(times=lambda: (np.arange(60), np.arange(60.0))))
+    design = SimpleNamespace(cameras=())
+    recording = SimpleNamespace(
+        exposures=SimpleNamespace(times=lambda: (np.arange(60), np.arange(60.0))), design=design
+    )
     measurement = SimpleNamespace(
-        frames=np.arange(60), covariance=np.broadcast_to(1e-10 * np.eye(6), (60, 6, 6)), unsolved={}
+        frames=np.arange(60), covariance=np.broadcast_to(1e-10 * np.eye(6), (60, 6, 6)), unsolved={}, design=design
     )
     verdict = judged_measurement(MeasurementResult(recording, measurement, SimpleNamespace(ratio=ratio, scatter=0.03)))
     assert verdict.state == state and says in verdict.why

@@ -22,7 +22,7 @@ from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
-from rig.effects.texts.effect_text_and_dict import parse_effect
+from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference

@@ -1,12 +1,9 @@
-"""Effects as text (backlash:strut3:gap=40e-6) and as dicts: parsed, written, their name and place checked."""
+"""Effects parsed from text (backlash:strut3:gap=40e-6), and checks that their name and place exist."""
 
 import re
 from collections.abc import Mapping
 from dataclasses import replace
 
-import numpy as np
-
-from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
@@ -29,7 +26,7 @@ def parse_effect(text: str, known_effects: Kinds = BY_NAME) -> Effect:
     Raises RigError naming what is not known.
     """
     name, _, rest = text.partition(":")
-    kind = _named(name, text, known_effects)
+    kind = named_effect(name, text, known_effects)
     place, _, assignments = rest.partition(":")
     values = {}
     own = {parameter.name: parameter for parameter in kind.parameters}
@@ -71,46 +68,8 @@ def _place(text: str, kind: type[Effect]) -> str:
     return text
 
 
-def effect_to_dict(effect: Effect) -> Json:
-    """Dict {"effect", "place", "parameters"} of an effect, as truth files and diagnoses write it."""
-    return {
-        "effect": effect.name,
-        "place": effect.place,
-        "parameters": {
-            key: list(value) if isinstance(value, tuple) else value
-            for key, value in effect.values().items()
-            if isinstance(value, tuple) or np.isfinite(value)
-        },
-    }  # what is infinite is its default
-
-
-def effect_from_dict(tree: Json, known_effects: Kinds = BY_NAME) -> Effect:
-    """Effect from a dict as `effect_to_dict` writes it, of known kinds. Raises RigError for anything else."""
-    if (
-        not isinstance(tree, dict)
-        or not isinstance(tree.get("effect"), str)
-        or not isinstance(tree.get("place"), str)
-        or not isinstance(tree.get("parameters"), dict)
-    ):
-        raise RigError(f"{short_repr(tree)} is not an effect: it requires effect, place and parameters")
-    kind = _named(tree["effect"], tree["effect"], known_effects)
-    own = {parameter.name for parameter in kind.parameters}
-    values = {}
-    for key, value in tree["parameters"].items():
-        numbers = value if isinstance(value, list) else [value]
-        if key not in own or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
-            raise RigError(
-                f"{short_repr(tree)} is no effect: {short_repr(key)} = {short_repr(value)}; {kind.name} has "
-                f"{', '.join(sorted(own))}, numbers"
-            )
-        values[key] = tuple(value) if isinstance(value, list) else value
-    try:
-        return check_effect(kind(tree["place"], **values))
-    except (TypeError, ValueError, OverflowError) as error:
-        raise RigError(f"{short_repr(tree)} is no effect: {error}") from None
-
-
-def _named(name: str, text: str, known: Kinds) -> type[Effect]:
+def named_effect(name: str, text: str, known: Kinds) -> type[Effect]:
+    """Class of the effect of a name, of known ones. text : for the message. Raises RigError for an unknown name."""
     if name not in known:
         near = nearest_known_word(name, known)
         every = f"there are {', '.join(known)}; user-defined ones are in files named by --effects"
@@ -138,7 +97,7 @@ def require_nonzero_effect(effect: Effect) -> Effect:
 def require_known_effect(text: str, design: Design, known_effects: Kinds = BY_NAME) -> str:
     """Require that a text "EFFECT" or "EFFECT PLACE" names a known effect and place. Raises RigError otherwise."""
     name, _, place = text.partition(" ")
-    kind = _named(name, name, known_effects)
+    kind = named_effect(name, name, known_effects)
     if not place:
         return text
     try:
@@ -151,7 +110,7 @@ def require_known_effect(text: str, design: Design, known_effects: Kinds = BY_NA
 def parse_effect_and_place(text: str, design: Design, known_effects: Kinds = BY_NAME) -> tuple[str, str]:
     """Parse an effect and its place from "EFFECT PLACE", of known effects. Raises RigError otherwise."""
     name, _, place = text.partition(" ")
-    kind = _named(name, text, known_effects)
+    kind = named_effect(name, text, known_effects)
     if kind.discrete:
         raise RigError(
             f"{short_repr(text)}: a {name} is searched for first and cannot be assumed; state it in rig.toml"
