@@ -27,18 +27,18 @@ if TYPE_CHECKING:
     from calib.api.investigate import investigate as investigate
     from calib.api.learn import LearnOptions as LearnOptions
     from calib.api.learn import learn as learn
-    from calib.api.loop_closures_of_redundant_legs import LoopClosureOptions as LoopClosureOptions
-    from calib.api.loop_closures_of_redundant_legs import close_loops as close_loops
+    from calib.api.loop_closure_check_of_redundant_legs import LoopClosureOptions as LoopClosureOptions
+    from calib.api.loop_closure_check_of_redundant_legs import close_loops as close_loops
     from calib.api.machine_run import RunOptions as RunOptions
     from calib.api.machine_run import plan_run as plan_run
     from calib.api.measuring_limb_acceptance_and_platform_poses import AcceptLimbsOptions as AcceptLimbsOptions
     from calib.api.measuring_limb_acceptance_and_platform_poses import accept_limbs as accept_limbs
     from calib.api.plan import plan as plan
     from calib.api.plan_options_and_result import PlanOptions as PlanOptions
-    from calib.api.recording_check_and_preparation import check as check
+    from calib.api.recording_check_combination_and_displacement_removal import check as check
     from calib.api.verify_and_watch import verify as verify
     from calib.api.verify_and_watch import watch as watch
-    from calib.api.workspace import analyse_workspace as analyse_workspace
+    from calib.api.workspace_change_by_calibration import analyse_workspace as analyse_workspace
     from calib.certificate.certificate_contents import CertifyOptions as CertifyOptions
     from calib.experiment.investigation_machine import InvestigateOptions as InvestigateOptions
     from calib.files.calibration_file import load as load
@@ -79,7 +79,7 @@ __getattr__ = lazy_getattr(
     {
         "plan": "calib.api.plan",
         "PlanOptions": "calib.api.plan_options_and_result",
-        "check": "calib.api.recording_check_and_preparation",
+        "check": "calib.api.recording_check_combination_and_displacement_removal",
         "calibrate": "calib.api.calibrate",
         "CalibrateOptions": "calib.api.calibrate",
         **dict.fromkeys(("diagnose", "DiagnoseOptions"), "calib.api.diagnose"),
@@ -91,10 +91,10 @@ __getattr__ = lazy_getattr(
         **dict.fromkeys(
             ("accept_limbs", "AcceptLimbsOptions"), "calib.api.measuring_limb_acceptance_and_platform_poses"
         ),
-        **dict.fromkeys(("close_loops", "LoopClosureOptions"), "calib.api.loop_closures_of_redundant_legs"),
+        **dict.fromkeys(("close_loops", "LoopClosureOptions"), "calib.api.loop_closure_check_of_redundant_legs"),
         **dict.fromkeys(("export", "ExportOptions"), "calib.api.export"),
         **dict.fromkeys(("plan_run", "RunOptions"), "calib.api.machine_run"),
-        "analyse_workspace": "calib.api.workspace",
+        "analyse_workspace": "calib.api.workspace_change_by_calibration",
         "investigate": "calib.api.investigate",
         "InvestigateOptions": "calib.experiment.investigation_machine",
         **dict.fromkeys(("load", "save"), "calib.files.calibration_file"),

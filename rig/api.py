@@ -61,7 +61,7 @@ def save(recording: Recording, folder: Path | str, overwrite: bool = False) -> N
     Raises RigError for several recordings joined to one, and where the folder holds something else
     """
     from rig.recording.recording_folder import copy_frames_commands_and_sensors
-    from rig.recording.recording_tables import write_corners, write_poses, write_table
+    from rig.recording.recording_table_loading_and_writing import write_corners, write_poses, write_table
 
     if recording.parts:
         raise RigError(f"{recording.name}: several recordings as one have no folder; save each separately")
@@ -183,12 +183,15 @@ def check(path: Path | str) -> CheckResult:
     >>> rig.check("tests/data/bench/check").usable
     True
     """
-    return check_files(Path(path))[1]
+    return load_and_check_recording_files(Path(path))[1]
 
 
-def check_files(path: Path) -> tuple[Recording | None, CheckResult]:
-    """Check a recording's files: (Recording, CheckResult); None where the files show that no more can be learnt."""
-    from rig.checks.implausible_values_and_image_mistakes import recording_file_mistakes
+def load_and_check_recording_files(path: Path) -> tuple[Recording | None, CheckResult]:
+    """Load a recording and check its files: (Recording, CheckResult).
+
+    Recording is None where the files show that no more can be learnt.
+    """
+    from rig.checks.implausible_design_values_and_image_mistakes import mistakes_found_without_looking_at_images
     from rig.checks.unreadable_recording import unreadable_recording_mistakes
 
     try:
@@ -196,7 +199,7 @@ def check_files(path: Path) -> tuple[Recording | None, CheckResult]:
     except FileError as error:
         first = Mistake(str(error), "Correct this first: nothing else could be checked")
         return None, CheckResult((*unreadable_recording_mistakes(path, error), first))
-    found = recording_file_mistakes(recording)
+    found = mistakes_found_without_looking_at_images(recording)
     if any(one.spoils and one.proof >= CERTAIN for one in found):
         rest = Mistake("corners and poses were not checked", "Correct this first and repeat the check", False, 0.0)
         return None, CheckResult(sort_mistakes([*found, rest]))
@@ -251,7 +254,7 @@ def import_recording(
     name : of the folder in errors, by default its path; skip_unreadable : whether unusable images are left out
     Raises RigError for files that cannot be used, and for what is no recording once it is imported
     """
-    from rig.checks.implausible_values_and_image_mistakes import recording_file_mistakes
+    from rig.checks.implausible_design_values_and_image_mistakes import mistakes_found_without_looking_at_images
     from rig.formats import importers
 
     with tempfile.TemporaryDirectory(prefix="rig-bag-") as unpacked:
@@ -262,4 +265,4 @@ def import_recording(
     except RigError as error:
         text = str(error).replace(str(folder), str(name or folder))
         raise RigError(f"what was imported is not a recording: {text}") from None
-    return ImportResult(imported, list(recording_file_mistakes(recording)))
+    return ImportResult(imported, list(mistakes_found_without_looking_at_images(recording)))

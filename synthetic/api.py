@@ -21,7 +21,7 @@ from rig.planning.plan import build_plan
 from rig.recording.recording_folder import load_sensors
 from rig.report.pages.page_templates_and_elements import result_html
 from synthetic import recording_simulation, secret_machine
-from synthetic.image_simulation import simulate_diagnosed_recording
+from synthetic.image_simulation import simulations_with_and_without_effects_found
 from synthetic.recording_simulation import Simulation
 
 if TYPE_CHECKING:
@@ -183,7 +183,7 @@ def simulate_with_and_without_findings(
     Raises FileError for a folder that holds no diagnosed recording, RigError where nothing was commanded
     """
     folder = Path(diagnosis)
-    done = simulate_diagnosed_recording(folder, options.kinds or BY_NAME)
+    done = simulations_with_and_without_effects_found(folder, options.kinds or BY_NAME)
     pictures = options.pictures(next(iter(done.values())).world.true.sensor)
     text = (folder / "rig.toml").read_text(encoding="utf-8-sig")
     return {

@@ -15,7 +15,7 @@ from rig.formats.local_and_remote_input_files import read_bytes, short_repr
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 from rig.formats.output_files import write_text
 from rig.report.pages.page_templates_and_elements import result_html
-from rig.report.verdict_and_refutations_of_results import Verdict
+from rig.report.verdict_and_refutations_by_later_recordings import Verdict
 from synthetic import blind_arm_cases, blind_cases, blind_image_settings
 from synthetic.blind_campaign_page import campaign_dict, campaign_verdict, write_campaign_page
 from synthetic.diagnosis_score import Case, campaign_figures, campaign_medians, score_case

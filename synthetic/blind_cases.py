@@ -22,7 +22,7 @@ from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
 from rig.planning.plan_construction_and_table import Plan
 from rig.recording.recording_folder import Sensors
-from rig.recording.recording_tables import Corners
+from rig.recording.recording_table_loading_and_writing import Corners
 from synthetic import blind_image_settings, secret_machine, unlisted_physics
 from synthetic import recording_simulation as simulation
 from synthetic.blind_image_settings import ImageSettings

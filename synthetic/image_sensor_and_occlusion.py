@@ -16,8 +16,8 @@ from synthetic.rig_meshes import (
     STRUT_RADIUS,
     body_matrices,
     plate_radius,
+    stages_standing_on_struts,
     strut_ends,
-    strut_stages,
 )
 
 KEPT = 4  # of what the last cameras' optics do; a falloff is as large as a picture
@@ -99,7 +99,7 @@ def is_occluded(design: Design, stages: list[RigidTransform], frame: Integers, e
         """(eyes, ends) (k, 3) m in the frame of a body."""
         return (eye, ends) if body == "base" else (_into(poses[body][frame], eye), _into(poses[body][frame], ends))
 
-    for stands in strut_stages(design.mechanism):
+    for stands in stages_standing_on_struts(design.mechanism):
         a, b = within(stands.base)
         low, high = strut_ends(
             stands.stage, RigidTransform.from_matrix(np.linalg.inv(poses[stands.base])) * stages[stands.number]

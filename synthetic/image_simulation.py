@@ -29,7 +29,7 @@ from synthetic import rig_meshes, secret_machine
 from synthetic.ideal_image_renderer import SAMPLES, Renderer, import_pyrender
 from synthetic.image_sensor_and_occlusion import expose_image
 from synthetic.recording_simulation import Simulation, carried_camera_poses, stage_poses_of_run
-from vision.predict import State, marker_map, markers_facing_cameras, predict_sightings
+from vision.predict import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
 BLEND = (
     0.25  # px; pictures of a rolling shutter lie no farther apart than this, and rows are blended between two of them
@@ -254,7 +254,7 @@ def _travel(i: int, T: RigidTransform) -> float:
     """px that the fastest corner in view of camera i moves between two poses (2,)."""
     design = _state["design"]
     state, markers = State(design.cameras, T, carried_camera_poses(design.cameras, T)), marker_map(design)
-    found = markers_facing_cameras(state, markers)
+    found = sightings_of_markers_facing_cameras(state, markers)
     found = found.take((found.camera == i) & (found.frame == 0))
     if not len(found.frame):
         return 0.0
@@ -265,7 +265,7 @@ def _travel(i: int, T: RigidTransform) -> float:
 KINDS = ("with", "without")
 
 
-def simulate_diagnosed_recording(folder: Path, kinds: Kinds = BY_NAME) -> dict[str, Simulation]:
+def simulations_with_and_without_effects_found(folder: Path, kinds: Kinds = BY_NAME) -> dict[str, Simulation]:
     """Simulate a diagnosed recording's commands with and without the effects found: {with, without: Simulation}.
 
     kinds : effects that there are

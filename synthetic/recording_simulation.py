@@ -14,13 +14,19 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.formats.output_files import write_text
 from rig.model import motion_simulation
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs, quarter_turns_of_cubes
-from rig.model.design_comparison_and_cube_remounting import rig_toml_with_turns
+from rig.model.design_comparison_and_cube_turning_instructions import rig_toml_with_turns
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
 from rig.planning.plan import sensors_with_payload
 from rig.planning.plan_construction_and_table import Plan
 from rig.recording.recording_folder import LIMB, Sensors
-from rig.recording.recording_tables import DISTANCE, POSE_COLUMNS, Corners, write_corners, write_table
+from rig.recording.recording_table_loading_and_writing import (
+    DISTANCE,
+    POSE_COLUMNS,
+    Corners,
+    write_corners,
+    write_table,
+)
 from synthetic import secret_machine as worlds
 from synthetic.image_sensor_and_occlusion import is_occluded
 from synthetic.secret_machine import remount_cubes
@@ -30,8 +36,8 @@ from vision.predict import (
     State,
     is_inside_image,
     marker_map,
-    markers_facing_cameras,
     predict_sightings,
+    sightings_of_markers_facing_cameras,
 )
 
 EXACT = Instrument("rig", "rig", 0.0, 0.0)  # where nobody says what measured the poses
@@ -116,7 +122,9 @@ def _with_limbs(log: Sensors, t: Floats, T: RigidTransform, limbs: MeasuringLimb
     return Sensors(rows, channels | {name: np.interp(rows, t, own) for name, own in zip(limbs.channels, read.T)})
 
 
-def visible_markers(simulation: Simulation, max_viewing_angle: float = STEEPEST) -> tuple[Sightings, Floats]:
+def visible_marker_sightings_and_corners(
+    simulation: Simulation, max_viewing_angle: float = STEEPEST
+) -> tuple[Sightings, Floats]:
     """Visible markers: (Sightings, corners (k, 4, 2) px) facing a camera, inside its image, not occluded."""
     world = simulation.world
     stated = real = marker_map(world.true)
@@ -138,7 +146,7 @@ def _sight_of(
     state = State(
         world.true.cameras, body.T_base_platform, carried_camera_poses(world.true.cameras, run.T_base_platform)
     )
-    found = markers_facing_cameras(state, real, steepest)
+    found = sightings_of_markers_facing_cameras(state, real, steepest)
     found = found.take(real.stage[found.marker] == stage)
     uv = predict_sightings(found, state, stated, simulation.plan.t, world.effects, simulation.sensors, body)
     whole = is_inside_image(found, uv, state.cameras)
@@ -160,7 +168,7 @@ def _body(simulation: Simulation, stage: int) -> motion_simulation.MachineRun:
     before, after = (
         simulation.at_times(t + step)[stage - 1] for step in (-motion_simulation.ABOUT, motion_simulation.ABOUT)
     )
-    rate, curvature = motion_simulation.pose_rates(T, before, after)
+    rate, curvature = motion_simulation.pose_rates_and_curvatures(T, before, after)
     return replace(run, T_base_platform=T, rate=rate, curvature=curvature)
 
 
@@ -195,7 +203,7 @@ def _covered(
 
 def noisy_corners(simulation: Simulation, noise: float, rng: np.random.Generator) -> Corners:
     """Corners of a simulation with Gaussian noise (px) on each coordinate."""
-    found, uv = visible_markers(simulation)
+    found, uv = visible_marker_sightings_and_corners(simulation)
     names = [camera.name for camera in simulation.world.true.cameras]
     order = np.lexsort((found.marker, found.camera, found.frame))
     found, uv = found.take(order), uv[order].reshape(-1, 2)

@@ -77,7 +77,7 @@ def rig_parts(
     markers : MarkerMap of where and how large the markers really are, by default as the design has them
     """
     found = []
-    for stands in strut_stages(design.mechanism):
+    for stands in stages_standing_on_struts(design.mechanism):
         if stands.stage.plates is not None:
             for body, joints in zip((stands.base, stands.platform), stands.stage.plates):
                 found += _plate(body, joints, design)
@@ -112,7 +112,7 @@ class StrutStage(NamedTuple):
     number: int
 
 
-def strut_stages(mechanism: Mechanism) -> list[StrutStage]:
+def stages_standing_on_struts(mechanism: Mechanism) -> list[StrutStage]:
     """Stages of a mechanism that stand on struts ([StrutStage]), from the base up; none for an arm."""
     stages, alone = mechanism.stages, not mechanism.bodies
     names = ["base", *(f"stage {k + 1}" for k in range(len(stages) - 1)), "platform"]
@@ -136,7 +136,7 @@ def body_matrices(stage_poses: list[RigidTransform]) -> dict[str, Floats]:
 def mesh_body_matrices(mechanism: Mechanism, stage_poses: list[RigidTransform]) -> dict[str, Floats]:
     """Matrices {body: (4, 4)} to the base of all bodies that have meshes, at one pose, struts included."""
     poses = {"world": np.eye(4), **body_matrices(stage_poses)}
-    for stands in strut_stages(mechanism):
+    for stands in stages_standing_on_struts(mechanism):
         T_below = RigidTransform.from_matrix(poses[stands.base])
         ends = strut_ends(stands.stage, T_below.inv() * stage_poses[stands.number])
         for i, (low, high) in enumerate(zip(*(T_below.apply(end) for end in ends))):

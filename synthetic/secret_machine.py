@@ -18,7 +18,7 @@ from rig.formats import machine_json
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.model.design import Camera, Design, quarter_turns_of_cubes
-from rig.model.design_comparison_and_cube_remounting import design_with_turned_cubes
+from rig.model.design_comparison_and_cube_turning_instructions import design_with_turned_cubes
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, has_stages, has_struts

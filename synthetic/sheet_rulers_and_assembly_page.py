@@ -107,7 +107,7 @@ def _body(axes: Axes, design: Design, body: str, frame: tuple[float, float, floa
     left, bottom, width, height = frame
     targets = [target for target in design.targets if target.body == body]
     joints = getattr(design.mechanism, {"base": "base_joints", "platform": "platform_joints"}.get(body, ""), None)
-    outlines = [target_outline(target) for target in targets]
+    outlines = [target_outline_from_above(target) for target in targets]
     points = np.concatenate([*outlines, np.zeros((1, 2)), *([] if joints is None else [np.asarray(joints)[:, :2]])])
     low, span = points.min(axis=0), np.maximum(np.ptp(points, axis=0), 1e-3)
     scale = min((width - 20) / span[0], (height - 22) / span[1])
@@ -164,7 +164,7 @@ def _target(axes: Axes, target: Target, shape: Floats) -> None:
     )
 
 
-def target_outline(target: Target) -> Floats:
+def target_outline_from_above(target: Target) -> Floats:
     """Outline (n, 2) m of a target from above in its body's frame."""
     if target.edge is not None and target.pose is not None:
         turn = target.pose.rotation.as_matrix()

@@ -16,7 +16,7 @@ import vision
 from rig.cli.command_line import COMMANDS
 from rig.errors import RigError
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
-from rig.recording.recording_tables import write_poses
+from rig.recording.recording_table_loading_and_writing import write_poses
 from tests import source_trees
 from tests.cli import run
 
@@ -26,14 +26,14 @@ CALLS = {
         verb: f"calib.api.{verb}:{verb}"
         for verb in ("plan", "calibrate", "correct", "diagnose", "certify", "investigate")
     },
-    "check": "calib.api.recording_check_and_preparation:check",
+    "check": "calib.api.recording_check_combination_and_displacement_removal:check",
     **{verb: f"calib.api.verify_and_watch:{verb}" for verb in ("verify", "watch")},
     "simulate": "synthetic.api:simulate",
     "measure": "vision.api:measure",
     "online": "calib.api.learn:learn",
     "insitu": "calib.api.measuring_limb_acceptance_and_platform_poses:accept_limbs",
-    "closure": "calib.api.loop_closures_of_redundant_legs:close_loops",
-    "workspace": "calib.api.workspace:analyse_workspace",
+    "closure": "calib.api.loop_closure_check_of_redundant_legs:close_loops",
+    "workspace": "calib.api.workspace_change_by_calibration:analyse_workspace",
     "export": "calib.api.export:export",
     "kinematics": "calib.api.arm_kinematics:load_arm_kinematics",
     "posture": "rig.posture.best_posture:best_posture",
@@ -45,12 +45,12 @@ CALLS = {
     **dict.fromkeys(("home", "jog", "status", "stop"), "rig.driving.driver_opening_and_settled_status:open_driver"),
     "lens": "vision.lenses.lens_calibration_from_photographs:calibrate_photographs",
     "doctor": "rig.compute.installation_inventory:installation_inventory",
-    "effects": "rig.effects.texts.effect_file_from_formula:new_effect",
+    "effects": "rig.effects.texts.effect_file_from_formula:new_effect_from_suggestion_or_example",
     "catalogue": "rig.api:effect_catalogue",
     "completion": "rig.cli.shared.argument_parser_and_common_options:completion_script",
     "print": "synthetic.print_sheets:write_sheets",
     "check-print": "vision.printed_marker_size:measure_printed_marker_scale",
-    **dict.fromkeys(("design", "new"), "rig.planning.layout.shipped_arm_layout:layout_rig_toml"),
+    **dict.fromkeys(("design", "new"), "rig.planning.layout.shipped_arm_layout:hexapod_two_strut_or_arm_rig_toml"),
     "import": "rig.api:import_recording",
     "emulate": "rig.driving.emulators.controller_emulator_opening_and_ports:load_emulator",
     "index": "rig.report.pages.page_templates_and_elements:write_index_page",

@@ -17,7 +17,7 @@ from vision.predict import marker_map
 from vision.reading.marker_identity_mistakes import find_suspicious_markers
 from vision.reading.recording_corners import image_reader
 from vision.recording_adjustment import has_hand_cameras, invert_measured_poses, recording_seen_from_hand
-from vision.recording_measurement import PLACES, measure_recording, place_unstated_markers
+from vision.recording_measurement import PLACES, measure_recording, recording_with_unstated_markers_placed
 
 Progress = Callable[[str, int, int], None]
 HELD = ("lenses", "poses")
@@ -60,7 +60,7 @@ def measure(
     >>> found.noise < 0.1  # px, standard deviation of a corner
     True
     """
-    recording = place_unstated_markers(recording, options.detect, progress)
+    recording = recording_with_unstated_markers_placed(recording, options.detect, progress)
     refuse_spoilt_files(recording, options.anyway, notice)
     measured, collected = measure_recording(
         recording,

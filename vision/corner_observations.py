@@ -16,7 +16,7 @@ import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Design
-from rig.recording.recording_tables import Corners
+from rig.recording.recording_table_loading_and_writing import Corners
 from vision.predict import MarkerMap, State
 
 _COLUMNS = ("frame", "camera", "marker", "corner", "uv", "covariance", "points", "on_platform")
@@ -154,8 +154,11 @@ def whitener_of_observations(observations: Observations) -> Whitener:
     return Whitener(own, sighting, o.corner, cast(Floats, np.linalg.inv(np.linalg.cholesky(R))))
 
 
-def corner_correlation_rows(covariance: Floats) -> Floats:
-    """Rows (m, 4, 2, 8) of correlation of each corner with its marker's corners, from covariances (m, 8, 8)."""
+def correlations_of_whitened_marker_corners(covariance: Floats) -> Floats:
+    """Correlations (m, 4, 2, 8) of each whitened corner with its marker's corners, from covariances.
+
+    covariance : (m, 8, 8)
+    """
     m = len(covariance)
     blocks = np.linalg.inv(
         np.linalg.cholesky(np.stack([covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1))

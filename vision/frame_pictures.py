@@ -14,9 +14,9 @@ from rig.formats.output_files import write_bytes
 from rig.model.design import Camera
 from rig.recording.image_file_check_and_reading import read_image
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Exposures
+from rig.recording.recording_table_loading_and_writing import Exposures
 from vision import lens
-from vision.corners.marker_detection import grey_images_for_reader_and_fit
+from vision.corners.marker_detection_and_corner_fit import grey_images_for_reader_and_fit
 from vision.recording_adjustment import Measurement
 from vision.recording_measurement import measure_recording
 
@@ -51,10 +51,12 @@ FORMATS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 SHIFT = 4  # binary digits below a pixel that lines are drawn to
 
 
-def draw_frame(
+def measure_and_draw_frame(
     recording: Recording, frame: int, enlarge: float = 200.0, progress: Callable[[str, int, int], None] | None = None
 ) -> tuple[list[tuple[str, Pixels]], Measurement]:
-    """Drawing of one frame measured alone: ([(camera name, (height, width, 3) BGR picture) ..], Measurement).
+    """Measure one frame alone and draw it: ([(camera name, picture) ..], Measurement).
+
+    picture : (height, width, 3) BGR
 
     recording : Recording; frame : its number; enlarge : how much longer than they are residuals are drawn
     Raises RigError for a frame that the recording lacks, and what measuring raises

@@ -12,11 +12,17 @@ from rig.formats.output_files import write_text
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import replace_cameras, replace_target_markers
 from rig.model.design import Camera
 from rig.model.pose import pose_to_vector, rms_uncertainty
-from rig.recording import recording_tables
+from rig.recording import recording_table_loading_and_writing
 from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
-from rig.recording.recording_tables import Poses
+from rig.recording.recording_table_loading_and_writing import Poses
 from rig.report.pages.page_templates_and_elements import result_html
-from rig.report.verdict_and_refutations_of_results import AGREES, Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_refutations_by_later_recordings import (
+    AGREES,
+    Evidence,
+    MissingEvidence,
+    Verdict,
+    judge_evidence,
+)
 from vision.bundle.adjustment_validation_and_determinacy import DeterminedUnknowns, HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places, adjusted_markers
 from vision.bundle.unknown_priors import stated_lens_prior_sigmas
@@ -79,12 +85,12 @@ class MeasurementResult:
         text = replace_cameras(read_text(recording.folder / "rig.toml"), m.design.cameras)
         write_text(folder / "rig.toml", replace_target_markers(text, adjusted_markers(m)) if m.places_free else text)
         poses = Poses(m.frames, m.T_base_platform, m.covariance)
-        recording_tables.write_poses(folder / "poses.csv", poses)
-        recording_tables.write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
-        recording_tables.write_corners(folder / "corners.csv", m.corners())
+        recording_table_loading_and_writing.write_poses(folder / "poses.csv", poses)
+        recording_table_loading_and_writing.write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
+        recording_table_loading_and_writing.write_corners(folder / "corners.csv", m.corners())
         copy_frames_commands_and_sensors(recording.folder, folder, recording.exposures, recording.origin)
         for number, stage in m.stages.items():
-            recording_tables.write_poses(
+            recording_table_loading_and_writing.write_poses(
                 folder / f"poses_stage{number}.csv", Poses(stage.frames, stage.T_base_platform, stage.covariance)
             )
 

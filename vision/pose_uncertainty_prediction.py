@@ -13,7 +13,14 @@ from rig.model.pose import adjoint
 from vision.bundle.normal_equations_and_corner_jacobians import linearise, normal_equations, schur_complement
 from vision.bundle.unknowns_estimate_and_printing_errors import POSE_SCALE, Estimate, Unknowns
 from vision.corner_observations import Observations, whitener_of_observations
-from vision.predict import SQUARE, Sightings, State, is_inside_image, markers_facing_cameras, predict_sightings
+from vision.predict import (
+    SQUARE,
+    Sightings,
+    State,
+    is_inside_image,
+    predict_sightings,
+    sightings_of_markers_facing_cameras,
+)
 from vision.recording_adjustment import Measurement, has_hand_cameras
 
 LEAST = 2  # sightings of markers; one alone leaves two poses alike
@@ -73,7 +80,7 @@ def _sightings(measured: Measurement, body: RigidTransform) -> tuple[Sightings, 
     """
     a = measured.adjustment
     state, markers = State(a.state.cameras, body, {}, a.state.placed), a.state.placed
-    found = markers_facing_cameras(state, markers)
+    found = sightings_of_markers_facing_cameras(state, markers)
     found = found.take(
         np.isin(found.camera, list(a.unknowns.poses))
         & np.isin(found.marker, a.unknowns.seen)

@@ -1,4 +1,6 @@
-"""Predicted corners of poses and a design: the one forward model of the cameras.
+"""Prediction of marker corners in images from poses and cameras, and the map of all markers on their bodies.
+
+The one forward model of the cameras.
 
 And the map of all markers of a rig on their bodies.
 """
@@ -203,7 +205,7 @@ class Sightings:
         return Sightings(self.frame[index], self.camera[index], self.marker[index])
 
 
-def markers_facing_cameras(state: State, markers: MarkerMap, least_cosine: float = STEEPEST) -> Sightings:
+def sightings_of_markers_facing_cameras(state: State, markers: MarkerMap, least_cosine: float = STEEPEST) -> Sightings:
     """Sightings of all markers facing a camera: ahead of it, not seen too obliquely.
     least_cosine : of the tilt
     """
@@ -260,7 +262,7 @@ def predict_sightings(
     return uv
 
 
-def visible_marker_counts_of_poses(
+def visible_marker_counts_over_all_cameras(
     cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap
 ) -> Integers:
     """Counts (F,) of the markers visible at each of poses (F,): whole in an image, occlusion ignored.
@@ -269,7 +271,7 @@ def visible_marker_counts_of_poses(
     """
     held = {i: T_base_platform * camera.pose for i, camera in enumerate(cameras) if camera.mount == "hand"}
     state = State(cameras, T_base_platform, held)
-    found = markers_facing_cameras(state, markers)
+    found = sightings_of_markers_facing_cameras(state, markers)
     found = found.take(markers.on_platform[found.marker] != bool(held))
     whole = is_inside_image(found, predict_sightings(found, state, markers), cameras)
     pairs = np.unique(np.stack([found.frame[whole], found.marker[whole]], axis=1), axis=0)

@@ -12,7 +12,7 @@ from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.errors import FileError, RigError
 from rig.model.design import Camera, Design
 from rig.recording.image_file_check_and_reading import MOST_OF_A_PHOTOGRAPH, read_image
-from vision.corners.marker_detection import detect_markers
+from vision.corners.marker_detection_and_corner_fit import detect_markers
 from vision.predict import MarkerMap, marker_map
 
 CORNERS = np.array(

@@ -22,7 +22,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Camera, Design
 from rig.model.pose import adjoint
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Corners
+from rig.recording.recording_table_loading_and_writing import Corners
 from rig.report.pages.page_templates_and_elements import result_html
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.printing_error_variance_estimation import adjust_with_estimated_printing_errors
@@ -321,7 +321,7 @@ def separate_stage_frames(observations: Observations, markers: MarkerMap) -> Obs
     )
 
 
-def stage_frame_times(t: Floats, markers: MarkerMap) -> Floats:
+def frame_times_shifted_apart_for_each_stage(t: Floats, markers: MarkerMap) -> Floats:
     """Times (frames of all bodies,) s of the stage frames, each body's far from the others' in time."""
     gap = float(np.ptp(t)) + 4 * FAR
     return np.concatenate([t + k * gap for k in range(1 + len(_stage_numbers(markers)))])

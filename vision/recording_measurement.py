@@ -11,7 +11,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Corners
+from rig.recording.recording_table_loading_and_writing import Corners
 from vision import recording_adjustment
 from vision.bundle.bundle_adjustment import NoOptimum
 from vision.bundle.marker_displacements import (
@@ -24,7 +24,7 @@ from vision.corner_observations import Observations, observations_from_corners, 
 from vision.lenses.lens_calibration import alternative_initial_lenses, are_lenses_plausible
 from vision.pose.marker_places_from_sightings import marker_places_from_sightings
 from vision.predict import MarkerMap, marker_map
-from vision.reading.corner_refit import ROUNDS, SETTLED, largest_lens_difference, refit_corners
+from vision.reading.corner_refit_with_adjusted_lenses import ROUNDS, SETTLED, largest_lens_difference, refit_corners
 from vision.reading.marker_identity_mistakes import LOOKED_AT, no_marker_reason
 from vision.reading.recording_corners import Collected, collect_corners, image_reader, search_missed_markers
 from vision.recording_adjustment import (
@@ -61,7 +61,7 @@ def measure_recording(
         or None; what it raises ends it
     Raises NotEnoughData for a recording with neither corners nor images, and what reading and measuring raise
     """
-    recording = place_unstated_markers(recording, read_images, progress)
+    recording = recording_with_unstated_markers_placed(recording, read_images, progress)
     if not has_hand_cameras(recording.design):
         return _measured(recording, free, read_images, progress, places, check_corners)
     measured, collected = _measured(
@@ -70,7 +70,7 @@ def measure_recording(
     return invert_measured_poses(measured), collected
 
 
-def place_unstated_markers(
+def recording_with_unstated_markers_placed(
     recording: Recording, read_images: bool = False, progress: Callable[[str, int, int], None] | None = None
 ) -> Recording:
     """The recording with markers whose pose is not stated in its design where its corners or images put them.
@@ -84,7 +84,7 @@ def place_unstated_markers(
     if not unplaced or not design.cameras:
         return recording
     if any(target.stage for target, _ in unplaced):
-        require_stated_marker_places("free")
+        refuse_free_marker_places_on_stages("free")
     seen = recording_seen_from_hand(recording).design
     markers, (frames, t) = marker_map(seen, RigidTransform.identity()), recording.exposures.times()
     corners = recording.corners
@@ -186,8 +186,8 @@ def _measured(
     return measured, found
 
 
-def require_stated_marker_places(places: str) -> None:
-    """Require stated places of markers on a rig with targets on stages. Raises RigError where places are free."""
+def refuse_free_marker_places_on_stages(places: str) -> None:
+    """Raise RigError where the places of markers are to be free, on a rig with targets on stages of a chain."""
     if places == "free":
         raise RigError(
             "positions of markers cannot be adjusted on a rig with targets on stages of a chain: the stated "
@@ -209,7 +209,7 @@ def measure_with_stated_or_free_places(
     t : (F,) s
     """
     if markers.stage.any():
-        require_stated_marker_places(places)
+        refuse_free_marker_places_on_stages(places)
         return recording_adjustment.separate_stage_measurements(
             measure_observations(
                 recording_adjustment.separate_stage_frames(observed, markers),
@@ -217,7 +217,7 @@ def measure_with_stated_or_free_places(
                 markers,
                 free,
                 progress,
-                recording_adjustment.stage_frame_times(t, markers),
+                recording_adjustment.frame_times_shifted_apart_for_each_stage(t, markers),
             ),
             markers,
         )

@@ -55,7 +55,11 @@ class ArmKinematics:
             out.append(
                 entry
                 | (
-                    {"steps": _steps(arm_dynamics_and_step_by_step_kinematics.forward_steps(q[i], arm))}
+                    {
+                        "steps": _steps(
+                            arm_dynamics_and_step_by_step_kinematics.hand_points_after_moving_each_joint(q[i], arm)
+                        )
+                    }
                     if steps
                     else {}
                 )
@@ -94,7 +98,7 @@ def load_arm_kinematics(text: str) -> ArmKinematics:
     Raises RigError for other kinds
     """
     if Path(text).suffix != ".json":
-        return ArmKinematics(require_arm(shipped_arm_layout.load_shipped_arm(text).mechanism))
+        return ArmKinematics(require_arm(shipped_arm_layout.load_shipped_arm_design(text).mechanism))
     calibration = calibration_file.load(text)
     correction, left_out = calibration.correction, None
     if calibration.physics is not None and calibration.physics.compensable_effects():
@@ -142,7 +146,7 @@ def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[Json]]
             **(
                 {
                     "steps": _steps(
-                        arm_dynamics_and_step_by_step_kinematics.inverse_steps_of_numerical_solution(T, arm, q)
+                        arm_dynamics_and_step_by_step_kinematics.joint_by_joint_steps_of_numerical_inverse(T, arm, q)
                     )
                 }
                 if steps

@@ -12,10 +12,10 @@ from calib.api.correction_over_configuration_or_pose_space import (
     ExtendOptions,
     certify_correction_extension,
 )
-from calib.api.recording_check_and_preparation import check_and_combine_recordings
+from calib.api.recording_check_combination_and_displacement_removal import check_and_combine_recordings
 from calib.certification import platform_certification
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.calibration_evidence import calibration_verdict
+from calib.certification.calibration_evidence_verdict_and_claim_check import calibration_verdict
 from calib.certification.error_claim_over_workspace import Claim
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.correction.correction_tables_and_pose_space_map_json import (
@@ -32,11 +32,11 @@ from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_provenance_and_used_frames import SEED, calibration_with_provenance
 from calib.models.arm import calibration_page as arm_page
 from calib.models.arm import certification as arm_certification
-from calib.models.arm.joint_space_correction_certification import joint_correction_summands_of_stated_model
+from calib.models.arm.joint_space_correction_and_certification import commanded_minus_joint_values_by_stated_arm
 from calib.models.chain import certification_and_page as chain_certification
 from calib.models.chain import certification_and_page as chain_page
 from calib.models.machine_models import Certified
-from calib.online.platform_poses_from_measuring_limbs import LimbSource, sample_by_limbs
+from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbSource, sample_by_limbs
 from calib.report import platform_and_lens_calibration_pages as platform_page
 from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from rig.array_and_json_types import Floats, Json
@@ -51,9 +51,9 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_struts,
 )
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import write_table
+from rig.recording.recording_table_loading_and_writing import write_table
 from rig.report.pages.page_templates_and_elements import Link, result_html
-from rig.report.verdict_and_refutations_of_results import Verdict
+from rig.report.verdict_and_refutations_by_later_recordings import Verdict
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
 
 
@@ -177,7 +177,7 @@ class CalibrationResult:
         if nominal.link_rows is not None:
             if samples.measured in arm_certification.UNPLACED:
                 raise RigError(arm_certification.UNPLACED[samples.measured])
-            found = joint_correction_summands_of_stated_model(samples, nominal)
+            found = commanded_minus_joint_values_by_stated_arm(samples, nominal)
         else:
             found = strut_correction_summands(samples, nominal)
         write_table(

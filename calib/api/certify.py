@@ -12,13 +12,17 @@ from calib.certificate import (
     certificate_pdf,
     digital_certificate_xml,
 )
-from calib.certificate.certificate import Certificate, calibration_certificate, certificate_verdict
 from calib.certificate.certificate_contents import CertifyOptions
+from calib.certificate.certificate_verdict_and_provenance import (
+    Certificate,
+    calibration_certificate,
+    certificate_verdict,
+)
 from calib.certificate.digital_certificate_xml import Issuer
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration, refutation_sentence
-from calib.certification.calibration_evidence import (
+from calib.certification.calibration_evidence_verdict_and_claim_check import (
     AgainstClaim,
-    calibration_evidence,
+    calibration_evidence_verdict_and_claim_check,
     check_claim_on_recording,
     evidence_with_confounds,
     evidence_with_verification,
@@ -38,7 +42,7 @@ from rig.recording.frame_selection_and_content_hashes import (
 )
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import Link
-from rig.report.verdict_and_refutations_of_results import Evidence, Refutation, Verdict
+from rig.report.verdict_and_refutations_by_later_recordings import Evidence, Refutation, Verdict
 
 UNSTATED, STANDARD = Issuer(), CertifyOptions()  # nobody is named; 95 % of poses with 95 %
 KINDS = (".json", ".html", ".pdf", ".xml")
@@ -122,7 +126,7 @@ def _against_claim(
     calibration: Calibration, held: Sequence[tuple[Recording, Sampled]], refutations: Sequence[Refutation]
 ) -> tuple[Evidence, tuple[AgainstClaim, ...]]:
     """(Evidence of a calibration with what held-out recordings say of its claim, AgainstClaim of each)."""
-    known, claims = calibration_evidence(calibration, refutations), []
+    known, claims = calibration_evidence_verdict_and_claim_check(calibration, refutations), []
     known = evidence_with_confounds(
         known, calibration, [confounds_of_recordings([recording for recording, _ in held])], "these recordings"
     )

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.correction.command_route_and_pose_space_map import HOLDING
+from calib.correction.command_sequence_timing_and_pose_error_map import HOLDING
 from calib.correction.correction import require_reachable
 from calib.correction.physics_compensation import require_sensor_coverage
 from calib.models.arm import certification as arm_certification
@@ -18,7 +18,7 @@ from rig.errors import RigError, Unreachable
 from rig.model import mechanisms
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Sensors, WantedPoses
-from rig.recording.recording_tables import Poses, write_table
+from rig.recording.recording_table_loading_and_writing import Poses, write_table
 from rig.report.pages.page_templates_and_elements import result_html
 
 APPROACHES = ("auto", "always", "never")

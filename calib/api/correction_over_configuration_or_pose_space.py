@@ -20,7 +20,10 @@ from calib.certification.extended_correction_certification import (
     claim_without_geometry,
     mean_stated_position_variance,
 )
-from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_ranges, configuration_numbers
+from calib.certification.held_out_pose_errors_and_distinct_configurations import (
+    axis_travel_limits,
+    configuration_numbers,
+)
 from calib.certification.platform_certification import (
     Certified,
     Progress,
@@ -28,7 +31,7 @@ from calib.certification.platform_certification import (
     platform_workspace_claim,
     silent_progress,
 )
-from calib.correction.command_route_and_pose_space_map import NAMES, PoseMap, pose_coordinates
+from calib.correction.command_sequence_timing_and_pose_error_map import NAMES, PoseMap, pose_coordinates
 from calib.correction.correction import AnyCorrection
 from calib.correction.interpolation.field_interface_and_combinations import (
     Field,
@@ -45,11 +48,11 @@ from calib.correction.interpolation_methods_and_correction_summand_fields import
     pose_coordinate_indices,
     residual_correction_summands_of_pass,
     residual_pose_tangents_of_pass,
-    single_step_correction_errors,
+    single_step_command_errors,
 )
 from calib.files.mechanism_and_physics_entries_of_calibration_json import mechanism_dict
 from calib.models.arm import certification as arm_certification
-from calib.models.arm import joint_space_correction_certification as arm_extension
+from calib.models.arm import joint_space_correction_and_certification as arm_extension
 from calib.models.arm.certification import CertifiedArm as ArmCertified
 from calib.models.platform.identification import inverse_strut_length_jacobian
 from calib.samples.pose_samples import Sampled, Samples
@@ -98,7 +101,7 @@ def certify_additional_pass(
         found = replace(found, covariance=previous_calibration.covariance, scatter=previous_calibration.scatter)
     basis = (
         correction.nominal,
-        configuration_numbers(some.commanded, axis_ranges(correction.nominal)),
+        configuration_numbers(some.commanded, axis_travel_limits(correction.nominal)),
         replace(found, mechanism=correction.fitted),
     )
 
@@ -132,7 +135,9 @@ def certify_additional_pass(
         mechanism=correction.fitted,
         residuals=residual_correction_summands_of_pass(samples, done.correction).values,
     )
-    done = replace(done, label=configuration_numbers(samples.commanded, axis_ranges(correction.nominal)), found=found)
+    done = replace(
+        done, label=configuration_numbers(samples.commanded, axis_travel_limits(correction.nominal)), found=found
+    )
     return _with_covariance(done, previous_calibration, rng), tried, len(some)
 
 
@@ -291,7 +296,7 @@ def certify_correction_extension(
         base = f"{options.name}, pass {provenance['number']}"
     fitted = not options.alone and options.onto is None
     claim = platform_workspace_claim(samples, done, rng) if fitted else claim_without_geometry(samples, done, rng)
-    return ExtendedCorrection(done, tried, claim, provenance, single_step_correction_errors(done.correction), "m", base)
+    return ExtendedCorrection(done, tried, claim, provenance, single_step_command_errors(done.correction), "m", base)
 
 
 def _certify_pass(

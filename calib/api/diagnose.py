@@ -1,13 +1,16 @@
-"""Diagnosis of a rig's recordings: physics that the model leaves out, and the experiment that settles questions."""
+"""Diagnosis of a rig's recordings: which physical effects the model leaves out, where and how large.
+
+Also the next experiment, which best resolves what a diagnosis leaves ambiguous.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calib.api.next_experiment import NextExperiment, available_plans, choose_experiment
-from calib.api.recording_check_and_preparation import check_and_combine_recordings
+from calib.api.next_experiment import NextExperiment, available_plans, ranked_experiments_and_excluded_plans
+from calib.api.recording_check_combination_and_displacement_removal import check_and_combine_recordings
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.calibration_evidence import OfCalibrations
+from calib.certification.calibration_evidence_verdict_and_claim_check import OfCalibrations
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.diagnosis import recording_diagnosis
 from calib.diagnosis.calibration_left_out_physics import (
@@ -23,7 +26,7 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
     Report,
     diagnosis_report,
     diagnosis_verdict,
-    write_diagnosis_folder,
+    write_diagnosis_json_and_simulation_files,
 )
 from calib.experiment.experiment_questions_and_information import Question, camera_information_shares
 from calib.files import calibration_provenance_and_used_frames
@@ -33,11 +36,11 @@ from rig.effects.texts.user_effect_file_loading import Plugin, catalogue_with_fi
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.model.design import PERMITTED, TURN, Design, quarter_turns_of_cubes
-from rig.model.design_comparison_and_cube_remounting import parse_cube_turn_permission
+from rig.model.design_comparison_and_cube_turning_instructions import parse_cube_turn_permission
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import Link, result_html
-from rig.report.verdict_and_refutations_of_results import State, Verdict
+from rig.report.verdict_and_refutations_by_later_recordings import State, Verdict
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice, recorded_or_sampled_corners
 
 TELLING = 0.01  # bits; a plan that tells less tells nothing
@@ -87,7 +90,7 @@ def next_experiment(
     if not questions:
         return NextExperiment((), (), {}, {}, design.mechanism.axes)
     texts = available_plans(options.interventions(design), options.standing, tuple(quarter_turns_of_cubes(design)))
-    experiments, refused = choose_experiment(
+    experiments, refused = ranked_experiments_and_excluded_plans(
         questions,
         design,
         texts,
@@ -188,7 +191,7 @@ class DiagnosisResult:
 
     def write(self, folder: Path) -> None:
         """Write diagnosis.json and what it takes to draw the recording anew."""
-        write_diagnosis_folder(folder, self.found, self.recording, self.report)
+        write_diagnosis_json_and_simulation_files(folder, self.found, self.recording, self.report)
 
     def write_page(self, path: Path, links: Sequence[Link] = ()) -> None:
         """Write the page of it."""

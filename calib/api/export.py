@@ -69,7 +69,9 @@ class ExportResult:
 
 
 def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -> ExportResult:
-    """ExportResult of a calibration.json, a rig.toml or (tum, parquet) a recording, as `rig export` makes it.
+    """ExportResult (files for another program) of a calibration.json, a rig.toml or a recording.
+
+    A recording for tum and parquet; as `rig export` makes it.
 
     kind : one of TABLES, CAMERAS, RECORDINGS and GEOMETRIES
     Raises RigError for a machine that this format cannot state, and for options out of range

@@ -34,9 +34,9 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan
 from rig.planning.plan_construction_and_table import write_plan_table
-from rig.recording.recording_tables import Poses, write_poses
+from rig.recording.recording_table_loading_and_writing import Poses, write_poses
 from rig.report.pages.page_templates_and_elements import result_html
-from rig.report.verdict_and_refutations_of_results import Verdict
+from rig.report.verdict_and_refutations_by_later_recordings import Verdict
 
 REACH = 0.7  # of the strokes, over which new poses lie: what is corrected has to be reached as well
 VERIFYING = 1000  # added to the seed for the new poses

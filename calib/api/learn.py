@@ -5,25 +5,30 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from calib.api.recording_check_and_preparation import refuse_unfit_recording
+from calib.api.recording_check_combination_and_displacement_removal import (
+    refuse_unfit_recording_and_return_corner_check,
+)
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.calibration_evidence import OfCalibrations, calibration_evidence
+from calib.certification.calibration_evidence_verdict_and_claim_check import (
+    OfCalibrations,
+    calibration_evidence_verdict_and_claim_check,
+)
 from calib.diagnosis.calibration_left_out_physics import unexplained_findings_and_refutations
+from calib.online.forgetting_kalman_and_gradient_parameter_learners import save_learner
 from calib.online.information_filter import Online
-from calib.online.learners import save_learner
-from calib.online.platform_poses_from_measuring_limbs import LimbSource, sample_by_limbs
+from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbSource, sample_by_limbs
 from calib.online.recording_learning import FILTER, Learning, learn_by_filter, learn_by_simple_learner, simple_learner
 from calib.report.online_and_limb_pages import OnlineResult, online_verdict, write_online_page
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
 from rig.errors import RigError
-from rig.formats.local_and_remote_input_files import json_files_in_same_folders
+from rig.formats.local_and_remote_input_files import list_json_files_in_same_folders
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import Link, result_html
-from rig.report.verdict_and_refutations_of_results import Refutation, Verdict
+from rig.report.verdict_and_refutations_by_later_recordings import Refutation, Verdict
 from vision.api import Progress
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
 
@@ -32,7 +37,8 @@ from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, igno
 class LearnOptions:
     """state : file of a state to go on from, where it is there, or None; calibration : to start from, None for
     rig.toml; calibration_name : of its file, for messages; refutations : what later recordings found against it
-    learner : "filter", which names what jumped, or one of calib.online.learners; setting : of such a one, None for its
+    learner : "filter", which names what jumped, or one of
+        calib.online.forgetting_kalman_and_gradient_parameter_learners; setting : of such a one, None for its
     default
     limbs : measuring limbs as the source of poses, None for vision or poses.csv; anyway : whether to go on though a
     mistake makes results meaningless
@@ -117,7 +123,7 @@ def learn(
     progress : called with (label, done, of); notice : with what is found on the way, in words
     Raises RigError for other mechanisms than hexapods, for a state of another learner, and where no pose is left
     """
-    look = refuse_unfit_recording(recording, options.anyway, notice)
+    look = refuse_unfit_recording_and_return_corner_check(recording, options.anyway, notice)
     mechanism = require_hexapod(
         recording.design.mechanism, "on-line learning is for hexapods, not for a mechanism of kind {kind!r}"
     )
@@ -174,9 +180,9 @@ def _calibration_evidence(
     leaves unexplained.
     """
     beside = unexplained_findings_and_refutations(
-        content_hashes_of_frames(recording), json_files_in_same_folders(recording.folder), True
+        content_hashes_of_frames(recording), list_json_files_in_same_folders(recording.folder), True
     )
     if calibration is None:
         return beside
-    start = calibration_evidence(calibration, refutations).unexplained
+    start = calibration_evidence_verdict_and_claim_check(calibration, refutations).unexplained
     return beside._replace(unexplained=tuple(dict.fromkeys([*beside.unexplained, *start])))

@@ -42,7 +42,7 @@ from rig.errors import ControllerFault, PositionLost, RigError, Unreachable
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes
 from rig.model.design import Design, quarter_turns_of_cubes
-from rig.model.design_comparison_and_cube_remounting import turning_instructions
+from rig.model.design_comparison_and_cube_turning_instructions import turning_instructions
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
 from rig.planning.plan import build_plan
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice

@@ -7,15 +7,20 @@ from pathlib import Path
 import numpy as np
 
 from calib.api.learn import LearningResult, learn_from_samples
-from calib.api.recording_check_and_preparation import refuse_unfit_recording
-from calib.certification import measuring_limb_calibration_and_slips, redundant_measuring_limb_checks
+from calib.api.recording_check_combination_and_displacement_removal import (
+    refuse_unfit_recording_and_return_corner_check,
+)
+from calib.certification import (
+    measuring_limb_calibration_agreement_with_vision_and_slips,
+    redundant_measuring_limb_checks_by_loop_closure,
+)
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.measuring_limb_calibration_and_slips import Agreement
+from calib.certification.measuring_limb_calibration_agreement_with_vision_and_slips import Agreement
 from calib.files.calibration_provenance_and_used_frames import calibration_provenance
 from calib.models.machine_models import corrected_pose_covariance
-from calib.online import measuring_limbs_file, platform_poses_from_measuring_limbs
+from calib.online import measuring_limbs_file, platform_poses_from_measuring_limbs_checked_by_vision
 from calib.online.measuring_limbs_file import Accepted
-from calib.online.platform_poses_from_measuring_limbs import LimbPoses, LimbSource, checked_limb_poses
+from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbPoses, LimbSource, checked_limb_poses
 from calib.report.online_and_limb_pages import measuring_limbs_verdict, write_measuring_limbs_page
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Floats, Integers, Json
@@ -25,11 +30,11 @@ from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes
 from rig.model import mechanisms
 from rig.model.pose import rms_uncertainty
-from rig.recording import recording_tables
+from rig.recording import recording_table_loading_and_writing
 from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
-from rig.recording.recording_tables import Poses, write_poses
+from rig.recording.recording_table_loading_and_writing import Poses, write_poses
 from rig.report.pages.page_templates_and_elements import Link, result_html
-from rig.report.verdict_and_refutations_of_results import Verdict
+from rig.report.verdict_and_refutations_by_later_recordings import Verdict
 from vision.api import Progress
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
 
@@ -128,8 +133,8 @@ class LimbAcceptance:
 
     def learn(self, state: Path | None, progress: Progress, notice: Notice) -> LearningResult:
         """LearningResult of the struts from the limbs' poses. state : of a filter to go on with, where it is there"""
-        poses = platform_poses_from_measuring_limbs.limb_poses(self.recording, self.accepted)
-        sampled = platform_poses_from_measuring_limbs.samples_of_limb_poses(self.recording, poses)
+        poses = platform_poses_from_measuring_limbs_checked_by_vision.limb_poses(self.recording, self.accepted)
+        sampled = platform_poses_from_measuring_limbs_checked_by_vision.samples_of_limb_poses(self.recording, poses)
         return learn_from_samples(self.recording, sampled, state, progress, notice)
 
 
@@ -142,31 +147,43 @@ def accept_limbs(
     Raises RigError for a recording without limbs' readings, and for other limbs than it has
     """
     design = recording.design
-    measuring_limb_calibration_and_slips.hexapod_of_six_limbs(
+    measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(
         design
     )  # limbs that determine no pose are refused before anything is read
-    frames, every = measuring_limb_calibration_and_slips.limb_readings(recording)
-    stated = measuring_limb_calibration_and_slips.stated_limbs(design)
+    frames, every = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings(recording)
+    stated = measuring_limb_calibration_agreement_with_vision_and_slips.stated_limbs(design)
     requested = None if options.use is None else _limb_numbers(options.use, stated.channels)
     by_vision = sample_recording(recording, progress=progress)
-    sigma, home = stated.length_sigma, measuring_limb_calibration_and_slips.hexapod_of_six_limbs(design).home
+    sigma, home = (
+        stated.length_sigma,
+        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design).home,
+    )
     chosen = (
-        redundant_measuring_limb_checks.best_six_limbs(stated, home, by_vision.samples.T_base_platform)
+        redundant_measuring_limb_checks_by_loop_closure.best_six_limbs(stated, home, by_vision.samples.T_base_platform)
         if requested is None
         else requested
     )
-    nominal = measuring_limb_calibration_and_slips.hexapod_of_six_limbs(design, chosen)
-    samples = measuring_limb_calibration_and_slips.samples_with_limb_readings_as_commands(
+    nominal = measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design, chosen)
+    samples = measuring_limb_calibration_agreement_with_vision_and_slips.samples_with_limb_readings_as_commands(
         by_vision.samples, frames, every[:, chosen]
     )
-    T, expected = measuring_limb_calibration_and_slips.held_out_limb_poses(samples, nominal, sigma)
-    found = measuring_limb_calibration_and_slips.limb_agreement(samples.T_base_platform, T, expected, options.tolerance)
-    six = replace(measuring_limb_calibration_and_slips.calibrate_limbs(samples, nominal, sigma)[0], chosen=chosen)
+    T, expected = measuring_limb_calibration_agreement_with_vision_and_slips.held_out_limb_poses(
+        samples, nominal, sigma
+    )
+    found = measuring_limb_calibration_agreement_with_vision_and_slips.limb_agreement(
+        samples.T_base_platform, T, expected, options.tolerance
+    )
+    six = replace(
+        measuring_limb_calibration_agreement_with_vision_and_slips.calibrate_limbs(samples, nominal, sigma)[0],
+        chosen=chosen,
+    )
     both = every[np.searchsorted(frames, samples.frame)]
-    limbs = replace(six, checks=redundant_measuring_limb_checks.fit_redundant_limb_checks(six, stated, both))
+    limbs = replace(
+        six, checks=redundant_measuring_limb_checks_by_loop_closure.fit_redundant_limb_checks(six, stated, both)
+    )
     source = calibration_provenance(recording, options.arguments, 0, by_vision.source == "images")
     accepted = Accepted(limbs, nominal, found, None, source)
-    slipped = measuring_limb_calibration_and_slips.detect_limb_slip(samples, limbs, sigma)
+    slipped = measuring_limb_calibration_agreement_with_vision_and_slips.detect_limb_slip(samples, limbs, sigma)
     if slipped is not None:
         limb = chosen[slipped.limb - 1] + 1
         reason = (
@@ -174,7 +191,7 @@ def accept_limbs(
             "it slipped"
         )
         accepted = measuring_limbs_file.withdraw_acceptance(accepted, str(recording.folder), slipped.frame, reason)
-    error, check_sigma = redundant_measuring_limb_checks.held_out_check_errors(limbs, stated, both)
+    error, check_sigma = redundant_measuring_limb_checks_by_loop_closure.held_out_check_errors(limbs, stated, both)
     return LimbAcceptance(recording, by_vision, accepted, stated.channels, error, check_sigma)
 
 
@@ -207,8 +224,8 @@ class MeasuredLimbPoses:
         recording, found = self.recording, self.poses
         write_bytes(folder / "rig.toml", read_bytes(recording.folder / "rig.toml"))
         poses = Poses(found.frames, found.T_base_platform, found.covariance)
-        recording_tables.write_poses(folder / "poses.csv", poses)
-        recording_tables.write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
+        recording_table_loading_and_writing.write_poses(folder / "poses.csv", poses)
+        recording_table_loading_and_writing.write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
         copy_frames_commands_and_sensors(recording.folder, folder, recording.exposures, recording.origin)
 
 
@@ -223,7 +240,7 @@ def measure_poses_by_limbs(
 
     Raises RigError for limbs that were not accepted, or with which vision no longer agrees
     """
-    refuse_unfit_recording(recording, anyway, notice)
+    refuse_unfit_recording_and_return_corner_check(recording, anyway, notice)
     return MeasuredLimbPoses(recording, *checked_limb_poses(recording, limbs, progress, notice))
 
 

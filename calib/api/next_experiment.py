@@ -18,7 +18,7 @@ from calib.experiment.investigation_folder_and_report import SETTING_UP
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model.design import Design, Permission, quarter_turns_of_cubes
-from rig.model.design_comparison_and_cube_remounting import turning_instructions
+from rig.model.design_comparison_and_cube_turning_instructions import turning_instructions
 from rig.planning import plan_construction_and_table
 from rig.planning.plan import build_plan
 from rig.planning.plan_construction_and_table import Plan
@@ -78,7 +78,7 @@ def available_plans(
     return out + [text for text in LOADED if "payload" in allowed_actions and not must_stand_still]
 
 
-def choose_experiment(
+def ranked_experiments_and_excluded_plans(
     open_questions: Sequence[Question[object]],
     design: Design,
     plan_texts: Sequence[str],

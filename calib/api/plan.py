@@ -21,14 +21,18 @@ from calib.api.plan_options_and_result import (
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.correction.correction import indices_and_poses_of_solvable_commands
 from calib.diagnosis.effect_signal_and_separation import Separation, effect_separation
-from calib.models.machine_models import independent_geometric_parameters
+from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
+    PLAUSIBLE,
+    parameter_combinations,
+    standard_error_along,
+)
 from calib.models.platform.optimal_configurations import (
     choose_configurations_by_exchange,
     choose_d_optimal_configurations,
     fewest_configurations,
     total_information,
 )
-from calib.models.platform.parameter_accuracy import PLAUSIBLE, parameter_combinations, standard_error_along
 from calib.samples.confounded_conditions import confounds_of_configurations
 from rig import api
 from rig.array_and_json_types import Floats, Integers
@@ -39,13 +43,13 @@ from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm, Chain, Planar2
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_axes, has_plates
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_axes, is_hexapod
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan, sensors_with_payload
 from rig.planning.plan_construction_and_table import Plan
 from rig.planning.visiting_order_and_approach_decorrelated_from_position import time_balanced_order
 from rig.recording.recording_folder import Sensors
-from vision.predict import marker_map, visible_marker_counts_of_poses
+from vision.predict import marker_map, visible_marker_counts_over_all_cameras
 
 CANDIDATES = 1500
 FILL = 0.95  # of the travels
@@ -92,7 +96,7 @@ def informative_configurations(
     index, T = indices_and_poses_of_solvable_commands(values, lambda some: kinematics.forward(some, mechanism))
     values = values[index]
     seen = np.ones(len(values), bool) if visible_marker_count is None else visible_marker_count(T) >= FEWEST
-    asked = independent_geometric_parameters(mechanism)
+    asked = independent_parameter_names_units_sizes_and_jacobian(mechanism)
     size = asked.size
     if not seen.any():
         raise RigError(
@@ -145,7 +149,7 @@ def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress
     mechanism = design.mechanism
     if not has_axes(mechanism):
         raise RigError(f"plans for parameters require a commanded mechanism, not one of kind {mechanism.kind!r}")
-    if not has_plates(mechanism):
+    if not is_hexapod(mechanism):
         return _plan_of_any(design, mechanism, options, progress)
     mechanism, avoided = geometry_and_excluded_configurations(options, mechanism)
     chosen = choose_d_optimal_configurations(
@@ -199,7 +203,7 @@ def _plan_of_any(
     if options.calibration is not None or options.given is not None or options.criterion != "determinant":
         raise RigError("--calibration, --given and --criterion noise are for hexapods")
     looked = (
-        partial(visible_marker_counts_of_poses, design.cameras, markers=marker_map(design.without_stages()))
+        partial(visible_marker_counts_over_all_cameras, design.cameras, markers=marker_map(design.without_stages()))
         if design.cameras and design.targets
         else None
     )
@@ -262,7 +266,7 @@ def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progre
 
 def _keeping_promise(design: Design, promise: float, options: PlanOptions, progress: Progress) -> PlanResult:
     """PlanResult of the fewest configurations that keep a promise (m); of none where it is met without any."""
-    if not has_plates(design.mechanism):
+    if not is_hexapod(design.mechanism):
         raise RigError(f"plans for a promise require a hexapod, not a mechanism of kind {design.mechanism.kind!r}")
     mechanism, avoided = geometry_and_excluded_configurations(options, design.mechanism)
     found = fewest_configurations(
@@ -323,7 +327,7 @@ def _separating(design: Design, texts: tuple[str, str], options: PlanOptions) ->
 
 def _separations(design: Design, effects: list[Effect], options: PlanOptions) -> list[tuple[Separation, Plan]]:
     """[(Separation of two effects, Plan)] of the parts of plans alone and two by two."""
-    struts = has_plates(design.mechanism)
+    struts = is_hexapod(design.mechanism)
     moves = [text for text in MOVES if struts or not text.startswith("axes")]
     out = []
     for text in (*moves, *(",".join(pair) for pair in combinations(moves, 2))):

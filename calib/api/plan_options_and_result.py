@@ -14,11 +14,11 @@ from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 from rig.recording.recording_folder import Sensors
-from rig.recording.recording_tables import write_configurations, write_table
+from rig.recording.recording_table_loading_and_writing import write_configurations, write_table
 from rig.report.pages.page_templates_and_elements import Link, result_html
-from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
 
 SEED = 0
 SHOWN = 8  # combinations that are listed
@@ -145,7 +145,7 @@ def geometry_and_excluded_configurations(
     if options.calibration is None:
         return mechanism, None
     correction = options.calibration.correction
-    if not has_plates(correction.fitted):
+    if not is_hexapod(correction.fitted):
         raise RigError(
             f"{options.name} is a calibration of a mechanism of kind {correction.fitted.kind!r}, not of a hexapod"
         )

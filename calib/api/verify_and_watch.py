@@ -7,7 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration, refutation_sentence
-from calib.certification.calibration_evidence import calibration_evidence, verify_claim_on_samples
+from calib.certification.calibration_evidence_verdict_and_claim_check import (
+    calibration_evidence_verdict_and_claim_check,
+    verify_claim_on_samples,
+)
 from calib.certification.claim_verification import Verification
 from calib.certification.held_out_errors import (
     Figures,
@@ -16,11 +19,14 @@ from calib.certification.held_out_errors import (
     errors_before_and_after_correction,
     pose_errors,
 )
-from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_ranges, configuration_numbers
+from calib.certification.held_out_pose_errors_and_distinct_configurations import (
+    axis_travel_limits,
+    configuration_numbers,
+)
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.drift import change_sentences
 from calib.drift.change_evidence import Verdict as ChangeVerdict
-from calib.drift.visit_history import History, add_visit
+from calib.drift.visit_history import History, add_visit_and_judge_change
 from calib.files import calibration_provenance_and_used_frames
 from calib.files.calibration_provenance_and_used_frames import SEED
 from calib.models.machine_models import corrected_pose_covariance
@@ -28,9 +34,9 @@ from calib.report.verification_and_repeated_visit_pages import (
     Verified,
     Visit,
     change_alarm_sentence,
-    first_visit_sentence,
     last_visit_verdict,
     refutes_claim,
+    sentence_on_effect_omitted_by_calibration,
     verification_verdict,
     write_verification_page,
     write_visits_page,
@@ -41,9 +47,9 @@ from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model.pose import rms_uncertainty
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Poses
+from rig.recording.recording_table_loading_and_writing import Poses
 from rig.report.pages.page_templates_and_elements import Link, result_html
-from rig.report.verdict_and_refutations_of_results import Refutation, State, Verdict
+from rig.report.verdict_and_refutations_by_later_recordings import Refutation, State, Verdict
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,7 +140,7 @@ def verify(
     calibration.refuse_kind(recording.design.mechanism.kind, str(recording.folder))
     sampled = sample_recording(recording, progress=progress)
     samples = calibration.with_physics(recording, sampled.samples)
-    label = configuration_numbers(samples.commanded, axis_ranges(calibration.correction.nominal))
+    label = configuration_numbers(samples.commanded, axis_travel_limits(calibration.correction.nominal))
     before, after = errors_before_and_after_correction(calibration.correction, samples)
     held = compare_errors(before, after, samples.total_covariance(), np.random.default_rng(SEED), label)
     figures = Verified(
@@ -198,7 +204,7 @@ class WatchResult:
         """(BAD or CHECK, sentence) of what the last visit says against the calibration, None where it says nothing."""
         last = self.visits[-1]
         if last.allowed:
-            return State.CHECK, first_visit_sentence(last)
+            return State.CHECK, sentence_on_effect_omitted_by_calibration(last)
         change = last.evidence
         if change.alarm and (change.named is None or change.named.kind not in MEASURING):
             return State.BAD, change_alarm_sentence(change)
@@ -248,7 +254,7 @@ def watch(
     for k, recording in enumerate(visits):
         progress("visits", k, len(visits))
         scale = history.scale()
-        history, change = add_visit(history, recording, calibration)
+        history, change = add_visit_and_judge_change(history, recording, calibration)
         assert history.reference is not None
         confounds = confounds_of_recordings([recording])
         found = _verified(calibration, recording, change)
@@ -261,7 +267,7 @@ def watch(
         )
         seen.append(replace(visit, lines=lines))
         of_each.append(confounds)
-    verdict = last_visit_verdict(seen, calibration_evidence(calibration, refutations))
+    verdict = last_visit_verdict(seen, calibration_evidence_verdict_and_claim_check(calibration, refutations))
     return WatchResult(history, tuple(seen), tuple(of_each), tuple(entries), verdict)
 
 

@@ -43,9 +43,9 @@ def view(
     Raises RigError for a frame or an effect that the recording cannot have, FileError for a picture's unknown format
     """
     if options.frame is not None:
-        from vision.frame_pictures import draw_frame, save_pictures_side_by_side
+        from vision.frame_pictures import measure_and_draw_frame, save_pictures_side_by_side
 
-        pictures, measured = draw_frame(recording, options.frame, options.enlarge, progress)
+        pictures, measured = measure_and_draw_frame(recording, options.frame, options.enlarge, progress)
         return tuple(save_pictures_side_by_side(path, pictures, measured).splitlines())
     if options.rerun:
         rerun = recording_as_rerun_tum_parquet.import_rerun()

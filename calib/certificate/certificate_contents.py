@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.certification.calibration_evidence import AgainstClaim
+from calib.certification.calibration_evidence_verdict_and_claim_check import AgainstClaim
 from calib.certification.held_out_errors import Figures
 from calib.certification.held_out_pose_errors_and_distinct_configurations import REST, HeldPoses, Repeatability
 from calib.certification.iso230_and_iso9283_tests import AxisTest, Iso9283
@@ -15,7 +15,7 @@ from calib.samples.confounded_conditions import Confounds
 from rig.array_and_json_types import Floats, Json
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
 from rig.recording.recording_folder import LIMB, PAYLOAD, Recording
-from rig.report.verdict_and_refutations_of_results import Evidence
+from rig.report.verdict_and_refutations_by_later_recordings import Evidence
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,8 @@ from importlib.resources import files
 from xml.etree import ElementTree as ET
 
 from calib.certificate import certificate_sentences
-from calib.certificate.certificate import Certificate, certificate_verdict
-from calib.certification.calibration_evidence import AgainstClaim
+from calib.certificate.certificate_verdict_and_provenance import Certificate, certificate_verdict
+from calib.certification.calibration_evidence_verdict_and_claim_check import AgainstClaim
 from calib.certification.held_out_errors import Figures
 from calib.certification.pose_error_promise_and_conformity import Promise
 from calib.certification.uncertainty_budget import COVERAGE, Budget

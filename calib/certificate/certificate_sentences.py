@@ -5,7 +5,7 @@ from calib.certification.calibration_dataclass_and_accuracy_claim_sentences impo
     claim_status_text,
     explaining_rigid_motion_text,
 )
-from calib.certification.calibration_evidence import AgainstClaim
+from calib.certification.calibration_evidence_verdict_and_claim_check import AgainstClaim
 from calib.certification.iso230_and_iso9283_tests import POSES, VISITS, AxisTest
 from calib.certification.pose_error_promise_and_conformity import CONFORMS, FAILS
 from calib.certification.uncertainty_budget import Contribution, Expanded

@@ -18,13 +18,13 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
 from calib.certification.strut_deviation_sizes_and_possible_machines import Machines
 from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.correction.interpolation.gaussian_process import Radial
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import Tolerance, expand_parameter_widths
 from calib.models.platform.identification import (
     PRIOR,
     Identified,
     inverse_strut_length_jacobian,
     pose_parameter_jacobian,
 )
-from calib.models.platform.parameter_accuracy import Tolerance, expand_parameter_widths
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.model import mechanisms

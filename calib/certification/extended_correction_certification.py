@@ -21,14 +21,14 @@ from calib.certification.held_out_errors import (
     HeldOut,
     compare_errors,
     draw_mean_square_common_pose_errors,
-    held_out_error_statistics,
     is_significant_gain,
+    mean_square_held_out_errors_by_configuration,
     mean_square_held_out_pose_errors_by_parameters,
     pose_errors,
 )
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
-    axis_ranges,
+    axis_travel_limits,
     configuration_folds,
     configuration_numbers,
     mean_sample_per_configuration,
@@ -47,7 +47,7 @@ from calib.correction import interpolation_methods_and_correction_summand_fields
 from calib.correction.correction import AnyCorrection, solvable_commands_and_poses
 from calib.correction.interpolation.field_interface_and_combinations import Field, FieldSamples, WeightedField
 from calib.correction.interpolation.gaussian_process import RadialMap
-from calib.correction.interpolation.grid import grid_lattice_of_configurations
+from calib.correction.interpolation.interpolation_on_grid_of_samples import grid_lattice_of_configurations
 from calib.correction.interpolation_methods_and_correction_summand_fields import (
     correction_with_field,
     fit_correction_summand_field,
@@ -119,7 +119,7 @@ def certify_extended_correction(
     take these samples
     """
     said = progress or silent_progress
-    label = configuration_numbers(samples.commanded, axis_ranges(nominal))
+    label = configuration_numbers(samples.commanded, axis_travel_limits(nominal))
     said("fitting the geometry", 0, 1)
     found = fitted_or_nominal_geometry(samples, nominal, request.alone)
     sizes = (
@@ -217,14 +217,16 @@ def certify_interpolation_method(
     field = fields[kind]
     if outcome is None:
         return Certified(correct(field), found, label, None), tuple(tried)
-    left = held_out_error_statistics(outcome.after[kind], outcome.samples, label[outcome.rows], outcome.said[kind])
+    left = mean_square_held_out_errors_by_configuration(
+        outcome.after[kind], outcome.samples, label[outcome.rows], outcome.said[kind]
+    )
     if outcome.beside and left.stated:  # where noise explains all that is left, there is no error to scale
         scale = float(np.sqrt(left.beyond()[0] / left.stated))
         if isinstance(field, WeightedField):
             field, left = replace(field, misfit=field.misfit * scale), replace(left, scale=scale)
         elif isinstance(field, RadialMap):
             field, left = replace(field, inflation=max(1.0, scale)), replace(left, scale=max(1.0, scale))
-    again = held_out_error_statistics(
+    again = mean_square_held_out_errors_by_configuration(
         pose_errors(correct(field).predict(samples.effective), samples), samples, label
     ).beyond()
     return Certified(correct(field), found, label, held[kind], left=replace(left, fitted=float(again[0]))), tuple(tried)
@@ -259,7 +261,7 @@ def _splits(samples: Samples, label: Integers, nominal: Struts | Arm) -> list[tu
     """[(fitted (n,) bool, held out (n,) bool)]; none where there are fewer than LEAST configurations."""
     if label.max() + 1 < LEAST:
         return []
-    found = grid_lattice_of_configurations(samples.commanded, axis_ranges(nominal))
+    found = grid_lattice_of_configurations(samples.commanded, axis_travel_limits(nominal))
     if found is None:
         fold = configuration_folds(label, min(FOLDS, label.max() + 1))
         return [(fold != k, fold == k) for k in np.unique(fold)]

@@ -219,10 +219,11 @@ class HeldErrors:
         return np.nan_to_num(np.maximum(self.squares.mean(axis=0) - self.noise.mean(axis=0), 0.0))
 
 
-def held_out_error_statistics(
+def mean_square_held_out_errors_by_configuration(
     errors: Floats, samples: Samples, label: Integers, stated: float = 0.0, parameters: Floats | None = None
 ) -> HeldErrors:
-    """Held-out error statistics (HeldErrors) of errors (n, 6) m and rad, NaN where not measured.
+    """Mean squares by configuration (HeldErrors) of held-out errors (n, 6) m and rad, NaN where not measured.
+
     samples : Samples that they are of; label : (n,) configuration of each
     stated, parameters : as there, nothing by default
     """
@@ -243,7 +244,7 @@ def held_out_error_statistics(
     )
 
 
-def leverage_corrected_residuals(
+def residuals_corrected_for_noise_absorbed_by_fit(
     residuals: Floats, jacobian: Floats, covariance: Floats, noise: Floats, label: Integers
 ) -> Floats:
     """Standardised residuals (n, 6) of a linear fit: corrected for the noise that the fit absorbed, m and rad.

@@ -43,7 +43,7 @@ def configuration_numbers(commanded: Floats, ranges: Floats) -> Integers:
     return out
 
 
-def axis_ranges(mechanism: Struts | Arm | Chain) -> Floats:
+def axis_travel_limits(mechanism: Struts | Arm | Chain) -> Floats:
     """Range of each axis of a mechanism: (axes, 2) m or rad."""
     return mechanisms.kinematics_of(mechanism).travel_ranges(mechanism)
 
@@ -211,7 +211,7 @@ def held_out_poses(
         np.concatenate([plain for *_, plain, _ in each]),
         own,
         tuple(common),
-        configuration_numbers(commanded, axis_ranges(correction.nominal)),
+        configuration_numbers(commanded, axis_travel_limits(correction.nominal)),
         moving,
     )
 

@@ -118,7 +118,7 @@ def _test(
         E_up,
         E_down,
         float(np.ptp(mean.mean(axis=1))),
-        *axis_accuracy(mean, s),
+        *bidirectional_and_unidirectional_axis_accuracy(mean, s),
         *axis_repeatability(mean, s),
         u,
         len(mean) >= POSITIONS and cycles >= CYCLES,
@@ -131,7 +131,9 @@ def reversal_values(mean: Floats) -> tuple[float, float]:
     return float(np.abs(B).max()), float(B.mean())
 
 
-def axis_accuracy(mean: Floats, standard_deviation: Floats) -> tuple[float | None, float | None, float | None]:
+def bidirectional_and_unidirectional_axis_accuracy(
+    mean: Floats, standard_deviation: Floats
+) -> tuple[float | None, float | None, float | None]:
     """Axis accuracy (A, A up, A down) of means and standard deviations (positions, 2); None where unknown."""
     if not np.isfinite(standard_deviation).all():
         return None, None, None

@@ -22,7 +22,7 @@ from calib.certification.held_out_errors import (
 )
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
-    axis_ranges,
+    axis_travel_limits,
     configuration_folds,
     configuration_numbers,
     mean_sample_per_configuration,
@@ -36,13 +36,15 @@ from calib.certification.possible_machine_draws import (
 from calib.certification.strut_deviation_sizes_and_possible_machines import Machines
 from calib.correction.correction import AnyCorrection, Correction, calibrate_correction, identify_geometry
 from calib.correction.interpolation.gaussian_process import Radial
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
+    estimate_tolerance_of_stated_geometry,
+)
 from calib.models.platform.identification import (
     Identified,
     identify_platform,
     inverse_strut_length_jacobian,
     pose_parameter_jacobian,
 )
-from calib.models.platform.parameter_accuracy import estimate_tolerance_of_stated_geometry
 from calib.samples.pose_samples import Samples, inverse_covariance
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
@@ -106,7 +108,7 @@ def certify_platform(
     how good the owner's figures are, are those found on the whole recording. rng : numpy Generator, for the bootstrap
     progress : called with (label, done, of), or None
     """
-    label = configuration_numbers(samples.commanded, axis_ranges(nominal))
+    label = configuration_numbers(samples.commanded, axis_travel_limits(nominal))
     said = progress or silent_progress
     said("fitting the geometry", 0, 1)
     alone = identify_geometry(samples, nominal)

@@ -15,16 +15,16 @@ from calib.certification.strut_deviation_covariance_functions import (
     PLACE,
     SAMPLE,
     Component,
+    candidate_covariance_functions_of_strut_deviations,
     scaled_commands,
-    strut_deviation_components,
 )
 from calib.certification.strut_deviation_sizes_and_possible_machines import (
     Closures,
     Machines,
     draw_strut_deviation_component_sizes,
 )
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import Tolerance, expand_parameter_widths
 from calib.models.platform.identification import Identified
-from calib.models.platform.parameter_accuracy import Tolerance, expand_parameter_widths
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model import mechanisms
@@ -82,7 +82,7 @@ def draw_strut_deviation_sizes(
     counted = identified.inliers if (~identified.inliers).mean() <= WILD else np.ones(len(samples), bool)
     samples, label = samples.take(counted), np.unique(label[counted], return_inverse=True)[1]
     model, struts = _Closures(identified, samples), []
-    parts, y = strut_deviation_components(samples, label, nominal), model.about(nominal)
+    parts, y = candidate_covariance_functions_of_strut_deviations(samples, label, nominal), model.about(nominal)
     for i, own in enumerate(parts):
         D, C = model.D[:, i], model.common[:, i]
         V = np.diag(model.own[:, i, i]) + C @ C.T + (D * tolerance.prior**2) @ D.T

@@ -121,7 +121,9 @@ def scaled_commands(commands: Floats, strokes: Floats) -> Floats:
     return np.asarray((commands - strokes.mean(axis=1)) / (np.ptp(strokes, axis=1) / 2))
 
 
-def strut_deviation_components(samples: Samples, label: Integers, nominal: Struts) -> list[list[Component]]:
+def candidate_covariance_functions_of_strut_deviations(
+    samples: Samples, label: Integers, nominal: Struts
+) -> list[list[Component]]:
     """Components (covariance functions) of each strut's deviations that the samples may show; label : (n,)."""
     x, n = scaled_commands(samples.effective, nominal.strut_range), len(samples)
     spread = FILL / np.sqrt(3)  # of a strut's place over the workspace, half strokes

@@ -71,7 +71,7 @@ class Budget:
 
 def expanded_uncertainty_over_poses(covariance: Floats) -> Expanded:
     """Expanded uncertainty of errors with covariances (n, 6, 6), every pose as likely."""
-    u = rms_length_uncertainty(covariance)
+    u = rms_position_and_rotation_uncertainty(covariance)
     k = _coverage_factor(covariance[:, PARTS[0], PARTS[0]]), _coverage_factor(covariance[:, PARTS[1], PARTS[1]])
     return Expanded(k[0] * u[0], k[1] * u[1], k)
 
@@ -91,7 +91,7 @@ def _coverage_factor(covariance: Floats) -> float:
     return float(found)
 
 
-def rms_length_uncertainty(covariance: Floats) -> tuple[float, float]:
+def rms_position_and_rotation_uncertainty(covariance: Floats) -> tuple[float, float]:
     """RMS standard uncertainty (m, rad) of the lengths of position and rotation errors, of covariances (n, 6, 6)."""
     position, rotation = (float(np.sqrt(np.trace(covariance[:, p, p], axis1=1, axis2=2).mean())) for p in PARTS)
     return position, rotation
@@ -136,13 +136,19 @@ def uncertainty_budget(
     thermometer_covariances : (n, 6, 6) as `thermometer_covariance` has it
     """
     shared = np.sum([c @ np.swapaxes(c, 1, 2) for c in poses.common], axis=0)
-    noise = rms_length_uncertainty(poses.own)
+    noise = rms_position_and_rotation_uncertainty(poses.own)
     seen = [float(np.sqrt((poses.errors[:, p] ** 2).sum(axis=1).mean())) for p in PARTS]
     again = [
         None if value is None else _less(value, own) for value, own in zip((repeat.position, repeat.rotation), noise)
     ]
     rest = [
-        _less(seen[i], noise[i], rms_length_uncertainty(shared)[i], rms_length_uncertainty(model)[i], again[i] or 0.0)
+        _less(
+            seen[i],
+            noise[i],
+            rms_position_and_rotation_uncertainty(shared)[i],
+            rms_position_and_rotation_uncertainty(model)[i],
+            again[i] or 0.0,
+        )
         for i in range(2)
     ]
     physics = _alike(poses.errors, rest)

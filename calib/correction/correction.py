@@ -14,18 +14,20 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.command_route_and_pose_space_map import PoseMap
+from calib.correction.command_sequence_timing_and_pose_error_map import PoseMap
 from calib.correction.interpolation import gaussian_process
 from calib.correction.interpolation.field_interface_and_combinations import Field, RestrictedMap
 from calib.correction.interpolation.gaussian_process import Radial
-from calib.correction.interpolation.grid import Simplex
+from calib.correction.interpolation.interpolation_on_grid_of_samples import Simplex
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
+    estimate_tolerance_of_stated_geometry,
+)
 from calib.models.platform.identification import (
     Identified,
     identify_platform,
     inverse_strut_length_jacobian,
     pose_parameter_jacobian,
 )
-from calib.models.platform.parameter_accuracy import estimate_tolerance_of_stated_geometry
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map

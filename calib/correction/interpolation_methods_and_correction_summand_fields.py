@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction import command_route_and_pose_space_map
+from calib.correction import command_sequence_timing_and_pose_error_map
 from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.correction.interpolation.delaunay_and_grid_kernels import Delaunay
 from calib.correction.interpolation.field_interface_and_combinations import (
@@ -23,10 +23,12 @@ from calib.correction.interpolation.field_interface_and_combinations import (
     SummedPasses,
 )
 from calib.correction.interpolation.gaussian_process import Radial, RadialMap
-from calib.correction.interpolation.grid import Linear, Simplex
+from calib.correction.interpolation.interpolation_on_grid_of_samples import Linear, Simplex
 from calib.correction.interpolation.polynomial_and_axis_sum_fields import AxisFunctions, Polynomial
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
+    estimate_tolerance_of_stated_geometry,
+)
 from calib.models.platform.identification import PRIOR, Identified, identify_platform
-from calib.models.platform.parameter_accuracy import estimate_tolerance_of_stated_geometry
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
@@ -243,7 +245,8 @@ def correction_with_additional_pass(correction: AnyCorrection, field: Field | No
 def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection) -> FieldSamples:
     """Residual pose tangents that an earlier pass leaves: from its corrected poses to the measured ones.
 
-    Over the coordinates in which the mechanism's poses differ, see `command_route_and_pose_space_map.PoseMap`. Source:
+    Over the coordinates in which the mechanism's poses differ, see
+    `command_sequence_timing_and_pose_error_map.PoseMap`. Source:
     configuration-space patent, [0035]
     """
     nominal, some = correction.nominal, list(pose_coordinate_indices(correction.nominal))
@@ -252,12 +255,14 @@ def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection) 
     _, all_over = solvable_commands_and_poses(
         sobol_configurations(mechanisms.kinematics_of(nominal).travel_ranges(nominal), PLACES, 1.0), correction
     )
-    x, box = (command_route_and_pose_space_map.pose_coordinates(poses, home)[:, some] for poses in (T, all_over))
+    x, box = (
+        command_sequence_timing_and_pose_error_map.pose_coordinates(poses, home)[:, some] for poses in (T, all_over)
+    )
     both = np.concatenate([x, box])
     variances = np.einsum("nii->ni", samples.covariance)[:, some]
     return FieldSamples(
         x,
-        command_route_and_pose_space_map.pose_error_tangents(T, samples.T_base_platform)[:, some],
+        command_sequence_timing_and_pose_error_map.pose_error_tangents(T, samples.T_base_platform)[:, some],
         variances,
         np.stack([both.min(axis=0), both.max(axis=0)], axis=1),
     )
@@ -278,7 +283,7 @@ def correction_with_pose_space_map(correction: AnyCorrection, field: Field | Non
     """Correction with a map in pose space (a Field) added, applied last; unchanged where the field is None."""
     if field is None:
         return correction
-    one = command_route_and_pose_space_map.PoseMap(
+    one = command_sequence_timing_and_pose_error_map.PoseMap(
         home_pose(correction.nominal), pose_coordinate_indices(correction.nominal), field
     )
     return replace(correction, posed=(*correction.posed, one))
@@ -302,8 +307,10 @@ def correction_with_field(nominal: Struts, identified: Identified, field: Field 
     return Correction(nominal, identified.mechanism, (None,) * len(nominal.axes), extension=field)
 
 
-def single_step_correction_errors(correction: AnyCorrection) -> tuple[float, float]:
-    """Errors (RMS, greatest) m of correcting in a single step X + KSF(X) instead of to the fixed point.
+def single_step_command_errors(correction: AnyCorrection) -> tuple[float, float]:
+    """Errors (RMS, greatest) m of strut commands corrected in a single step, not to the fixed point.
+
+    The single step is X + KSF(X).
 
     Source: configuration-space patent, [0030], [0091]
     """

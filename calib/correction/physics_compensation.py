@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.command_route_and_pose_space_map import Route
+from calib.correction.command_sequence_timing_and_pose_error_map import Route
 from calib.correction.correction import AnyCorrection
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
@@ -215,7 +215,7 @@ def compensated_commands_at_poses(machine: Machine, T: RigidTransform, route: Ro
     )
 
 
-def path_memory_length(machine: Machine) -> Floats:
+def travel_until_earlier_path_is_forgotten(machine: Machine) -> Floats:
     """Length (axes,) of path memory: travel one way after which an axis' earlier path no longer matters."""
     places = mechanisms.axis_place_texts(machine.correction.fitted)
     return np.max([e.axes(places) * e.forgets() for e in machine.effects] or [np.zeros(len(places))], axis=0)
@@ -227,7 +227,7 @@ def unknown_history_uncertainty(machine: Machine, T: RigidTransform, route: Rout
     Half the change between a start approached from below and above.
     commands : (n, axes) at the poses
     """
-    reach = path_memory_length(machine)
+    reach = travel_until_earlier_path_is_forgotten(machine)
     if not reach.any():
         return np.zeros_like(commands)
     own = route.commands(commands)

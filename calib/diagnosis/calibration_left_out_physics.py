@@ -17,7 +17,11 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.calibration_evidence import OfCalibrations, calibration_evidence, verify_claim_on_samples
+from calib.certification.calibration_evidence_verdict_and_claim_check import (
+    OfCalibrations,
+    calibration_evidence_verdict_and_claim_check,
+    verify_claim_on_samples,
+)
 from calib.certification.error_claim_over_workspace import Claim
 from calib.certification.held_out_errors import pose_errors
 from calib.diagnosis.engine.problem_interface import Progress
@@ -27,7 +31,7 @@ from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
     Report,
     diagnosis_report,
-    doubts_of_report,
+    missing_evidence_of_report,
     unexplained_sentences,
 )
 from calib.files import calibration_file
@@ -37,7 +41,7 @@ from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
 from rig.recording.frame_selection_and_content_hashes import Marks, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
-from rig.report.verdict_and_refutations_of_results import State, refutations_of_file
+from rig.report.verdict_and_refutations_by_later_recordings import State, refutations_of_file
 
 LARGEST = 50_000_000  # bytes of a file that is looked into
 NOT_SEARCHED = "it was not searched for unmodelled effects"
@@ -82,7 +86,9 @@ def _add_left_out_physics(calibration: Calibration, report: Report, samples: Sam
     """
     if _refutes_calibration(report, calibration, samples):
         calibration = replace(calibration, claim=_widened_claim(calibration, samples))
-    return _with(calibration, (*unexplained_sentences(report), *(one.text for one in doubts_of_report(report))))
+    return _with(
+        calibration, (*unexplained_sentences(report), *(one.text for one in missing_evidence_of_report(report)))
+    )
 
 
 def _refutes_calibration(report: Report, calibration: Calibration, samples: Samples) -> bool:
@@ -183,7 +189,7 @@ def unexplained_findings_and_refutations(
     for path, tree in _made_from(marks, paths):
         if any(tree.get(key) for key in BEYOND):
             continue
-        known = calibration_evidence(
+        known = calibration_evidence_verdict_and_claim_check(
             calibration_file.load(path), refutations_of_file(path) if include_later_refutations else ()
         )
         refuted += [f"{path.name} {text}" for text in known.refuted] if include_later_refutations else []

@@ -9,7 +9,7 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import Oper
 from calib.diagnosis.problems.platform.linearised_residuals import linearise
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
-from calib.models.machine_models import independent_geometric_parameters
+from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
 from calib.models.platform.identification import PRIOR
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
@@ -18,7 +18,7 @@ from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates, loop_closure_parameter_jacobian
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod, loop_closure_parameter_jacobian
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.corner_observations import observations_from_corners
@@ -55,14 +55,14 @@ def effect_separation(
         for acting in ((), *((effect,) for effect in effects))
     ]
     still, moved, m = poses[0], poses[1:], design.mechanism
-    if has_plates(m):  # what the struts show
+    if is_hexapod(m):  # what the struts show
         covariance = np.diag(np.repeat(np.square(sigma), 3))
         A = hexapod.jacobian(still, m)
         W = np.linalg.inv(np.linalg.cholesky(A @ covariance @ np.swapaxes(A, 1, 2)))
         parts = [W @ (hexapod.inverse(T, m) - hexapod.inverse(still, m))[..., None] for T in moved]
         rows, prior = W @ loop_closure_parameter_jacobian(still, m), np.full(42, PRIOR)
     else:
-        asked, white = independent_geometric_parameters(m), 1 / np.repeat(sigma, 3)
+        asked, white = independent_parameter_names_units_sizes_and_jacobian(m), 1 / np.repeat(sigma, 3)
         parts = [pose_difference(still, T) * white for T in moved]
         rows, prior = asked.jacobian(commands.at(t)) * white[:, None], asked.size
     a, b = (part.ravel() for part in parts)

@@ -19,7 +19,7 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import (
 )
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import correct_marker_swaps
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement, refine_operating_point
-from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import smooth_temperatures
+from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import smooth_temperatures
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
 from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm_of_fit

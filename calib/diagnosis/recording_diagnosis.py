@@ -39,7 +39,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     Tolerable,
     ToleratedFindings,
 )
-from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import Repeats, Suggestion
+from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import Repeats, Suggestion
 from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
 from calib.samples.pose_samples import Sampled
 from rig.effects.catalogue.effect_list import ALL

@@ -86,7 +86,7 @@ def change_hypotheses(reference: Reference) -> list[Hypothesis]:
     ]
 
 
-def prior_information(reference: Reference, covariance: Floats) -> Floats:
+def prior_information_of_constants_between_visits(reference: Reference, covariance: Floats) -> Floats:
     """Prior information (p, p), scaled, in what stays constant between visits."""
     places = np.concatenate([np.full(6, POSE_SCALE / STATED[place.kind]) for place in reference.places])
     values, vectors = np.linalg.eigh(covariance / POSE_SCALE**2)

@@ -12,7 +12,7 @@ from calib.drift.change_evidence import (
     Verdict,
     change_hypotheses,
     change_verdict,
-    prior_information,
+    prior_information_of_constants_between_visits,
     unexplained_squares,
 )
 from calib.drift.visit_equations_and_reference import GEOMETRY, OWN, Equations, Reference, visit_equations
@@ -74,7 +74,9 @@ class History:
         return max(1.0, (BELIEVED + sum(v.square for v in quiet)) / (BELIEVED + sum(v.count for v in quiet)))
 
 
-def add_visit(history: History, recording: Recording, calibration: Calibration) -> tuple[History, Verdict]:
+def add_visit_and_judge_change(
+    history: History, recording: Recording, calibration: Calibration
+) -> tuple[History, Verdict]:
     """Add a visit to a History: (History, Verdict of the visit).
 
     Raises RigError for data that were taken already or that the calibration was made from, and as `visit_equations`
@@ -95,7 +97,7 @@ def add_visit(history: History, recording: Recording, calibration: Calibration) 
     equations, reference = visit_equations(recording, calibration, history.reference)
     before, constants = (
         [visit.equations for visit in history.visits],
-        prior_information(reference, calibration.covariance),
+        prior_information_of_constants_between_visits(reference, calibration.covariance),
     )
     square = unexplained_squares([*before, equations], constants) - (
         unexplained_squares(before, constants) if before else 0.0

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
-from calib.diagnosis.problems.arm.finding_and_nonlinear_parameters import (
+from calib.diagnosis.problems.arm.finding_parameters_with_intervals_and_nonlinear_optimisation import (
     has_continuous_parameters,
     optimise_nonlinear_parameters,
 )

@@ -24,7 +24,7 @@ from rig.report.pages.page_templates_and_elements import (
     write_page,
 )
 from rig.report.pages.plots import COLOURS, Series, plot_panel_svg
-from rig.report.verdict_and_refutations_of_results import (
+from rig.report.verdict_and_refutations_by_later_recordings import (
     LOOK,
     Evidence,
     MissingEvidence,

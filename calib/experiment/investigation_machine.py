@@ -12,7 +12,7 @@ from rig.driving.run_steps_and_progress import steps_of_plan
 from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design, quarter_turns_of_cubes
-from rig.model.design_comparison_and_cube_remounting import turning_instructions
+from rig.model.design_comparison_and_cube_turning_instructions import turning_instructions
 from rig.planning.plan import build_plan
 from rig.planning.plan_construction_and_table import Plan
 

@@ -18,9 +18,9 @@ from rig.model.pose import exp
 from rig.planning.plan import sensors_with_payload
 from rig.planning.plan_construction_and_table import Plan
 from rig.recording.recording_folder import PAYLOAD, Sensors
-from rig.recording.recording_tables import Corners
+from rig.recording.recording_table_loading_and_writing import Corners
 from vision.corner_observations import observations_from_corners
-from vision.predict import State, is_inside_image, marker_map, markers_facing_cameras, predict_sightings
+from vision.predict import State, is_inside_image, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
 SEED = 0  # of the noise by which a recording that is not there yet is weighed
 TEMPERATURE = "_temperature_C"  # how channels of temperatures end
@@ -105,7 +105,7 @@ def predicted_operating_point(
         noise = rng.multivariate_normal(np.zeros(6), typical, F)
         return replace(here, T=T * exp(noise), own=np.broadcast_to(typical, (F, 6, 6)).copy())
     markers, state = marker_map(here.stated), State(design.cameras, T, {})
-    sightings = markers_facing_cameras(state, markers)
+    sightings = sightings_of_markers_facing_cameras(state, markers)
     uv = predict_sightings(
         sightings, state, markers, plan.t, [*fit.point.effects, *here.seats], sensors, here.run(fit.point.effects)
     )

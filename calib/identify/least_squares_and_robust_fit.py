@@ -303,7 +303,7 @@ def isolated_outlier_rows(scaled_residuals: Floats, t: Floats, q: Floats, gate: 
         more
     """
     far = np.abs(scaled_residuals).max(axis=1)
-    far = far > gate * tail_length_ratio(scaled_residuals, gate)
+    far = far > gate * tail_quantile_ratio_to_normal_within_gate(scaled_residuals, gate)
     if not far.any():
         return far
     order = np.argsort(t, kind="stable")
@@ -319,7 +319,7 @@ def isolated_outlier_rows(scaled_residuals: Floats, t: Floats, q: Floats, gate: 
     return out
 
 
-def tail_length_ratio(scaled_residuals: Floats, gate: float) -> float:
+def tail_quantile_ratio_to_normal_within_gate(scaled_residuals: Floats, gate: float) -> float:
     """Ratio of the tail length of rows (n, k) within a gate to a normal one's; 1 at the least."""
     size = np.abs(scaled_residuals).max(axis=1)
     near = size[size <= gate]

@@ -247,8 +247,8 @@ class IndependentParameters:
     alike: bool
 
 
-def independent_geometric_parameters(mechanism: Mechanism) -> IndependentParameters:
-    """Independent geometric parameters of a mechanism: names, units, sizes and pose Jacobian."""
+def independent_parameter_names_units_sizes_and_jacobian(mechanism: Mechanism) -> IndependentParameters:
+    """Names, units, sizes and pose Jacobian of a mechanism's independent geometric parameters."""
     if isinstance(mechanism, Arm):
         free = identification_and_joint_profiles.independent_arm_parameters(mechanism, "pose")
         size = np.array([PLAUSIBLE[unit] for unit in error_model_and_observations.parameter_units(mechanism)])

@@ -8,13 +8,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.correction.command_route_and_pose_space_map import Pace, Route, timed_route, untimed_route
+from calib.correction.command_sequence_timing_and_pose_error_map import Pace, Route, timed_route, untimed_route
 from calib.correction.correction import Responses
 from calib.correction.physics_compensation import (
     Machine,
     Physics,
     compensated_commands_at_poses,
-    path_memory_length,
+    travel_until_earlier_path_is_forgotten,
     unknown_history_uncertainty,
 )
 from calib.models.machine_models import corrected_pose_covariance
@@ -91,7 +91,7 @@ def commands_along_route(
     if calibration.physics is None:
         return RouteCommands(values, route, T, corrected_pose_covariance(calibration, T, values), ())
     base = _covariance(calibration, calibration.physics, of, T, (route, values))
-    if pace is not None and approach != "never" and path_memory_length(of).any():
+    if pace is not None and approach != "never" and travel_until_earlier_path_is_forgotten(of).any():
         sure = _axes(base.covariance, base.responses.back) if approach == "auto" else None
         found = _approached(of, T, route, values, pace, sure)
         if found is not route:
@@ -109,7 +109,10 @@ def _approached(of: Machine, T: RigidTransform, route: Route, values: Floats, pa
     to every pose
     """
     n, (low, high) = len(values), mechanisms.kinematics_of(of.correction.nominal).travel_ranges(of.correction.nominal).T
-    wanted, room = BEYOND * path_memory_length(of), values - BEYOND * path_memory_length(of) >= low
+    wanted, room = (
+        BEYOND * travel_until_earlier_path_is_forgotten(of),
+        values - BEYOND * travel_until_earlier_path_is_forgotten(of) >= low,
+    )
     side = np.where(room, -wanted, np.where(values + wanted <= high, wanted, 0.0))
     possible = _exists(of, T, values + side)
     reach, refused = np.zeros_like(values), ~possible

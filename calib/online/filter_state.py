@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.models.platform.parameter_accuracy import frame_motion_columns
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import frame_motion_columns
 from calib.online.filter_kernels_and_change_detection import (
     ALARM,
     KINDS,

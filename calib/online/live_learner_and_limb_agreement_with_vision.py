@@ -6,7 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification import measuring_limb_calibration_and_slips, redundant_measuring_limb_checks
+from calib.certification import (
+    measuring_limb_calibration_agreement_with_vision_and_slips,
+    redundant_measuring_limb_checks_by_loop_closure,
+)
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.online.filter_kernels_and_change_detection import Change
@@ -122,33 +125,38 @@ class LimbWatch:
     """
 
     def __init__(self, design: Design) -> None:
-        self._design, self._stated = design, measuring_limb_calibration_and_slips.stated_limbs(design)
-        self._home = measuring_limb_calibration_and_slips.hexapod_of_six_limbs(design).home
+        self._design, self._stated = (
+            design,
+            measuring_limb_calibration_agreement_with_vision_and_slips.stated_limbs(design),
+        )
+        self._home = measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design).home
         self.channels = self._stated.channels
         self._read: list[tuple[Floats, RigidTransform, Floats]] = []
-        self._limbs: redundant_measuring_limb_checks.Limbs | None = None
+        self._limbs: redundant_measuring_limb_checks_by_loop_closure.Limbs | None = None
         self._agreed = True
 
     def take(self, lengths: Floats, T_base_platform: RigidTransform, covariance: Floats) -> bool:
         """Whether limbs that read lengths (limbs,) m newly disagree with vision's pose and its covariance (6, 6)."""
         if self._limbs is None:
             self._read.append((lengths, T_base_platform, covariance))
-            if len(self._read) == measuring_limb_calibration_and_slips.FEWEST:
-                n = np.arange(measuring_limb_calibration_and_slips.FEWEST)
+            if len(self._read) == measuring_limb_calibration_agreement_with_vision_and_slips.FEWEST:
+                n = np.arange(measuring_limb_calibration_agreement_with_vision_and_slips.FEWEST)
                 read, poses, covariances = zip(*self._read)
                 T = RigidTransform.concatenate(poses)
-                chosen = redundant_measuring_limb_checks.best_six_limbs(self._stated, self._home, T)
+                chosen = redundant_measuring_limb_checks_by_loop_closure.best_six_limbs(self._stated, self._home, T)
                 samples = Samples(
                     n,
                     n.astype(float),
                     np.array(read)[:, chosen],
                     T,
                     np.array(covariances),
-                    np.zeros((measuring_limb_calibration_and_slips.FEWEST, 6, 0)),
+                    np.zeros((measuring_limb_calibration_agreement_with_vision_and_slips.FEWEST, 6, 0)),
                 )
-                limbs, _ = measuring_limb_calibration_and_slips.calibrate_limbs(
+                limbs, _ = measuring_limb_calibration_agreement_with_vision_and_slips.calibrate_limbs(
                     samples,
-                    measuring_limb_calibration_and_slips.hexapod_of_six_limbs(self._design, chosen),
+                    measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(
+                        self._design, chosen
+                    ),
                     self._stated.length_sigma,
                 )
                 self._limbs = replace(limbs, chosen=chosen)
@@ -157,6 +165,8 @@ class LimbWatch:
         own, common = self._limbs.uncertainty(T)
         before, self._agreed = (
             self._agreed,
-            measuring_limb_calibration_and_slips.vision_agrees_with_limbs(T_base_platform, covariance, T, own, common),
+            measuring_limb_calibration_agreement_with_vision_and_slips.vision_agrees_with_limbs(
+                T_base_platform, covariance, T, own, common
+            ),
         )
         return before and not self._agreed

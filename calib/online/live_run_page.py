@@ -11,10 +11,10 @@ from calib.online.observer_of_run_frames import MeasuredFrame, RunObserver, View
 from calib.report.pose_and_effect_figures import closed_outline, fixed_rig_lines
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.model.design import Camera, Design
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 from rig.model.pose import pose_to_vector, transform_points
 from rig.report.pages.run_page_server import PageServer
-from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.frame_pictures import encode_jpeg
 from vision.predict import MarkerMap, marker_map
 
@@ -162,7 +162,7 @@ def _rig(design: Design, fixed: list[Json], markers: MarkerMap | None, T: RigidT
     """The rig as lines at a pose of the platform, at home before one is known."""
     m, parts = design.mechanism, list(fixed)
     middle = [0.0, 0.0, 0.0]
-    if has_plates(m):
+    if is_hexapod(m):
         T = m.home if T is None else T
         top = T.apply(m.platform_joints)
         parts += [

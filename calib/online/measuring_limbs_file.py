@@ -7,8 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.measuring_limb_calibration_and_slips import Agreement, hexapod_of_six_limbs, stated_limbs
-from calib.certification.redundant_measuring_limb_checks import Checks, Limbs
+from calib.certification.measuring_limb_calibration_agreement_with_vision_and_slips import (
+    Agreement,
+    hexapod_of_six_limbs,
+    stated_limbs,
+)
+from calib.certification.redundant_measuring_limb_checks_by_loop_closure import Checks, Limbs
 from calib.files.calibration_file import covariance_from_entries
 from calib.files.mechanism_and_physics_entries_of_calibration_json import mechanism_dict, mechanism_from_entries
 from rig.array_and_json_types import Json
@@ -18,7 +22,7 @@ from rig.formats.checked_entries import Entries
 from rig.formats.output_files import write_text
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 
 SCHEMA = "limbs/1"
 UNITS = (
@@ -178,7 +182,7 @@ def is_limbs_file(path: Path) -> bool:
 
 def _hexapod(tree: Entries, key: str) -> Hexapod:
     found = mechanism_from_entries(tree.table(key))
-    if not has_plates(found):
+    if not is_hexapod(found):
         tree.fail(
             f"{key} is a mechanism of kind {found.kind!r}; limbs that determine poses are six, as in a hexapod", key
         )

@@ -7,13 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification import measuring_limb_calibration_and_slips
+from calib.certification import measuring_limb_calibration_agreement_with_vision_and_slips
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.online import measuring_limbs_file
 from calib.online.live_learner_and_limb_agreement_with_vision import Learner
 from calib.online.measuring_limbs_file import Accepted
 from calib.online.observer_of_run_frames import RunObserver, RunStop
-from calib.online.platform_poses_from_measuring_limbs import LimbSource, LiveLimbPoses, write_acceptance_withdrawal
+from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import (
+    LimbSource,
+    LiveLimbPoses,
+    write_acceptance_withdrawal,
+)
 from rig.array_and_json_types import Floats
 from rig.driving.cameras import open_camera
 from rig.driving.cameras.camera_interface_and_grabbing import Settling, SynchronisedCameras, set_exposure_for_markers
@@ -26,8 +30,8 @@ from rig.driving.strut_driver import Driver
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates
-from vision.corners.marker_detection import detect_markers
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
+from vision.corners.marker_detection_and_corner_fit import detect_markers
 from vision.predict import marker_map
 from vision.reading.live_measurement import Live
 from vision.reading.parallel_image_map_and_marker_rendering import marker_white_level, render_marker_images, save_image
@@ -84,7 +88,7 @@ class RunOptions:
         if self.limbs is None:
             return None
         found = measuring_limbs_file.accepted_limbs(self.limbs.path, design)
-        channels = measuring_limb_calibration_and_slips.stated_limbs(design).channels
+        channels = measuring_limb_calibration_agreement_with_vision_and_slips.stated_limbs(design).channels
         if design.sensors is None or set(channels) - set(design.sensors.channels):
             raise RigError(
                 f"--limbs takes a [sensors] table in rig.toml with the channels {channels[0]} .. {channels[-1]}"
@@ -114,7 +118,7 @@ def compile_kernels_for_run(design: Design) -> None:
     By measuring one drawn image of a hexapod at home.
     """
     m = design.mechanism
-    if not has_plates(m) or not design.cameras or not any(target.body == "platform" for target in design.targets):
+    if not is_hexapod(m) or not design.cameras or not any(target.body == "platform" for target in design.targets):
         return
     markers, live = marker_map(design), Live(design)
     images = render_marker_images(design.cameras, m.home, markers)
@@ -228,7 +232,7 @@ def run_observer(
         and (has_hand_cameras(design) or any(target.body == "platform" for target in design.targets))
     )
     learner = None
-    if measured and has_plates(design.mechanism):
+    if measured and is_hexapod(design.mechanism):
         shared = 0 if accepted is None else SHARED_DRAWS
         learner = Learner(design.mechanism, options.calibration, options.tolerance, shared)
     observer = RunObserver(design, planned, start, clock, Live(design) if measured else None, learner, stopping)

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration, claim_lines
-from calib.certification.calibration_evidence import calibration_verdict
+from calib.certification.calibration_evidence_verdict_and_claim_check import calibration_verdict
 from calib.certification.held_out_errors import Figures, HeldOut, errors_before_and_after_correction
 from calib.correction.correction import Correction
 from calib.correction.interpolation.gaussian_process import Radial
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import parameter_combinations
 from calib.models.platform.identification import Identified
-from calib.models.platform.parameter_accuracy import parameter_combinations
 from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
@@ -20,7 +20,7 @@ from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
-from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, view_scripts
+from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, view_3d_scripts_if_needed
 from rig.report.pages.image_plane_and_3d_views import view_3d_html as view
 from rig.report.pages.page_templates_and_elements import (
     Link,
@@ -34,7 +34,7 @@ from rig.report.pages.page_templates_and_elements import (
     write_page,
 )
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
-from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.lenses.lens_calibration_from_photographs import Calibrated
 
 
@@ -74,7 +74,15 @@ def write_calibration_page(
     judged = calibration_verdict(calibration)
     write_page(
         path,
-        Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, view_scripts(parts)),
+        Page(
+            "calibrate",
+            f"Calibration from {recording.name}",
+            judged,
+            parts,
+            judged.next,
+            links,
+            view_3d_scripts_if_needed(parts),
+        ),
     )
 
 

@@ -14,9 +14,9 @@ from rig.effects.sketches.motion_effect_sketches import (
     HIGH,
     TIMES,
     Sketch,
-    effect_example,
     enlargement_factor,
     enlargement_text,
+    example_run_with_effect,
     largest_suitable_unit,
     place_and_values_text,
     sketch_hexapod,
@@ -275,7 +275,7 @@ def effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     """
     if kind.stage in MOTION_STAGES:
         return sketches.draw_sketch(kind, factor)
-    way = effect_example(kind, PLACES[kind.places[-1]], factor, _sketch_targets(), _corner_displacement)
+    way = example_run_with_effect(kind, PLACES[kind.places[-1]], factor, _sketch_targets(), _corner_displacement)
     true, found = (_seen(effects, way.t, way.sensors) for effects in ([], [way.effect]))
     by = found[-1] - true[-1]
     much = enlargement_factor(float(np.linalg.norm(by, axis=-1).max()), DRAWN)

@@ -16,10 +16,16 @@ from rig.model.design import Design
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Recording
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Played
-from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_scripts
+from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_elements import Link, Page, heading_html, list_html, write_page
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
-from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, State, Verdict, judge_evidence
+from rig.report.verdict_and_refutations_by_later_recordings import (
+    Evidence,
+    MissingEvidence,
+    State,
+    Verdict,
+    judge_evidence,
+)
 
 
 def write_recording_page(
@@ -75,7 +81,7 @@ def write_recording_page(
             parts,
             _recommended_actions(recording),
             links,
-            view_scripts(parts),
+            view_3d_scripts_if_needed(parts),
         ),
     )
 
@@ -166,6 +172,6 @@ def write_plan_page(path: Path | str, file: str, plan_result: PlanFigures, links
             parts,
             steps if plan_result.verdict.state != State.BAD else [],
             links,
-            view_scripts(parts),
+            view_3d_scripts_if_needed(parts),
         ),
     )

@@ -12,8 +12,8 @@ from calib.certification.calibration_dataclass_and_accuracy_claim_sentences impo
     refutation_sentence,
     verification_line,
 )
-from calib.certification.calibration_evidence import (
-    calibration_evidence,
+from calib.certification.calibration_evidence_verdict_and_claim_check import (
+    calibration_evidence_verdict_and_claim_check,
     evidence_with_confounds,
     evidence_with_verification,
 )
@@ -27,7 +27,7 @@ from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model.design import Design
 from rig.model.pose import pose_to_vector
-from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_scripts
+from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_elements import (
     Link,
     Page,
@@ -38,7 +38,7 @@ from rig.report.pages.page_templates_and_elements import (
     write_page,
 )
 from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
-from rig.report.verdict_and_refutations_of_results import (
+from rig.report.verdict_and_refutations_by_later_recordings import (
     AGREES,
     Evidence,
     MissingEvidence,
@@ -110,7 +110,10 @@ def write_verification_page(path: Path | str, name: str, verified: Verified, lin
         ]
     verdict = verification_verdict(verified)
     write_page(
-        path, Page("verify", f"Verification by {name}", verdict, parts, verdict.next, links, view_scripts(parts))
+        path,
+        Page(
+            "verify", f"Verification by {name}", verdict, parts, verdict.next, links, view_3d_scripts_if_needed(parts)
+        ),
     )
 
 
@@ -127,7 +130,7 @@ def verification_verdict(verified: Verified) -> Verdict:
                 ),
             )
         )
-    known = calibration_evidence(
+    known = calibration_evidence_verdict_and_claim_check(
         verified.calibration,
         verified.refutations,
         verification_line(verified.held, verified.calibration.claim, verified.found),
@@ -157,7 +160,7 @@ def _of_driven(v: Verified) -> Evidence:
         "times the stated standard "
         "uncertainty"
     )
-    known = calibration_evidence(v.calibration, v.refutations, line, (CERTIFY,))
+    known = calibration_evidence_verdict_and_claim_check(v.calibration, v.refutations, line, (CERTIFY,))
     beyond = f"poses are {times:.3g} times the stated standard uncertainty from those wanted"
     if times > FAR:
         return replace(known, refuted=(beyond, *known.refuted), held_out=None)
@@ -247,15 +250,15 @@ def write_visits_page(
     write_page(path, Page("watch", f"Visits to {calibration}", verdict, parts, verdict.next, links))
 
 
-def last_visit_verdict(visits: Sequence[Visit], calibration_evidence: Evidence) -> Verdict:
+def last_visit_verdict(visits: Sequence[Visit], calibration_evidence_verdict_and_claim_check: Evidence) -> Verdict:
     """Verdict of the last visit.
-    calibration_evidence : Evidence of the calibration
+    calibration_evidence_verdict_and_claim_check : Evidence of the calibration
     """
     last, steps = visits[-1], _recommended_actions(visits)
     if not last.evidence.alarm:
         return judge_evidence(
             replace(
-                calibration_evidence,
+                calibration_evidence_verdict_and_claim_check,
                 statement=f"the calibration is valid at visit {len(visits)}, {last.name}",
                 steps=tuple(steps),
             )
@@ -264,19 +267,26 @@ def last_visit_verdict(visits: Sequence[Visit], calibration_evidence: Evidence) 
     if last.allowed:
         return judge_evidence(
             replace(
-                calibration_evidence,
+                calibration_evidence_verdict_and_claim_check,
                 statement=statement,
                 steps=(),
-                unexplained=(first_visit_sentence(last), *calibration_evidence.unexplained),
+                unexplained=(
+                    sentence_on_effect_omitted_by_calibration(last),
+                    *calibration_evidence_verdict_and_claim_check.unexplained,
+                ),
                 look=steps[0],
             )
         )
     beyond = () if last.found is None else (refutation_sentence(last.found),)
     return judge_evidence(
         replace(
-            calibration_evidence,
+            calibration_evidence_verdict_and_claim_check,
             statement=statement,
-            refuted=(change_alarm_sentence(last.evidence), *beyond, *calibration_evidence.refuted),
+            refuted=(
+                change_alarm_sentence(last.evidence),
+                *beyond,
+                *calibration_evidence_verdict_and_claim_check.refuted,
+            ),
             look=steps[0],
         )
     )
@@ -290,8 +300,8 @@ def change_alarm_sentence(changes: Changes) -> str:
     )
 
 
-def first_visit_sentence(visit: Visit) -> str:
-    """Sentence on a first visit that keeps a calibration's claim."""
+def sentence_on_effect_omitted_by_calibration(visit: Visit) -> str:
+    """Sentence that a first visit shows an effect which the calibration omits, its claim not refuted by it."""
     named = visit.evidence.named
     like = "" if named is None else f", likeliest {named.name}"
     return f"the calibration omits an effect{like}, present from the beginning or since; its claim is not refuted by it"

@@ -15,7 +15,7 @@ from rig.errors import NotEnoughData, RigError
 from rig.model.design import Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording
-from rig.recording.recording_tables import Corners, Poses
+from rig.recording.recording_table_loading_and_writing import Corners, Poses
 
 if TYPE_CHECKING:
     from vision.reading.recording_corners import Collected
@@ -227,8 +227,8 @@ def add_stage_measurements(
     return replace(samples, below=(*samples.below, Below(stage, T_base_stage[row], covariance[row], common[row], seen)))
 
 
-def planar_samples(samples: Samples) -> Samples:
-    """Planar samples of a hinge in the plane z = 0: only its position in the plane counts as measured.
+def hinge_position_samples_in_plane(samples: Samples) -> Samples:
+    """Samples of a hinge's position in the plane z = 0: nothing else of its pose counts as measured.
 
     There poses and their covariance are 0: no strut moves the hinge so, and what is seen of it says how the plate sits
     on the hinge.
@@ -325,7 +325,9 @@ def sample_recording(
 
 def planar_samples_of_two_struts(recording: Recording, samples: Samples) -> Samples:
     """Samples of a recording, restricted to the plane where its machine is two struts."""
-    return planar_samples(samples) if recording.design.mechanism.pose_coordinates == (0, 1) else samples
+    return (
+        hinge_position_samples_in_plane(samples) if recording.design.mechanism.pose_coordinates == (0, 1) else samples
+    )
 
 
 def _from_poses(recording: Recording, poses: Poses) -> Samples:

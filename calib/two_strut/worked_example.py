@@ -81,8 +81,8 @@ def _workspace_edge(mechanism: Planar2, count: int = 24) -> Floats:
     return two_strut_plane.forward(x, mechanism).translation[:, :2]
 
 
-def workspace_grid(per_axis: int = 9) -> Floats:
-    """Grid of places (per_axis^2, 2) m all over the middle of the workspace."""
+def hinge_positions_of_command_grid(per_axis: int = 9) -> Floats:
+    """Hinge positions (per_axis^2, 2) m of a grid of commands over the middle of the strokes."""
     levels = (
         NOMINAL.strut_range.mean(axis=1)
         + FILL * np.ptp(NOMINAL.strut_range, axis=1) / 2 * np.linspace(-1, 1, per_axis)[:, None]
@@ -227,7 +227,7 @@ def _between(w: WorkedExample, x: Floats) -> Floats:
 
 
 def _corrected(w: WorkedExample) -> str:
-    wanted = workspace_grid()
+    wanted = hinge_positions_of_command_grid()
     before, after = reached_hinge_positions(None, wanted), reached_hinge_positions(w.correction, wanted)
     middle = _workspace_edge(NOMINAL).mean(axis=0)
 

@@ -241,8 +241,8 @@ def _singular(correction: AnyCorrection, real: MachineReach) -> Floats:
     return np.asarray(values[:, -1] / values[:, 0])
 
 
-def axis_margin_description(correction: AnyCorrection) -> str:
-    """Description of the map's margin to the axis limits, in words."""
+def pose_description_of_axis_margin_map(correction: AnyCorrection) -> str:
+    """Description in words of the poses whose margin to the axis limits the workspace map states."""
     if not has_struts(correction.nominal):
         return "the most that a pose drawn there leaves"
     degrees = np.degrees(pose_to_vector(home_pose(correction.nominal))[3:])

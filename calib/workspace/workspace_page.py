@@ -24,7 +24,7 @@ from rig.report.pages.page_templates_and_elements import (
     write_page,
 )
 from rig.report.pages.plots import panel_row_html
-from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
 
 
 def workspace_lines(workspace: Workspace, unit: str) -> list[str]:
@@ -145,8 +145,11 @@ SINGULAR = Quantity(
 )
 
 
-def axis_margin_quantity(unit: str) -> Quantity:
-    """Quantity of the margin to the axis limits. unit : of an axis, m or rad."""
+def workspace_map_quantity_of_axis_margin(unit: str) -> Quantity:
+    """Quantity to draw on the workspace map: the greatest margin to the nearest axis limit in each cell.
+
+    unit : of an axis, m or rad
+    """
     scale, shown = PLOT_UNITS.get(unit, (1.0, unit))
     return Quantity(
         "room",
@@ -250,7 +253,7 @@ def write_workspace_page(
         *((LOST, GAINED) if workspace.lost is not None else ()),
         POSITION,
         *((ROTATION,) if workspace.turns else ()),
-        axis_margin_quantity(unit),
+        workspace_map_quantity_of_axis_margin(unit),
         SINGULAR,
     ]
     first, *rest = workspace_lines(workspace, unit)

@@ -17,7 +17,7 @@ from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod as kinematics
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.recording_folder import Commands, Recording
-from rig.recording.recording_tables import POSE_COLUMNS
+from rig.recording.recording_table_loading_and_writing import POSE_COLUMNS
 
 LEAST = 6  # frames from which commands are held against poses
 AWAY = 6e-3  # m, RMS of what commands and poses disagree by, beyond which it is no calibration's matter
@@ -98,7 +98,7 @@ def commands_and_measured_poses(
     )
 
 
-def written_pose_columns(recording: Recording) -> Floats:
+def pose_columns_of_poses_csv_as_written(recording: Recording) -> Floats:
     """Pose columns (n, 6) m and rad of poses.csv as written, rotation vectors longer than pi included."""
     return csv_and_parquet_tables_and_time_origin.read_csv_table(recording.folder / "poses.csv", POSE_COLUMNS).matrix(
         POSE_COLUMNS

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.array_and_json_types import Floats, Json
-from rig.checks import implausible_values_and_image_mistakes, mistake_dataclass_and_clock_mistakes
+from rig.checks import implausible_design_values_and_image_mistakes, mistake_dataclass_and_clock_mistakes
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
@@ -39,7 +39,7 @@ def _figures(folder: Path, complaint: str) -> Iterator[Mistake]:
     if "rig.toml" not in complaint:
         return
     tree = tomllib.loads(read_text(folder / "rig.toml"))
-    yield from implausible_values_and_image_mistakes.overlong_rotation_vectors(tree)
+    yield from implausible_design_values_and_image_mistakes.overlong_rotation_vectors(tree)
     for target in tree.get("target", []):
         if (
             isinstance(target.get("marker"), float)

@@ -52,7 +52,7 @@ def arguments(parser: ArgumentParser) -> None:
         "geometry; rig correct compensates them",
     )
     kind.add_argument("--find", action="store_true", help="diagnose this recording first and include the effects found")
-    input_options_and_output_display.add_effects_option(parser)
+    input_options_and_output_display.add_user_effect_files_option(parser)
     parser.add_argument(
         "--quick",
         action="store_true",
@@ -117,7 +117,10 @@ def run(arguments: Namespace) -> None:
     recordings, options = read_recordings(arguments), _options(arguments)
     from calib.api.calibrate import calibrate, has_axis_correction_summands
     from calib.files import calibration_file
-    from rig.cli.shared.measurement_and_calibration_summary import print_calibration, print_verdict
+    from rig.cli.shared.measurement_and_calibration_summary import (
+        print_calibration,
+        print_calibration_verdict_errors_and_corrections,
+    )
 
     out = arguments.outputs.file(arguments.out)
     page = arguments.outputs.stage_file(out, ".html")
@@ -130,7 +133,7 @@ def run(arguments: Namespace) -> None:
         progress("drawing the page", 0, 1)
         result.write_page(page, links)
     progress.close()
-    print_verdict(result)
+    print_calibration_verdict_errors_and_corrections(result)
     if values is not None:
         try:
             result.write_summands(values)

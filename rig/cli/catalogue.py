@@ -23,7 +23,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="where it is written, as Markdown, with a "
         "sketch of each effect in a folder FILE next to it; printed without sketches by default",
     )
-    input_options_and_output_display.add_effects_option(parser)
+    input_options_and_output_display.add_user_effect_files_option(parser)
     add_overwrite_option(parser)
 
 

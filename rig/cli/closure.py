@@ -1,4 +1,4 @@
-"""rig closure: loop closure of redundant limbs: which six give the pose, and how far the others do not close."""
+"""rig closure: check redundant limbs by loop closure: which six give the pose, how far the others do not close."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rig.cli.shared.argument_parser_and_common_options import (
 from rig.cli.shared.input_options_and_output_display import add_recording_argument, read_recording
 
 if TYPE_CHECKING:
-    from calib.api.loop_closures_of_redundant_legs import LoopClosureResult
+    from calib.api.loop_closure_check_of_redundant_legs import LoopClosureResult
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -49,7 +49,7 @@ def run(arguments: Namespace) -> int:
 
     Exit status 1 where one is worse than its errors and geometry allow.
     """
-    from calib.api.loop_closures_of_redundant_legs import LoopClosureOptions, close_loops
+    from calib.api.loop_closure_check_of_redundant_legs import LoopClosureOptions, close_loops
     from calib.files import calibration_file
     from calib.online.measuring_limbs_file import load_limbs
 
@@ -73,7 +73,7 @@ def _print_result(result: LoopClosureResult) -> None:
     """Print which legs give the pose, how each other one closes, and which one leg would explain what does not."""
     import numpy as np
 
-    from calib.api.loop_closures_of_redundant_legs import STRANGE
+    from calib.api.loop_closure_check_of_redundant_legs import STRANGE
 
     legs, found, condition = result.legs, result.closures, result.condition
     print(

@@ -75,7 +75,7 @@ def arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="command X + KSF(X), the method's first step, not the exact fixed point",
     )
-    input_options_and_output_display.add_effects_option(parser)
+    input_options_and_output_display.add_user_effect_files_option(parser)
     add_overwrite_option(parser)
     add_json_result_option(parser)
 
@@ -84,7 +84,7 @@ def run(arguments: Namespace) -> None:
     """Run `rig correct`: write corrected commands for wanted poses, or corrected poses of readings."""
     from calib.api.correct import correct
     from rig.recording.recording_folder import load_wanted_poses
-    from rig.recording.recording_tables import write_poses
+    from rig.recording.recording_table_loading_and_writing import write_poses
 
     if arguments.forward and (
         arguments.uncorrected or arguments.single_step or arguments.skip_unreachable or arguments.sensors
@@ -97,7 +97,7 @@ def run(arguments: Namespace) -> None:
     out = arguments.outputs.file(arguments.out)
     if arguments.forward:
         return _write_read_poses(arguments, calibration, out)
-    input_options_and_output_display.read_refutations(arguments.calibration)
+    input_options_and_output_display.read_and_print_refutations(arguments.calibration)
     wanted = load_wanted_poses(arguments.poses)
     result = correct(calibration, wanted, _options(arguments, wanted))
     result.write(out)

@@ -1,4 +1,4 @@
-"""rig design: write the rig.toml of a new design, from a radius or an arm's name: cubes and cameras placed."""
+"""rig design: create a rig design (rig.toml) with cameras and cubes, from a radius or an arm's name."""
 
 from argparse import ArgumentParser, Namespace
 
@@ -52,7 +52,7 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Run `rig design`: write the rig.toml of a new design."""
     from rig.formats.output_files import write_text
-    from rig.planning.layout.shipped_arm_layout import LayoutOptions, layout_rig_toml
+    from rig.planning.layout.shipped_arm_layout import LayoutOptions, hexapod_two_strut_or_arm_rig_toml
 
     options = LayoutOptions(
         mechanism=arguments.mechanism,
@@ -66,7 +66,7 @@ def run(arguments: Namespace) -> None:
         limbs=arguments.limbs,
         name=arguments.name,
     )
-    text = layout_rig_toml(options)
+    text = hexapod_two_strut_or_arm_rig_toml(options)
     if arguments.out is None:
         print(text, end="")
         return

@@ -22,7 +22,7 @@ from rig.cli.shared.input_options_and_output_display import (
     read_recordings,
 )
 from rig.errors import RigError
-from rig.formats.local_and_remote_input_files import json_files_in_same_folders
+from rig.formats.local_and_remote_input_files import list_json_files_in_same_folders
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def arguments(parser: ArgumentParser) -> None:
         dest="before",
         help="another diagnosis: begin with its findings, each of which must be confirmed here as well",
     )
-    input_options_and_output_display.add_effects_option(parser)
+    input_options_and_output_display.add_user_effect_files_option(parser)
     _add_experiment_options(parser)
     add_overwrite_option(parser)
     add_anyway_option(parser)
@@ -131,7 +131,7 @@ def run(arguments: Namespace) -> None:
             print(f"written: {arguments.next}")
     print(result)
     _print_report(result.report)
-    arguments.outputs.data = frame_selection_and_content_hashes.hash_lines(
+    arguments.outputs.data = frame_selection_and_content_hashes.manifest_lines_of_frame_hashes(
         frame_selection_and_content_hashes.content_hashes_of_frames(result.recording)
     )
     arguments.result = json.loads((out / "diagnosis.json").read_text())
@@ -152,7 +152,7 @@ def _options(arguments: Namespace, recordings: list[Recording]) -> DiagnoseOptio
         effects,
         None if known is None else input_options_and_output_display.load_calibration(known, effects),
         str(known),
-        tuple(json_files_in_same_folders(recordings[0].folder, arguments.out)),
+        tuple(list_json_files_in_same_folders(recordings[0].folder, arguments.out)),
         arguments.anyway,
         _words(arguments),
     )
@@ -175,11 +175,11 @@ def _words(arguments: Namespace) -> tuple[str, ...]:
 def _print_report(report: Report) -> None:
     """Print what was found, the biggest first, and what was held out."""
     from calib.diagnosis.report.report_sentences import (
-        excluded_row_texts,
+        excluded_outlier_texts,
         finding_line,
         formula_suggestion_sentences,
         outliers_not_excluded_sentence,
-        suggested_formula_rows,
+        parameter_rows_of_suggested_formula,
     )
 
     for finding in report.findings:
@@ -189,7 +189,7 @@ def _print_report(report: Report) -> None:
         for other in finding.cannot_be_told_from:
             print(f"  cannot be distinguished from {other.effect} at {other.place}; {other.experiment}")
     for entry in report.suggestions:
-        values = ", ".join(f"{name} {value}" for name, value, _ in suggested_formula_rows(entry))
+        values = ", ".join(f"{name} {value}" for name, value, _ in parameter_rows_of_suggested_formula(entry))
         print(
             f"a formula for it at {entry.place}: {formula_suggestion_sentences(entry)} {values}; `rig "
             "effects --new NAME --from DIR` writes it"
@@ -199,7 +199,7 @@ def _print_report(report: Report) -> None:
         more = f" and {len(report.remarks) - MENTIONED} more" if len(report.remarks) > MENTIONED else ""
         print(f"present, and within tolerances: {places}{more}; see remarks")
     for one in report.left_out[:MENTIONED]:
-        frame, place, off, _ = excluded_row_texts(one)
+        frame, place, off, _ = excluded_outlier_texts(one)
         print(f"left out: frame {frame}, {place}: {off}")
     if len(report.left_out) > MENTIONED:
         print(f"left out: {len(report.left_out) - MENTIONED} more outlying rows; see left_out")

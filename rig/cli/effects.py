@@ -14,7 +14,7 @@ def arguments(parser: ArgumentParser) -> None:
     """Add the arguments of `rig effects` to a parser."""
     parser.add_argument("name", metavar="NAME", nargs="?", help="one of them in full; without it a table of all")
     add_json_option(parser)
-    input_options_and_output_display.add_effects_option(parser)
+    input_options_and_output_display.add_user_effect_files_option(parser)
     parser.add_argument(
         "--new", metavar="NAME", help="write a file with a user-defined effect, to be edited and passed to --effects"
     )
@@ -66,13 +66,13 @@ def run(arguments: Namespace) -> None:
 
 def _new(arguments: Namespace) -> None:
     """Write a file with a new effect: as a diagnosis suggests it, or an example."""
-    from rig.effects.texts.effect_file_from_formula import new_effect
+    from rig.effects.texts.effect_file_from_formula import new_effect_from_suggestion_or_example
     from rig.formats.output_files import write_text
 
     if arguments.name is not None or arguments.json:
         raise RigError("--new writes a file; omit NAME and --json")
     path = Path(f"{arguments.new}.py") if arguments.out is None else arguments.out
-    made = new_effect(arguments.new, path, arguments.source, arguments.place)
+    made = new_effect_from_suggestion_or_example(arguments.new, path, arguments.source, arguments.place)
     write_text(arguments.outputs.file(path), made.source)
     print(f"written: {path}, {made}")
     print(f"rig diagnose REC --out DIR --effects {path}")

@@ -1,4 +1,8 @@
-"""rig export: export a calibrated geometry to other formats: genhexkins, URDF, SDF, LinuxCNC, JSON, CSV, a grid."""
+"""rig export: write a calibrated geometry, lenses or a recording in the formats of other programs.
+
+Formats: genhexkins, URDF, SDF, LinuxCNC, JSON, CSV, a grid; of lenses OpenCV and ROS; of a recording TUM and
+Parquet.
+"""
 
 from __future__ import annotations
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from rig.cli.shared import input_options_and_output_display
 from rig.cli.shared.argument_parser_and_common_options import (
     add_json_result_option,
-    add_port_options,
+    add_port_and_trace_options,
     add_speed_option,
-    add_trust_option,
+    add_trust_unhomed_position_option,
     require_share,
 )
 from rig.errors import RigError
@@ -41,9 +41,9 @@ def arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--dry-run", action="store_true", help="print what would be commanded, and move nothing")
     add_speed_option(parser, 1.0)
-    add_trust_option(parser)
-    input_options_and_output_display.add_effects_option(parser)
-    add_port_options(parser)
+    add_trust_unhomed_position_option(parser)
+    input_options_and_output_display.add_user_effect_files_option(parser)
+    add_port_and_trace_options(parser)
     add_json_result_option(parser)
 
 
@@ -56,7 +56,7 @@ def run(arguments: Namespace) -> None:
     require_share(arguments.speed)
     design = design_with_controller_port(arguments.rig, arguments.port)
     calibration = input_options_and_output_display.calibration_of_arguments(arguments)
-    input_options_and_output_display.read_refutations(arguments.calibration)
+    input_options_and_output_display.read_and_print_refutations(arguments.calibration)
     require_same_rig(design, calibration, arguments.rig, arguments.calibration)
     move = plan_pose_move(design, calibration, parse_pose(arguments.pose), arguments.uncorrected)
     _print_plan(move)

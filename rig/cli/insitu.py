@@ -1,4 +1,7 @@
-"""rig insitu: test measuring limbs in situ against vision; accepted ones are saved to replace it."""
+"""rig insitu: calibrate measuring limbs in place and check them against vision; accepted ones are saved.
+
+Accepted limbs can replace vision as the source of poses.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
     from calib.api.measuring_limb_acceptance_and_platform_poses import LimbAcceptance
-    from calib.certification.measuring_limb_calibration_and_slips import Agreement
+    from calib.certification.measuring_limb_calibration_agreement_with_vision_and_slips import Agreement
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -122,7 +125,7 @@ def _print_checks(result: LimbAcceptance) -> None:
 
 def _print_agreement(found: Agreement, source: str) -> None:
     """Print how far each axis agrees with vision, against its tolerance."""
-    from calib.certification.measuring_limb_calibration_and_slips import AXES, MOVES
+    from calib.certification.measuring_limb_calibration_agreement_with_vision_and_slips import AXES, MOVES
 
     print(
         f"measuring limbs minus vision ({source}), {found.n} poses, each by limbs fitted to other stretches; "

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rig.cli.shared.argument_parser_and_common_options import (
     add_controller_arguments,
     add_speed_option,
-    add_trust_option,
+    add_trust_unhomed_position_option,
     require_share,
 )
 from rig.errors import PositionLost, RigError
@@ -37,7 +37,7 @@ def arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="clear the controller's alarm first; its position is then trusted with --trust only",
     )
-    add_trust_option(parser)
+    add_trust_unhomed_position_option(parser)
 
 
 def run(arguments: Namespace) -> None:

@@ -33,7 +33,7 @@ def run(arguments: Namespace) -> None:
     """Run `rig kinematics`: print forward or inverse kinematics of an arm."""
     from calib.api.arm_kinematics import load_arm_kinematics
     from rig.formats import csv_and_parquet_tables_and_time_origin
-    from rig.recording import recording_tables
+    from rig.recording import recording_table_loading_and_writing
 
     machine = load_arm_kinematics(arguments.arm)
     if machine.left_out is not None:
@@ -42,7 +42,7 @@ def run(arguments: Namespace) -> None:
         rows = csv_and_parquet_tables_and_time_origin.read_csv_table(arguments.forward, ("frame", *machine.arm.axes))
         tree = machine.forward(rows.whole("frame"), rows.matrix(machine.arm.axes), arguments.steps)
     else:
-        poses = recording_tables.load_poses(arguments.inverse)
+        poses = recording_table_loading_and_writing.load_poses(arguments.inverse)
         tree = machine.inverse(poses.frame, poses.T_base_platform, arguments.steps)
     if arguments.json:
         print_json(tree)

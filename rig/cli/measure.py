@@ -19,7 +19,7 @@ from rig.cli.shared.input_options_and_output_display import (
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    from calib.online.platform_poses_from_measuring_limbs import LimbSource
+    from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbSource
     from rig.recording.recording_folder import Recording
 
 
@@ -65,7 +65,7 @@ def run(arguments: Namespace) -> None:
     )
     with frame_selection_and_content_hashes.start_content_hashing(recording) as marks:
         result = measure(recording, options, progress, notice_printer(progress))
-        arguments.outputs.data = frame_selection_and_content_hashes.hash_lines(marks())
+        arguments.outputs.data = frame_selection_and_content_hashes.manifest_lines_of_frame_hashes(marks())
     result.write(out)
     write_measurement_page(out / "report.html", result, page_links(arguments, arguments.out / "report.html"))
     arguments.result = result.tree()
@@ -94,7 +94,7 @@ def _by_limbs(arguments: Namespace, recording: Recording, limbs: LimbSource, pro
 
     out = arguments.outputs.folder(arguments.out)
     found = measure_poses_by_limbs(recording, limbs, arguments.anyway, progress, notice_printer(progress))
-    arguments.outputs.data = frame_selection_and_content_hashes.hash_lines(
+    arguments.outputs.data = frame_selection_and_content_hashes.manifest_lines_of_frame_hashes(
         frame_selection_and_content_hashes.content_hashes_of_frames(recording)
     )
     found.write(out)

@@ -1,4 +1,4 @@
-"""rig new: write a new rig.toml from four questions or options."""
+"""rig new: create a starting rig.toml in a folder, from four questions or options."""
 
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
@@ -43,7 +43,11 @@ def run(arguments: Namespace) -> None:
     Prompts for missing values and prints next steps. Raises RigError where something must be asked and nobody is there.
     """
     from rig.formats.output_files import write_text
-    from rig.planning.layout.shipped_arm_layout import LayoutOptions, layout_rig_toml, shipped_arm_names
+    from rig.planning.layout.shipped_arm_layout import (
+        LayoutOptions,
+        hexapod_two_strut_or_arm_rig_toml,
+        shipped_arm_names,
+    )
 
     out = arguments.out / "rig.toml"
     there = arguments.out.is_dir()
@@ -66,7 +70,7 @@ def run(arguments: Namespace) -> None:
         options, seen = LayoutOptions(arm=name), "its poses come from an instrument; see [instrument] in it"
     else:
         options, seen = _strut_options(arguments, kind)
-    text = layout_rig_toml(options)
+    text = hexapod_two_strut_or_arm_rig_toml(options)
     if place is None:
         arguments.out.mkdir()
         place = arguments.outputs.file(out)

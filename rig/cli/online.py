@@ -27,7 +27,7 @@ from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
     from calib.api.learn import LearningResult, LearnOptions
-    from calib.online.platform_poses_from_measuring_limbs import LimbSource
+    from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbSource
 
 FILTER = "filter"  # the learner of calib.online.information_filter
 SETTINGS = {"forgetting": "kept", "drifting": "drift", "first-order": "step"}
@@ -124,7 +124,7 @@ def _options(arguments: Namespace, limbs: LimbSource | None) -> LearnOptions:
         arguments.state,
         None if start is None else calibration_file.load(start),
         str(start),
-        () if start is None else input_options_and_output_display.read_refutations(start),
+        () if start is None else input_options_and_output_display.read_and_print_refutations(start),
         arguments.learner,
         getattr(arguments, SETTINGS.get(arguments.learner, ""), None),
         limbs,

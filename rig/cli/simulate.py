@@ -55,7 +55,7 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="NAME:PLACE:PARAMETER=VALUE,..",
         help="unmodelled effect; may be repeated",
     )
-    input_options_and_output_display.add_effects_option(parser)
+    input_options_and_output_display.add_user_effect_files_option(parser)
     parser.add_argument(
         "--noise", type=parse_number, default=0.04, metavar="PX", help="of corners, standard deviation (default 0.04)"
     )

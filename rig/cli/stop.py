@@ -22,10 +22,10 @@ def run(arguments: Namespace) -> None:
     """
     from rig.driving.clock import SystemClock
     from rig.driving.controller_lock import stop_lock_holder
-    from rig.driving.urgent_stop import stated_address, urgently_stopped
+    from rig.driving.urgent_stop import controller_address_in_rig_toml, urgently_stopped_controller
 
     clock = SystemClock()
-    address = stated_address(arguments.design, arguments.port)
+    address = controller_address_in_rig_toml(arguments.design, arguments.port)
     if address is None:
         from rig.driving.driver_opening_and_settled_status import design_with_controller_port
         from rig.driving.urgent_stop import address_of_controller
@@ -34,7 +34,7 @@ def run(arguments: Namespace) -> None:
     other = stop_lock_holder(address.port, clock, PATIENCE, address.usb)
     if other is not None:
         print(f"process {other}, which drove them, was stopped")
-    with urgently_stopped(address, clock) as stopped:
+    with urgently_stopped_controller(address, clock) as stopped:
         from rig.cli.shared.run_display_and_controller_status import print_status
         from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
 

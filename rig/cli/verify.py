@@ -18,7 +18,7 @@ from rig.cli.shared.argument_parser_and_common_options import (
     print_json,
 )
 from rig.cli.shared.input_options_and_output_display import Progress, add_recording_argument, read_recording
-from rig.report.verdict_and_refutations_of_results import exit_status
+from rig.report.verdict_and_refutations_by_later_recordings import exit_status
 
 if TYPE_CHECKING:
     from calib.api.verify_and_watch import VerificationResult
@@ -31,7 +31,7 @@ def arguments(parser: ArgumentParser) -> None:
     add_recording_argument(parser)
     add_json_option(parser)
     add_page_option(parser)
-    input_options_and_output_display.add_effects_option(parser)
+    input_options_and_output_display.add_user_effect_files_option(parser)
     parser.add_argument(
         "--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were intended to take"
     )
@@ -43,8 +43,8 @@ def run(arguments: Namespace) -> int:
     Exit status 3 where the verdict is bad.
     """
     from calib.api.verify_and_watch import verify
-    from rig.recording.recording_tables import load_poses
-    from rig.report.verdict_and_refutations_of_results import refutations_of_file
+    from rig.recording.recording_table_loading_and_writing import load_poses
+    from rig.report.verdict_and_refutations_by_later_recordings import refutations_of_file
 
     progress = Progress()
     progress("reading the recording", 0, 1)

@@ -28,7 +28,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Run `rig workspace`: map the workspace of a calibration and print what it changes."""
-    from calib.api.workspace import analyse_workspace
+    from calib.api.workspace_change_by_calibration import analyse_workspace
 
     out = arguments.out
     if out is not None and out.suffix:

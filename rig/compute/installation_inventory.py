@@ -46,9 +46,9 @@ def installation_inventory() -> list[InventoryItem]:
         check_graphics(),
         list_cameras(),
         list_genicam_producers(),
-        list_serial_ports(),
-        *free_disk_space(),
-        thread_limits(),
+        list_serial_ports_and_access_rights(),
+        *free_working_and_temporary_disk_space(),
+        usable_cores_and_thread_environment_variables(),
     ]
 
 
@@ -127,7 +127,7 @@ def list_genicam_producers() -> InventoryItem:
     )
 
 
-def list_serial_ports() -> InventoryItem:
+def list_serial_ports_and_access_rights() -> InventoryItem:
     """List serial ports, and whether this user may open them."""
     from serial.tools import list_ports
 
@@ -149,7 +149,7 @@ def list_serial_ports() -> InventoryItem:
     )
 
 
-def free_disk_space() -> Iterator[InventoryItem]:
+def free_working_and_temporary_disk_space() -> Iterator[InventoryItem]:
     """Free disk space in the working folder and in the folder of temporary files."""
     for name, folder in (("space here", Path.cwd()), ("temporary space", Path(tempfile.gettempdir()))):
         free = shutil.disk_usage(folder).free
@@ -165,8 +165,8 @@ def free_disk_space() -> Iterator[InventoryItem]:
         yield InventoryItem(name, "ok" if not todo else "absent", text, todo)
 
 
-def thread_limits() -> InventoryItem:
-    """Limits of threads: cores that this process may use, and environment variables."""
+def usable_cores_and_thread_environment_variables() -> InventoryItem:
+    """Cores that this process may use, and environment variables that limit its threads."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     limits = [f"{name}={os.environ[name]}" for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS") if name in os.environ]
     return InventoryItem(

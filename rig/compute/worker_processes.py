@@ -41,7 +41,7 @@ class WorkerEnded(RigError):
 
 
 @contextmanager
-def limit_workers(count: int | None) -> Iterator[None]:
+def temporary_worker_limit(count: int | None) -> Iterator[None]:
     """Context manager: limit the number of worker processes to `count`; None sets no limit."""
     global _asked
     before, _asked = _asked, _asked if count is None else count
@@ -52,7 +52,7 @@ def limit_workers(count: int | None) -> Iterator[None]:
 
 
 def worker_count() -> int:
-    """Number of worker processes: the limit set by `limit_workers`, else the CPU cores, OMP_NUM_THREADS at most."""
+    """Number of worker processes: the limit that is set, else the CPU cores, OMP_NUM_THREADS at most."""
     if _asked is not None:
         return _asked
     limit = os.environ.get("OMP_NUM_THREADS", "")

@@ -1,4 +1,7 @@
-"""Limits that a controller itself has (travel, speed, acceleration), held against those that a rig.toml states."""
+"""Limits that a controller itself has (travel, speed, acceleration), and the check of moves against them.
+
+Also warnings where they are tighter than the rig.toml's.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path

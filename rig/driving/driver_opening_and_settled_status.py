@@ -7,14 +7,14 @@ from pathlib import Path
 
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_lock import ControllerLock
-from rig.driving.controller_requests_and_answers import Port
 from rig.driving.controller_status_and_operator_advice import ControllerStatus
+from rig.driving.request_and_answer_exchange_with_controller import Port
 from rig.driving.serial_port import SerialPort, find_usb_port
 from rig.driving.strut_driver import Driver
 from rig.driving.urgent_stop import StoppedController
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_file
-from rig.model.controller_port_names import port_problem
+from rig.model.controller_protocol_list_and_port_name_check import port_problem
 from rig.model.design import Design
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
-from rig.driving.controller_requests_and_answers import Port
+from rig.driving.request_and_answer_exchange_with_controller import Port
 from rig.driving.serial_port import SerialPort
 from rig.errors import NoAnswer
 from rig.formats.number_parsing_and_rounding import parse_numbers

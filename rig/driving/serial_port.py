@@ -13,7 +13,7 @@ from serial.tools import list_ports
 
 from rig.driving.clock import Clock
 from rig.errors import LinkLost
-from rig.model.controller_port_names import port_problem
+from rig.model.controller_protocol_list_and_port_name_check import port_problem
 
 PATIENCE = 2.0  # s that a write may take
 MOST = 4096  # bytes of a read
@@ -34,7 +34,7 @@ def _there(url: str) -> str:
 
 
 class SerialPort:
-    """See rig.driving.controller_requests_and_answers.Port. url : as port_problem accepts it; baudrate : for
+    """A Port (see request_and_answer_exchange_with_controller). url : as port_problem accepts it; baudrate : for
     devices; clock : tells until when to wait.
 
     A device is opened for this process alone: locked as pyserial and others do, and by TIOCEXCL, which no user but root

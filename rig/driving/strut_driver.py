@@ -12,7 +12,6 @@ from rig.array_and_json_types import Floats
 from rig.driving import protocols, straight_move_profile
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_limits import ControllerLimits, limit_warnings, limits_of_linuxcnc_ini
-from rig.driving.controller_requests_and_answers import Link, Port
 from rig.driving.controller_status_and_operator_advice import (
     ANEW,
     CANNOT_HOME,
@@ -23,6 +22,7 @@ from rig.driving.controller_status_and_operator_advice import (
     operator_advice,
 )
 from rig.driving.protocols.protocol_interface import Dialogue, Segment, State, Verdict
+from rig.driving.request_and_answer_exchange_with_controller import Link, Port
 from rig.driving.serial_port import SerialPort, find_usb_port
 from rig.driving.straight_move_profile import straight_move_segment
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable

@@ -14,7 +14,7 @@ from rig.driving.clock import Clock
 from rig.driving.controller_lock import ControllerLock
 from rig.driving.serial_port import SerialPort, find_usb_port
 from rig.errors import RigError
-from rig.model.controller_port_names import PROTOCOLS
+from rig.model.controller_protocol_list_and_port_name_check import PROTOCOLS
 
 if TYPE_CHECKING:
     from rig.model.design import Controller
@@ -54,8 +54,11 @@ class StoppedController:
     t: float
 
 
-def stated_address(path: Path, port: str | None) -> ControllerAddress | None:
-    """Address that a rig.toml states, None where it cannot be read as text alone. port : in place of the stated one"""
+def controller_address_in_rig_toml(path: Path, port: str | None) -> ControllerAddress | None:
+    """ControllerAddress that a rig.toml states, None where it cannot be read as text alone.
+
+    port : in place of the stated one
+    """
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8")).get("controller")
     except (OSError, ValueError):
@@ -82,8 +85,10 @@ def address_of_controller(controller: "Controller") -> ControllerAddress:
 
 
 @contextmanager
-def urgently_stopped(address: ControllerAddress, clock: Clock) -> Iterator[StoppedController]:
-    """A controller that nobody drives, its lock held and its urgent stop sent; the port closes at the end.
+def urgently_stopped_controller(address: ControllerAddress, clock: Clock) -> Iterator[StoppedController]:
+    """Context manager of a StoppedController: its lock held, its urgent stop sent, its port closed at the end.
+
+    Nobody else drives it meanwhile.
 
     Raises RigError where another process drives it, LinkLost where its port does not open.
     """

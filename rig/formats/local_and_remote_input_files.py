@@ -265,7 +265,7 @@ def require_schema(
     raise FileError(path, f"is no {file_kind}: its schema is {shown}, not {names}", *place)
 
 
-def json_files_in_same_folders(*places: Path) -> list[Path]:
+def list_json_files_in_same_folders(*places: Path) -> list[Path]:
     """JSON files in the same folders as the given paths, each once."""
     folders = {place.resolve().parent for place in places}
     return sorted(path for folder in folders if folder.is_dir() for path in folder.glob("*.json"))

@@ -1,7 +1,4 @@
-"""Design of a rig as its owner states it: mechanism, platform, controller, cameras and targets.
-
-With the markers on targets, warps of a camera's image, and printed edges moved inward.
-"""
+"""Design of a rig as its owner states it: mechanism, platform, controller, cameras and targets."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.model.controller_port_names import PROTOCOLS as PROTOCOLS
+from rig.model.controller_protocol_list_and_port_name_check import PROTOCOLS as PROTOCOLS
 from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2, freeze_array
 
 
@@ -24,7 +21,7 @@ class Controller:
     usb : serial number or hardware id by which to find the port again, or ""
     axes : the controller's names of the axes, in the mechanism's order, () for the protocol's own
     homing : whether the controller can home; without, the position that it reads at the start is believed
-    zero : (n,) m, an axis's length where the controller reads 0; home : (n,) m, lengths after homing, None if not stated
+    zero : (n,) m, an axis's length where the controller reads 0; home : (n,) m, lengths after homing, or None
     max_speed : (n,) m/s; max_acceleration : (n,) m/s^2, None for what the controller itself allows
     tolerance : m, of a read-back; max_step : m, largest change of one axis in a move, None for any
     margin : smallest share that the Jacobian's least singular value may have of its value at home

@@ -169,11 +169,16 @@ def _with_rates(
     before, at, after = np.split(back, 3)
     T = done.T_base_platform
     return MachineRun(
-        T[at], done.deviation[at], *pose_rates(T[at], T[before], T[after]), tuple(stage[at] for stage in done.stages)
+        T[at],
+        done.deviation[at],
+        *pose_rates_and_curvatures(T[at], T[before], T[after]),
+        tuple(stage[at] for stage in done.stages),
     )
 
 
-def pose_rates(T: RigidTransform, before: RigidTransform, after: RigidTransform) -> tuple[Floats, Floats]:
+def pose_rates_and_curvatures(
+    T: RigidTransform, before: RigidTransform, after: RigidTransform
+) -> tuple[Floats, Floats]:
     """Rates (n, 6) per s of poses T (n,), and curvatures (n, 6), from poses shortly before and after."""
     minus, plus = pose_difference(T, before), pose_difference(T, after)
     return (plus - minus) / (2 * ABOUT), (plus + minus) / ABOUT**2

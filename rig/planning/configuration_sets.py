@@ -149,7 +149,7 @@ def single_axis_pose_moves(design: Design, per_axis: int = 9) -> Floats:
     return _through_home(mechanism, np.eye(6), per_axis)
 
 
-def translation_rotation_moves(design: Design, per_pair: int = 6) -> Floats:
+def moves_combining_translation_and_rotation(design: Design, per_pair: int = 6) -> Floats:
     """Commands (18 per_pair, 6) of moves that combine a translation and a rotation through home.
 
     Raises RigError for a mechanism that is not a hexapod
@@ -192,10 +192,11 @@ def _reach(mechanism: Hexapod, ways: Floats) -> Floats:
     return low
 
 
-def iso9283_test_commands(design: Design) -> Floats:
-    """Commands (5, 6) of the test poses P1 to P5 of ISO 9283. Raises RigError.
-    Raises RigError for a mechanism that is not a hexapod. diagonals of a plane through four of its corners, a tenth of
-    the diagonal from each.
+def iso9283_five_test_pose_commands(design: Design) -> Floats:
+    """Commands (5, 6) of the test poses P1 to P5 of ISO 9283, each once.
+
+    P1 is the middle of a cube; P2 to P5 lie on the diagonals of a plane through four of its corners, a tenth of the
+    diagonal from each.
     Raises RigError for a mechanism that is not a hexapod.
     """
     mechanism = _hexapod(design, "ISO 9283's poses are planned for hexapods")

@@ -16,18 +16,18 @@ from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.design_comparison_and_cube_remounting import find_cube
+from rig.model.design_comparison_and_cube_turning_instructions import find_cube
 from rig.planning.configuration_sets import (
     FILL,
     divided_grid_configurations,
     grid_configurations,
-    iso9283_test_commands,
+    iso9283_five_test_pose_commands,
+    moves_combining_translation_and_rotation,
     parse_grid_division,
     scale_to_strokes,
     simplex_configurations,
     single_axis_pose_moves,
     sobol_configurations,
-    translation_rotation_moves,
 )
 from rig.planning.plan_construction_and_table import (
     MOST,
@@ -273,7 +273,7 @@ def _turn(writer: PlanWriter, design: Design, cube: str, rng: np.random.Generato
 
 def _iso9283(writer: PlanWriter, design: Design, cycles: int, rng: np.random.Generator) -> None:
     """ISO 9283's five poses, one after the other and that thirty times: accuracy and repeatability of poses."""
-    poses = iso9283_test_commands(design)
+    poses = iso9283_five_test_pose_commands(design)
     for _ in range(cycles or 30):
         for goal in poses[::-1]:
             writer.settle(goal)
@@ -304,7 +304,7 @@ PARTS: dict[str, Callable[..., None]] = {
     "grid": _visit(lambda design, count, rng: grid_configurations(axis_strokes(design), count or 2)),
     "simplices": _visit(lambda design, count, rng: simplex_configurations(axis_strokes(design), count or 2)),
     "axes": _visit(lambda design, count, rng: single_axis_pose_moves(design, count or 9)),
-    "combined": _visit(lambda design, count, rng: translation_rotation_moves(design, count or 6)),
+    "combined": _visit(lambda design, count, rng: moves_combining_translation_and_rotation(design, count or 6)),
     "ladder": _ladder,
     "payload": _payload,
     "moving": _moving,

@@ -13,13 +13,13 @@ from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin, parse
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.design_comparison_and_cube_remounting import COLUMN, QUARTERS, find_cube
+from rig.model.design_comparison_and_cube_turning_instructions import COLUMN, QUARTERS, find_cube
 from rig.planning.visiting_order_and_approach_decorrelated_from_position import (
     balanced_approach_lengths,
     time_balanced_order,
 )
 from rig.recording.recording_folder import PAYLOAD, Commands
-from rig.recording.recording_tables import write_table
+from rig.recording.recording_table_loading_and_writing import write_table
 
 DWELL = 2.0  # s at a configuration before its exposure
 AFTER = 1.0  # s at it after the exposure

@@ -22,7 +22,7 @@ from rig.posture.arm_force_transmission_and_exertable_wrench import (
 )
 from rig.posture.null_space_search import SearchResult
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import write_table
+from rig.recording.recording_table_loading_and_writing import write_table
 from rig.report.pages.page_templates_and_elements import result_html
 
 STARTS = 24  # joint solutions of the pose from which self-motions are searched for
@@ -185,7 +185,7 @@ def _best_of_searches(
     """
     objective, fixed, above = options.maximised, options.fixed, options.above
     if null_space_search.redundant_joint_count(arm, fixed) < 1 and isinstance(objective, ExertionObjective):
-        found = {"solutions": null_space_search.postures_without_search(starts, arm, objective)}
+        found = {"solutions": null_space_search.given_postures_as_search_result(starts, arm, objective)}
         return found, "solutions", int(found["solutions"].value.argmax())
     found = {"gradient": null_space_search.gradient_search(starts, arm, objective, fixed, above)}
     if above is not None:

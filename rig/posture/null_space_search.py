@@ -49,7 +49,9 @@ class SearchResult:
     steps: int
 
 
-def postures_without_search(q: Floats, arm: Arm, objective: TransmissionObjective | ExertionObjective) -> SearchResult:
+def given_postures_as_search_result(
+    q: Floats, arm: Arm, objective: TransmissionObjective | ExertionObjective
+) -> SearchResult:
     """Postures q (m, n) rad as they are, as a SearchResult, without a search.
 
     Raises RigError outside the joint limits.

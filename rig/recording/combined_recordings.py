@@ -15,9 +15,12 @@ from rig.array_and_json_types import Integers
 from rig.errors import RigError
 from rig.formats import local_and_remote_input_files
 from rig.model.design import Camera, Design, Target
-from rig.model.design_comparison_and_cube_remounting import design_contradictions, same_lens
+from rig.model.design_comparison_and_cube_turning_instructions import (
+    design_contradictions,
+    same_camera_apart_from_pose_and_source,
+)
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording, RecordingPart, Sensors
-from rig.recording.recording_tables import Corners, Exposures, Poses
+from rig.recording.recording_table_loading_and_writing import Corners, Exposures, Poses
 
 GAP = 60.0  # s on the common timeline between the end of a recording and the next one's beginning
 HELD = 30.0  # s of it for which the axes are where the next recording begins
@@ -69,7 +72,9 @@ def camera_owner_recordings(recordings: Sequence[Recording]) -> Owners:
 
 def _is(recording: Recording, camera: Camera, owners: dict[str, int], number: int) -> bool:
     """Whether a camera of a recording (its number) came to stand there in it, and is stated like this one."""
-    return owners.get(camera.name) == number and same_lens(recording.design.camera(camera.name), camera)
+    return owners.get(camera.name) == number and same_camera_apart_from_pose_and_source(
+        recording.design.camera(camera.name), camera
+    )
 
 
 def join_recordings(recordings: Sequence[Recording], owners: Owners) -> Recording:

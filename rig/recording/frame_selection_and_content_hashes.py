@@ -32,7 +32,7 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.output_files.atomic_file_and_manifest import file_digest, load_manifest
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import LIMB, Recording
-from rig.recording.recording_tables import Poses
+from rig.recording.recording_table_loading_and_writing import Poses
 
 FRAME = re.compile(r"\s*([0-9]{1,18})(?:\s*-\s*([0-9]{1,18}))?\s*")
 
@@ -174,8 +174,8 @@ def _marks(recording: Recording, digests: dict[Path, str]) -> Marks:
     return {frame: frozenset(own) for frame, own in out.items()}
 
 
-def hash_lines(hashes: Marks) -> tuple[str, ...]:
-    """Lines of hashes for a manifest, "frame hash" each."""
+def manifest_lines_of_frame_hashes(hashes: Marks) -> tuple[str, ...]:
+    """Manifest lines of frames' hashes, "frame hash" each."""
     return tuple(f"{frame} {mark}" for frame, own in sorted(hashes.items()) for mark in sorted(own))
 
 

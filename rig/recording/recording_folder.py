@@ -1,4 +1,4 @@
-"""Recording folder read into arrays (Recording): commands, exposures, sensors, corners, poses, checked."""
+"""Loading of a recording's folder into arrays (Recording): commands, exposures, sensors, corners, poses; checked."""
 
 import re
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from rig.formats.rig_toml import design_file
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
 from rig.recording.image_file_check_and_reading import UnreadableImage
-from rig.recording.recording_tables import (
+from rig.recording.recording_table_loading_and_writing import (
     Corners,
     Exposures,
     Poses,

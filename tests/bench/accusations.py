@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.checks import Mistake
-from rig.checks.implausible_values_and_image_mistakes import recording_file_mistakes
+from rig.checks.implausible_design_values_and_image_mistakes import mistakes_found_without_looking_at_images
 from rig.formats.rig_toml import design_file
 from rig.model.design import Camera
 from rig.model.pose import exp
@@ -69,7 +69,10 @@ def setup(number: int, folder: Path, frames: int | None = None) -> Setup:
         f"{number}: radius {radius:.2f} m, {count} cameras {width}x{height}, {cubes} cubes, {frames} frames, "
         f"noise {noise:.2f} px" + (", no lens stated" if lensless else "")
     )
-    return Setup(words, (*recording_file_mistakes(read), *find_corner_mistakes(read, read.corners, thorough=True)))
+    return Setup(
+        words,
+        (*mistakes_found_without_looking_at_images(read), *find_corner_mistakes(read, read.corners, thorough=True)),
+    )
 
 
 def _real(camera: Camera, rng: np.random.Generator, lensless: bool, size: float) -> Camera:

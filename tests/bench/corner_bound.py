@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from tests.vision.exact_pictures import camera, picture, quad
-from vision.corners.marker_detection import fit_read_markers
+from vision.corners.marker_detection_and_corner_fit import fit_read_markers
 from vision.corners.whole_image_marker_reader import ReadMarkers
 
 NAME = "DICT_5X5_100"

@@ -24,7 +24,7 @@ from tests.bench import corner_bound
 from tests.cli import RIG
 from tests.conftest import SHARED
 from tests.vision.drawn_observations import nees, scene
-from vision.corners.marker_detection import detect_markers
+from vision.corners.marker_detection_and_corner_fit import detect_markers
 from vision.predict import marker_map
 from vision.recording_adjustment import measure_observations
 

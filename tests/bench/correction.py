@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from calib.correction.correction import Correction, require_reachable
-from calib.correction.interpolation.grid import Simplex
+from calib.correction.interpolation.interpolation_on_grid_of_samples import Simplex
 from rig.model.mechanisms import hexapod
 from tests.bench.forward_kinematics import mechanism_of_bench
 

@@ -15,7 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from calib.diagnosis.effect_signal_and_separation import platform_effect_signal_to_noise
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report, write_diagnosis_folder
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
+    diagnosis_report,
+    write_diagnosis_json_and_simulation_files,
+)
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
@@ -172,7 +175,7 @@ def diagnosed(recorded: Recording, sampled: Sampled, out: Path) -> Path:
     """The diagnosis.json of a recording that was measured before."""
     out.mkdir(parents=True, exist_ok=True)
     found = diagnosis_of(recorded, sampled=sampled)
-    write_diagnosis_folder(out, found, recorded, diagnosis_report(found))
+    write_diagnosis_json_and_simulation_files(out, found, recorded, diagnosis_report(found))
     return out / "diagnosis.json"
 
 

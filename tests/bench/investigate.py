@@ -16,7 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.api.next_experiment import Experiment, available_plans, choose_experiment, evaluate_experiment
+from calib.api.next_experiment import (
+    Experiment,
+    available_plans,
+    evaluate_experiment,
+    ranked_experiments_and_excluded_plans,
+)
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_questions_and_information import NAME
 from calib.experiment.platform_questions import platform_questions as questions
@@ -30,7 +35,7 @@ from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
 from synthetic import recording_simulation, secret_machine
 from tests.calib.diagnose_recording import diagnosis_of
-from vision.combined_recordings import combine_recordings
+from vision.recording_combination_and_moved_cameras import combine_recordings
 
 NOISE, LOOKS, BUDGET = 0.04, 8, 120.0  # px; recordings at the most; min
 AT_RANDOM = 4  # recordings at the most that random plans have: what they would have needed is understated
@@ -130,7 +135,9 @@ def settle(case, first, found, pick, looks=LOOKS) -> tuple[Diagnosis, int, float
 
 def best(design) -> Callable[..., Experiment | None]:
     def chosen(asked, number, left):
-        found, _ = choose_experiment(asked, design, available_plans(("payload", "wait"), False), number, left)
+        found, _ = ranked_experiments_and_excluded_plans(
+            asked, design, available_plans(("payload", "wait"), False), number, left
+        )
         return found[0] if found and found[0].bits > 0.01 else None
 
     return chosen

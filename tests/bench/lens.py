@@ -28,7 +28,7 @@ from vision.bundle.marker_displacements import compare_stated_and_adjusted_place
 from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated, update_estimate
 from vision.corner_observations import observations_from_corners, whitener_of_observations
-from vision.corners.marker_detection import detect_markers
+from vision.corners.marker_detection_and_corner_fit import detect_markers
 from vision.lenses import calibration_board as boards
 from vision.lenses.lens_calibration import calibrate_lens, cross_validate_lens, observations_from_board_views
 from vision.predict import MarkerMap, State, marker_map, predict_corners

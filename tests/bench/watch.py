@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.drift.visit_history import History, add_visit
+from calib.drift.visit_history import History, add_visit_and_judge_change
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib.daily_visits import SIX, changed, rig
@@ -30,13 +30,15 @@ def rows(rigs=RIGS, quiet=QUIET) -> Iterator[tuple[str, str, str]]:
             one, rng = rig(design, text, seed, base / f"{seed}"), np.random.default_rng([seed, 1])
             history = week = History("")
             for day in range(WEEK + quiet):
-                history, verdict = add_visit(history, one.visit(base / f"{seed}-{day}", rng), one.calibration)
+                history, verdict = add_visit_and_judge_change(
+                    history, one.visit(base / f"{seed}-{day}", rng), one.calibration
+                )
                 alarms, looked = alarms + verdict.alarm, looked + 1
                 week = history if day + 1 == WEEK else week
             for which in SIX:
                 change, after = changed(which, one, rng), week
                 for k in range(SOON):
-                    after, verdict = add_visit(
+                    after, verdict = add_visit_and_judge_change(
                         after, one.visit(base / f"{seed}-{which}-{k}", rng, change), one.calibration
                     )
                     judged += 1

@@ -11,7 +11,7 @@ from rig.model.pose import exp
 from rig.planning import plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
-from rig.recording.recording_tables import Poses
+from rig.recording.recording_table_loading_and_writing import Poses
 from synthetic import recording_simulation, secret_machine
 
 POSE = np.array([5e-6] * 3 + [3e-5] * 3)  # m, rad; noise of a pose, as stated

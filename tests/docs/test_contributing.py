@@ -6,7 +6,7 @@ import yaml
 
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from tests.docs.told import ROOT
 
 PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -37,7 +37,9 @@ def test_the_first_change_is_an_effect_as_it_is_written():
     exec(re.search(r"```python\n(.*?)```", PAGE, re.DOTALL)[1], names)
     kind = names["LeadGrowth"]
     made = kind("strut 3", growth=5e-3)
-    assert issubclass(kind, Effect) and kind.name not in BY_NAME and check_effect(made) is made
+    assert (
+        issubclass(kind, Effect) and kind.name not in BY_NAME and check_effect_place_and_parameter_bounds(made) is made
+    )
 
 
 def workflow(name: str) -> dict:

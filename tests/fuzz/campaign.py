@@ -21,7 +21,7 @@ WATCHED = (
     "rig.formats.json_toml_and_yaml_loading",
     "rig.formats.local_and_remote_input_files",
     "rig.recording.image_file_check_and_reading",
-    "rig.recording.recording_tables",
+    "rig.recording.recording_table_loading_and_writing",
     "rig.recording.recording_folder",
     "rig.formats.rig_toml.design_file",
     "rig.formats.number_parsing_and_rounding",

@@ -31,7 +31,7 @@ SEVEN = Arm(
     np.radians([[-170, 170], [-120, 120], [-170, 170], [-120, 120], [-170, 170], [-120, 120], [-175, 175]]),
 )
 SCARA, GANTRY, STANFORD = (
-    shipped_arm_layout.load_shipped_arm(name).mechanism for name in ("scara", "gantry", "stanford")
+    shipped_arm_layout.load_shipped_arm_design(name).mechanism for name in ("scara", "gantry", "stanford")
 )
 
 

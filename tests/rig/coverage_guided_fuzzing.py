@@ -9,7 +9,7 @@ import atheris
 with atheris.instrument_imports(
     include=[
         "rig.driving.protocols",
-        "rig.driving.controller_requests_and_answers",
+        "rig.driving.request_and_answer_exchange_with_controller",
         "rig.driving.emulators.own_strut_protocol",
         "rig.driving.emulators.controller_emulator",
     ]

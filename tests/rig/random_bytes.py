@@ -8,7 +8,6 @@ from contextlib import suppress
 import numpy as np
 
 from rig.driving.clock import SimulatedClock
-from rig.driving.controller_requests_and_answers import Link
 from rig.driving.emulators.controller_faults import Faults
 from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine, MovingAxes
 from rig.driving.emulators.own_strut_protocol import Struts as EmulatedStruts
@@ -17,6 +16,7 @@ from rig.driving.protocols.grblhal import GrblHAL
 from rig.driving.protocols.linuxcnc import LinuxCNC
 from rig.driving.protocols.own_strut_protocol import Struts
 from rig.driving.protocols.protocol_interface import Segment
+from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.errors import MotionError
 
 MAKE = {
@@ -40,7 +40,7 @@ TELLING = 3  # the dialogue among them that moves, once
 
 
 class Noise:
-    """See rig.driving.controller_requests_and_answers.Port: answers each write with the next piece of some bytes, then
+    """A Port: answers each write with the next piece of some bytes, then
     with silence.
     """
 

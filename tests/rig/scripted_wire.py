@@ -6,7 +6,7 @@ from rig.errors import LinkLost
 
 
 class ScriptedPort:
-    """See rig.driving.controller_requests_and_answers.Port. script : pairs of bytes, sent and answered; None for an
+    """A Port. script : pairs of bytes, sent and answered; None for an
     answer: the connection is lost.
     """
 

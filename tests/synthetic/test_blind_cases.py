@@ -14,7 +14,7 @@ from rig.cli import blind as command
 from rig.cli import command_line
 from rig.cli.shared import blind_case_process
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import FileError
 from rig.model import effect_places_and_part_tolerances, motion_simulation
@@ -54,7 +54,7 @@ def test_every_effect_is_drawn_within_its_bounds(kind, design):
     rng = np.random.default_rng(1)
     route = plan.build_plan(design, "sobol:4", 1)
     for _ in range(6):
-        effect = check_effect(blind_cases._effect(kind, design, route, rng))
+        effect = check_effect_place_and_parameter_bounds(blind_cases._effect(kind, design, route, rng))
         assert effect.name == kind.name and any(np.any(v) for v in effect.values().values())
     if kind.name == "lens_distortion":
         assert (
@@ -82,7 +82,7 @@ def test_every_effect_out_of_the_catalogue_changes_what_is_seen_and_is_in_no_cat
     secret = secret_machine.draw_machine(design, rng, 1.0, (foreign,))
     bent = recording_simulation.simulate_world(secret, route, np.random.default_rng(5))
     plain = recording_simulation.simulate_world(replace(secret, effects=()), route, np.random.default_rng(5))
-    found, uv = recording_simulation.visible_markers(bent)
+    found, uv = recording_simulation.visible_marker_sightings_and_corners(bent)
     moved = uv - recording_simulation.predict_sightings(
         found,
         recording_simulation.State(secret.true.cameras, plain.run.T_base_platform, {}),

@@ -13,7 +13,7 @@ from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from synthetic import cube_nets_and_stl, print_sheets
 from synthetic.cube_nets_and_stl import FRAMES, NET, PARTITIONS, SIDES, Size, arrange_net, net_pieces
-from synthetic.sheet_rulers_and_assembly_page import target_outline, usable_area
+from synthetic.sheet_rulers_and_assembly_page import target_outline_from_above, usable_area
 
 
 @pytest.mark.parametrize("groups", PARTITIONS)
@@ -119,6 +119,6 @@ def test_bodies_are_smaller_by_the_paper(two_cubes):
 
 def test_a_cube_from_above_has_its_edge_and_place(two_cubes):
     target = design_file.load_design(two_cubes).targets[0]
-    shape = target_outline(target)
+    shape = target_outline_from_above(target)
     np.testing.assert_allclose(np.linalg.norm(np.roll(shape, -1, axis=0) - shape, axis=1), target.edge, rtol=1e-9)
     np.testing.assert_allclose(shape.mean(axis=0), target.pose.translation[:2], atol=1e-12)

@@ -17,9 +17,9 @@ from synthetic import ideal_image_renderer as render
 from synthetic import rig_meshes
 from synthetic.image_sensor_and_occlusion import expose_image
 from tests.synthetic.corners_by_edge_lines import edge_corners
-from vision.corners.marker_detection import fit_read_markers
+from vision.corners.marker_detection_and_corner_fit import fit_read_markers
 from vision.corners.whole_image_marker_reader import ReadMarkers
-from vision.predict import State, marker_map, markers_facing_cameras, predict_sightings
+from vision.predict import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
 
 def wall(design, tilt, distortion, size=0.11):
@@ -60,7 +60,7 @@ def drawn(rig):
     finally:
         renderer.close()
     state, markers = State(rig.cameras, RigidTransform.concatenate([home]), {}), marker_map(rig)
-    found = markers_facing_cameras(state, markers, 0.3)
+    found = sightings_of_markers_facing_cameras(state, markers, 0.3)
     return image, markers.id[found.marker], predict_sightings(found, state, markers)
 
 

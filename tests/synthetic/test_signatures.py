@@ -18,7 +18,7 @@ from rig.model.pose import exp
 from rig.planning import plan
 from synthetic import recording_simulation, secret_machine
 from vision import lens
-from vision.predict import State, is_inside_image, marker_map, markers_facing_cameras, predict_sightings
+from vision.predict import State, is_inside_image, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
 EFFECTS = [
     "scale_error:strut3:scale=2e-4",
@@ -78,7 +78,7 @@ def signatures(design):
     route = plan.build_plan(design, "standard", 1)
     s = recording_simulation.simulate_world(secret_machine.draw_machine(design, rng, 0.0), route, rng)
     markers, T = marker_map(design), s.run.T_base_platform
-    found = markers_facing_cameras(State(design.cameras, T, {}), markers, np.cos(np.radians(70)))
+    found = sightings_of_markers_facing_cameras(State(design.cameras, T, {}), markers, np.cos(np.radians(70)))
     found = found.take(
         is_inside_image(found, predict_sightings(found, State(design.cameras, T, {}), markers), design.cameras)
     )

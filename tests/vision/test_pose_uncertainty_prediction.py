@@ -10,8 +10,8 @@ from rig.errors import RigError
 from rig.model.pose import exp
 from rig.recording import recording_folder
 from tests.closed_loops import rig
-from vision.combined_recordings import _apart
 from vision.pose_uncertainty_prediction import predict_pose_uncertainty
+from vision.recording_combination_and_moved_cameras import _apart
 from vision.recording_measurement import measure_recording
 
 

@@ -8,7 +8,7 @@ import pytest
 from rig.errors import NotEnoughData
 from rig.model.pose import exp, pose_difference
 from tests.vision.drawn_observations import known, nees, scene, standing
-from vision.corner_observations import corner_correlation_rows, whitener_of_observations
+from vision.corner_observations import correlations_of_whitened_marker_corners, whitener_of_observations
 from vision.predict import marker_map
 from vision.recording_adjustment import measure_observations
 
@@ -152,7 +152,9 @@ def correlated(observations, rng, sigma):
     uv = o.uv + (factor @ rng.normal(size=(len(first), 8, 1))).reshape(-1, 2)
     C = np.tile(factor @ factor.T, (len(first), 1, 1))
     own = np.stack([C[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1).reshape(-1, 2, 2)
-    return replace(o, uv=uv, covariance=own, correlation=corner_correlation_rows(C).reshape(-1, 2, 8), stated=True)
+    return replace(
+        o, uv=uv, covariance=own, correlation=correlations_of_whitened_marker_corners(C).reshape(-1, 2, 8), stated=True
+    )
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from rig.model.design import Actuator, Camera, Design, Free, Marker, Platform, T
 from rig.model.pose import exp, pose
 from rig.recording.recording_folder import Corners
 from vision.corner_observations import observations_from_corners
-from vision.predict import State, is_inside_image, marker_map, markers_facing_cameras, predict_sightings
+from vision.predict import State, is_inside_image, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
 
 def design():
@@ -72,7 +72,7 @@ def scene(seed, frames=120, noise=0.1, off=1e-3):
         np.stack([0.08 * wave[:, 0], -0.35 + 0.03 * wave[:, 1], 0.1 + 0.03 * wave[:, 2]], axis=1), turn
     )
     true = State(stated.cameras, platform, {0: cameras}, moved)
-    found = markers_facing_cameras(true, moved, np.cos(np.radians(70)))
+    found = sightings_of_markers_facing_cameras(true, moved, np.cos(np.radians(70)))
     uv = predict_sightings(found, true, moved)
     whole = is_inside_image(found, uv, stated.cameras, 5)
     found, uv = found.take(whole), uv[whole]

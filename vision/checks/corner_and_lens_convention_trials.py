@@ -9,7 +9,7 @@ import numpy as np
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera, Design, Target
-from rig.recording.recording_tables import Corners
+from rig.recording.recording_table_loading_and_writing import Corners
 from vision import lens
 from vision.corner_observations import observations_from_corners
 from vision.predict import marker_map
@@ -127,9 +127,10 @@ def measure_trial(sample: SampledRecording, free: tuple[str, ...] = ("poses", "l
     return Trial(float(np.sqrt(share / max(told.sum() + (~known).sum(), 1))), sample, measured, miss)
 
 
-def trial_of_stated_targets(first: Trial, other: Trial) -> Trial | None:
-    """Trial of what is stated, begun from the cameras that another statement of the targets led to; None where that
-    changes more than targets.
+def trial_with_start_cameras_of_other_trial(first: Trial, other: Trial) -> Trial | None:
+    """The stated trial measured again from another trial's cameras; None unless only targets differ.
+
+    The other trial is of another statement of the targets.
     """
     stated, seen, measured = first.seen, other.seen, other.measured
     if seen.corners is not stated.corners or seen.design.cameras is not stated.design.cameras or measured is None:
@@ -244,7 +245,7 @@ def alternative_distortion_conventions(camera: Camera) -> Iterator[tuple[str, st
             yield what, do, other(camera)
 
 
-def distortion_difference(a: Camera, b: Camera) -> float:
+def rms_pixel_difference_of_distortions(a: Camera, b: Camera) -> float:
     """Difference of two cameras' distortions, px RMS over the image of a."""
     x, y = np.meshgrid(
         np.linspace(-0.45, 0.45, 9) * a.width / a.matrix[0, 0], np.linspace(-0.45, 0.45, 9) * a.height / a.matrix[1, 1]
@@ -273,7 +274,7 @@ def is_same_lens(a: Camera, b: Camera) -> bool:
     return bool(
         gap[[0, 1], [0, 1]].max() < ALIKE[0] * a.matrix[0, 0]
         and gap[:, 2].max() < ALIKE[1] * a.width
-        and distortion_difference(a, b) < ALIKE[2]
+        and rms_pixel_difference_of_distortions(a, b) < ALIKE[2]
     )
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.checks import Mistake, command_and_pose_disagreements, sort_mistakes
 from rig.model.design import Camera, Design, move_edges_inward
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Corners
+from rig.recording.recording_table_loading_and_writing import Corners
 from vision.checks import camera_mistakes_in_rig_toml as cameras
 from vision.checks import corner_and_lens_convention_trials as conventions
 from vision.checks import target_mistakes_in_rig_toml as targets
@@ -91,7 +91,7 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
             what, do, other = min(
                 (one for one in rivals if one[2].misfit < ALIKE * least), key=lambda one: _elsewhere(one[2])
             )
-            begun = conventions.trial_of_stated_targets(first, other)
+            begun = conventions.trial_with_start_cameras_of_other_trial(first, other)
             if begun is not None and begun.misfit < DONE:
                 return [], begun  # what is stated explains all: the mistake was but another place to begin
             if other.misfit < 0.7 * best.misfit:
@@ -357,9 +357,9 @@ def _lens(m: Measurement, design: Design) -> list[Mistake]:
     ):
         return []  # lenses of which nothing was known: one of them resembles a term exchanged by chance
     for stated, seen in ones:
-        off = conventions.distortion_difference(stated, seen)
+        off = conventions.rms_pixel_difference_of_distortions(stated, seen)
         ways = {
-            (what, do): conventions.distortion_difference(other, seen)
+            (what, do): conventions.rms_pixel_difference_of_distortions(other, seen)
             for what, do, other in conventions.alternative_distortion_conventions(stated)
         }
         named = min(ways, key=lambda way: ways[way], default=None)

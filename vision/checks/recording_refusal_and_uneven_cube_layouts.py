@@ -11,13 +11,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
-from rig.checks.implausible_values_and_image_mistakes import recording_file_mistakes
+from rig.checks.implausible_design_values_and_image_mistakes import mistakes_found_without_looking_at_images
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake
 from rig.errors import RigError
 from rig.model.design import Design, Target, markers_of_target, quarter_turns_of_cubes
-from rig.model.design_comparison_and_cube_remounting import WORDS
+from rig.model.design_comparison_and_cube_turning_instructions import WORDS
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Corners
+from rig.recording.recording_table_loading_and_writing import Corners
 from vision.checks.mistake_search_by_trial_corrections import find_corner_mistakes
 from vision.predict import MarkerMap, marker_map, markers_expected_in_image
 
@@ -43,7 +43,7 @@ def refuse_mistakes(mistakes: Iterable[Mistake], allow_mistakes: bool, notice: N
 
 def refuse_spoilt_files(recording: Recording, allow_mistakes: bool, notice: Notice) -> None:
     """Refuse a recording whose files or sampled images are spoilt, unless mistakes are allowed."""
-    refuse_mistakes(recording_file_mistakes(recording), allow_mistakes, notice)
+    refuse_mistakes(mistakes_found_without_looking_at_images(recording), allow_mistakes, notice)
     for name, quarters in quarter_turns_of_cubes(recording.design).items():
         notice(
             f"{recording.folder}: cube {name} was removed and remounted, {WORDS[quarters]}; its place is "
@@ -74,9 +74,9 @@ def recorded_or_sampled_corners(recording: Recording) -> Corners | None:
         return recording.corners
     if not recording.has_images or not recording.design.targets:
         return None
-    from vision.checks.image_sample_corners_and_dictionary_mistakes import read_corners_of_image_sample
+    from vision.checks.image_sample_corners_and_dictionary_mistakes import read_corners_and_mistakes_of_image_sample
 
-    return read_corners_of_image_sample(recording)[0]
+    return read_corners_and_mistakes_of_image_sample(recording)[0]
 
 
 UNEVEN = 0.02  # of the circle's radius, and of an even gap, beyond which it is said

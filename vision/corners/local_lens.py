@@ -23,7 +23,7 @@ _NODES = _SPREAD * np.stack(np.meshgrid(*[np.cos(np.pi * (np.arange(5) + 0.5) / 
 _TO_POLYNOMIAL = np.linalg.pinv((_NODES[:, None, :] ** _ORDERS).prod(axis=2))
 
 
-def local_coordinate_origins(quads: Floats) -> Floats:
+def local_coordinate_origins_and_scales(quads: Floats) -> Floats:
     """Origins x, y and scale (m, 3) px of the local coordinates of markers with corners (m, 4, 2) px."""
     middle = quads.mean(axis=1)
     return np.concatenate([middle, np.abs(quads - middle[:, None]).max(axis=(1, 2))[:, None]], axis=1)

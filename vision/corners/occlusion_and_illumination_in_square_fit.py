@@ -190,7 +190,9 @@ class Bow(NamedTuple):
 
 
 @kernel
-def remove_uneven_illumination(pixels: EdgePixels, square: Square, weight_sum: float, work: Work, bow: Bow) -> float:
+def correct_square_fit_for_uneven_illumination(
+    pixels: EdgePixels, square: Square, weight_sum: float, work: Work, bow: Bow
+) -> float:
     """Remove uneven illumination from a settled fit by one last step of its Square and residuals.
 
     pixels : EdgePixels, of all of which work holds rows; weight_sum : sum of their weights; bow : Bow, overwritten

@@ -51,7 +51,9 @@ class Seen(NamedTuple):
 
 
 @kernel
-def strip_white_share(pixels: EdgePixels, start: int, size: int, view: Seen, tables: Tables, strip: Floats) -> None:
+def fill_strip_white_share_and_derivatives(
+    pixels: EdgePixels, start: int, size: int, view: Seen, tables: Tables, strip: Floats
+) -> None:
     """Write the predicted white share and its derivatives at a strip of edge pixels into strip (ROWS * STRIP,)."""
     first = pixels.first
     for kind in range(KINDS):

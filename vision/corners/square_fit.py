@@ -28,15 +28,15 @@ from vision.corners.occlusion_and_illumination_in_square_fit import (
     TERMS,
     Bow,
     add_to_residual_profile,
+    correct_square_fit_for_uneven_illumination,
     covariance_inflation,
     edge_segment_sums,
     find_occluded_cells,
     remove_occluded_pixels,
-    remove_uneven_illumination,
 )
 from vision.corners.predicted_cell_white_share import STEPS, Tables, fill_edge_spread_table
 from vision.corners.predicted_strip_white_share import ROWS, STRIP
-from vision.corners.square_fit_start_and_bit_check import fit_sides, misread_cell_count, square_homography
+from vision.corners.square_fit_start_and_bit_check import fit_quad_sides_in_place, misread_cell_count, square_homography
 from vision.corners.square_gauss_newton import (
     LIGHT,
     NO_CONTRAST,
@@ -256,7 +256,7 @@ def fit_squares(squares: Squares, settings: FitSettings, fits: Fits) -> None:
             box[3] - box[1], box[2] - box[0]
         )
         if settings.reach > 0:
-            fit_sides(crop, box, fits.quads[m], n + 2, settings.reach)
+            fit_quad_sides_in_place(crop, box, fits.quads[m], n + 2, settings.reach)
         if settings.wrong >= 0 and misread_cell_count(crop, box, fits.quads[m], marker.cells) > settings.wrong:
             fits.status[m] = NOT_READ
             continue
@@ -287,7 +287,7 @@ def _finish(room: Room, square: Square, marker: Printed, m: int, weights: float,
     weights : sum of its pixels' weights; limit : grey levels, of a trusted residual
     """
     every, work, corners, covariance = room.every, room.work, fits.corners[m], fits.covariances[m]
-    over = remove_uneven_illumination(every, square, weights, work, room.bowed)
+    over = correct_square_fit_for_uneven_illumination(every, square, weights, work, room.bowed)
     if not corners_of_homography(square.g, marker.n, corners, work.J):
         return WANDERED
     edge_segment_sums(every, square.g, work.rows, work.x, room.sums)

@@ -75,7 +75,7 @@ def _line(where: Floats, offsets: Floats, found: int) -> tuple[float, float]:
 
 
 @kernel
-def fit_sides(crop: Floats, box: Floats, quad: Floats, size: int, search_distance: float) -> None:
+def fit_quad_sides_in_place(crop: Floats, box: Floats, quad: Floats, size: int, search_distance: float) -> None:
     """Fit the sides of a quad (4, 2) px, in place, to the dark-to-bright steps in profiles across them.
 
     A side is moved by a line through the steps found within reach (px) and within the border of black, one of `size`

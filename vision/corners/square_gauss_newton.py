@@ -13,7 +13,7 @@ from rig.array_and_json_types import Floats
 from vision.corners.edge_pixels import KINDS, EdgePixels
 from vision.corners.numba_cholesky_and_order_statistics import cholesky_factor, cholesky_solve, inlined_kernel, kernel
 from vision.corners.predicted_cell_white_share import Tables
-from vision.corners.predicted_strip_white_share import ROWS, STRIP, Seen, strip_white_share
+from vision.corners.predicted_strip_white_share import ROWS, STRIP, Seen, fill_strip_white_share_and_derivatives
 
 UNKNOWNS = 15
 LIGHT = 9  # the first unknown of the greys
@@ -92,7 +92,7 @@ def accumulate_normal_equations(
     for start in range(0, count, STRIP):
         size = min(STRIP, count - start)
         strip = work.rows[start // STRIP].reshape(ROWS * STRIP)
-        strip_white_share(pixels, start, size, seen, tables, strip)
+        fill_strip_white_share_and_derivatives(pixels, start, size, seen, tables, strip)
         counted = _greys(pixels, start, size, square.light, limit if lit else UNLIMITED, strip, work.sizes)
         weights, doubted = weights + counted.weights, doubted + counted.doubted
         _multiply(strip, size, 0 if lit else LIGHT - 1, H)

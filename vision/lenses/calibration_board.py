@@ -12,7 +12,7 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 from rig.model.design import DICTIONARIES, Camera
 from vision import lens
-from vision.corners.marker_detection import detect_markers, grey_images_for_reader_and_fit
+from vision.corners.marker_detection_and_corner_fit import detect_markers, grey_images_for_reader_and_fit
 from vision.lenses import chessboard_corner
 from vision.predict import SQUARE, MarkerMap
 

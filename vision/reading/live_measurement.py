@@ -20,14 +20,20 @@ from rig.compute.worker_processes import worker_count
 from rig.errors import NotEnoughData
 from rig.model.design import Camera, Design
 from rig.model.pose import adjoint
-from rig.recording.recording_tables import Corners
+from rig.recording.recording_table_loading_and_writing import Corners
 from vision.corner_observations import Observations, empty_observations, observations_from_corners
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread
-from vision.corners.marker_detection import REACH, Detection, detect_markers, fit_read_markers, grey_image_at_full_depth
+from vision.corners.marker_detection_and_corner_fit import (
+    REACH,
+    Detection,
+    detect_markers,
+    fit_read_markers,
+    grey_image_at_full_depth,
+)
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_and_camera_poses import Views, locate_fixed_cameras, locate_frames
 from vision.predict import State, marker_map, markers_expected_in_image, predict_corners
-from vision.reading.corner_refit import ROUNDS, SETTLED, largest_lens_difference
+from vision.reading.corner_refit_with_adjusted_lenses import ROUNDS, SETTLED, largest_lens_difference
 from vision.reading.recording_corners import corners_from_detections, learn_camera_edge_spread
 from vision.recording_adjustment import Measurement, design_seen_from_hand, has_hand_cameras, measure_observations
 

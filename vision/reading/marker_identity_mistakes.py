@@ -14,7 +14,13 @@ import numpy as np
 
 from rig.array_and_json_types import Floats, Integers, Pixels
 from vision.corners.whole_image_marker_reader import opencv_detector
-from vision.predict import MarkerMap, Sightings, markers_expected_in_image, markers_facing_cameras, predict_sightings
+from vision.predict import (
+    MarkerMap,
+    Sightings,
+    markers_expected_in_image,
+    predict_sightings,
+    sightings_of_markers_facing_cameras,
+)
 from vision.recording_adjustment import Measurement
 
 LEAST = 3  # sightings from which anything is said of a marker
@@ -177,7 +183,7 @@ def _usurped(m: Measurement, marker_map: MarkerMap, read: ReadImage) -> dict[int
     missing = np.setdiff1d(np.arange(len(marker_map.id)), o.marker)
     cameras = m.design.cameras
     for row in missing:
-        sights = markers_facing_cameras(m.adjustment.state, marker_map)
+        sights = sightings_of_markers_facing_cameras(m.adjustment.state, marker_map)
         sights = sights.take(sights.marker == row)
         there = []
         for frame, camera in zip(sights.frame, sights.camera):

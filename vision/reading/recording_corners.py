@@ -15,10 +15,10 @@ from rig.errors import FileError
 from rig.model.design import Camera, Design
 from rig.recording.image_file_check_and_reading import read_image, unusable_images_error
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Corners, undecodable_images
-from vision.corner_observations import corner_correlation_rows
+from rig.recording.recording_table_loading_and_writing import Corners, undecodable_images
+from vision.corner_observations import correlations_of_whitened_marker_corners
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread, empty_residual_profile, learn_edge_spread
-from vision.corners.marker_detection import (
+from vision.corners.marker_detection_and_corner_fit import (
     Detection,
     detect_markers,
     fit_read_markers,
@@ -346,7 +346,7 @@ def corners_from_detections(detections: Sequence[Found]) -> tuple[Corners, Float
     frame = np.repeat(np.array([number for number, *_ in detections], int), 4 * np.array(sizes, int))
     return (
         Corners(frame, names, np.repeat(marker, 4), np.tile(np.arange(4), len(marker)), uv, own),
-        corner_correlation_rows(covariance).reshape(-1, 2, 8),
+        correlations_of_whitened_marker_corners(covariance).reshape(-1, 2, 8),
     )
 
 

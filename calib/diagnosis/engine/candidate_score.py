@@ -142,12 +142,12 @@ def best_node_score(
     """
     best = int(np.argmax(solved.delta_chi2 - solved.rank * np.log(model.size)))
     if solved.delta_chi2[best] < least_delta_chi2:
-        return insignificant_score(candidate, solved, best)
+        return score_of_insignificant_candidate_without_dispersion(candidate, solved, best)
     return score_at_node(model, candidate, best, candidate.grid[best], solved, products, weights_at(best))
 
 
-def insignificant_score(candidate: C, solved: Solved, solved_index: int) -> Score[C]:
-    """Score of an insignificant candidate, at its best node, its dispersion not computed."""
+def score_of_insignificant_candidate_without_dispersion(candidate: C, solved: Solved, solved_index: int) -> Score[C]:
+    """Score of an insignificant candidate at its best node, its dispersion not computed."""
     return Score(
         candidate,
         dict(candidate.grid[solved_index]),

@@ -21,7 +21,7 @@ from calib.diagnosis.engine.finding_confirmation_against_alternatives import Fin
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Fit, Problem, Progress
 from calib.diagnosis.engine.term_selection import Selection
-from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import Repeats, Suggestion
+from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import Repeats, Suggestion
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect
@@ -153,7 +153,7 @@ class Value:
     open: str | None = None
 
 
-def bounded_value(
+def value_with_interval_cut_at_bounds(
     value: float, unit: str, ends: tuple[float, float], bounds: tuple[float, float], at_bound: float | None = None
 ) -> Value:
     """Value with its 95 % interval, cut off at the bounds that make sense."""

@@ -14,7 +14,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     ScatterSize,
     Value,
 )
-from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import Suggestion
+from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import Suggestion
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_file_from_formula import Written
@@ -298,7 +298,7 @@ def finding_entry(diagnosis: Diagnosis, finding: Finding[Any], proof: CrossValid
     )
 
 
-def remark_entries(diagnosis: Diagnosis) -> list[RemarkEntry]:
+def negligible_finding_remark_entries(diagnosis: Diagnosis) -> list[RemarkEntry]:
     """Entries of a Diagnosis' remarks: what is there beyond chance and does not matter.
 
     What was fitted, what was left, what tolerances were seen to be.
@@ -352,8 +352,8 @@ def _size_of(left: LackOfFit) -> dict[str, Value]:
     return {"magnitude": Value(left.magnitude, left.unit), "depends_on": Value(list(left.depends_on), "")}
 
 
-def fit_entry(fit: Misfit) -> FitEntry:
-    """FitEntry of a Misfit."""
+def misfit_before_and_after_entry(fit: Misfit) -> FitEntry:
+    """FitEntry of a Misfit: held out, without and with the effects found, and what noise alone leaves."""
     return FitEntry(fit.before, fit.after, fit.floor, fit.unit)
 
 

@@ -11,7 +11,7 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report, d
 from calib.report.pose_and_effect_figures import effect_sketch
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.recording.recording_folder import Recording
-from rig.report.pages.image_plane_and_3d_views import view_scripts
+from rig.report.pages.image_plane_and_3d_views import view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_elements import (
     Link,
     Page,
@@ -98,7 +98,7 @@ def write_diagnosis_page(path: Path, report: Report, view: View, links: Sequence
                 "with no finding admitted, and with all findings. Correlated covariates share what "
                 "they explain."
             ),
-            table_html(*report_sentences.covariate_table(report.covariates)),
+            table_html(*report_sentences.covariate_table_heads_and_rows(report.covariates)),
         ]
     if report.remarks:
         parts += [
@@ -118,7 +118,15 @@ def write_diagnosis_page(path: Path, report: Report, view: View, links: Sequence
     verdict = diagnosis_verdict(report)
     write_page(
         path,
-        Page("diagnose", f"Diagnosis of {report.recording}", verdict, parts, verdict.next, links, view_scripts(parts)),
+        Page(
+            "diagnose",
+            f"Diagnosis of {report.recording}",
+            verdict,
+            parts,
+            verdict.next,
+            links,
+            view_3d_scripts_if_needed(parts),
+        ),
     )
 
 
@@ -208,7 +216,7 @@ def _left_out(report: Report) -> list[str]:
         ]
     )
     if report.left_out:
-        rows = [report_sentences.excluded_row_texts(one) for one in report.left_out]
+        rows = [report_sentences.excluded_outlier_texts(one) for one in report.left_out]
         parts += [
             paragraph_html(
                 f"{report_sentences.row_count_text(len(rows))} far from all that the rest of the recording "
@@ -228,7 +236,9 @@ def _suggestions(report: Report) -> list[str]:
         parts += [
             heading_html(f"A formula for the residual at {entry.place}", 3),
             paragraph_html(report_sentences.formula_suggestion_sentences(entry)),
-            table_html(("parameter", "value", "95 % interval"), report_sentences.suggested_formula_rows(entry)),
+            table_html(
+                ("parameter", "value", "95 % interval"), report_sentences.parameter_rows_of_suggested_formula(entry)
+            ),
         ]
     return parts
 

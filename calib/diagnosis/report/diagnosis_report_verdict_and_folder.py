@@ -8,7 +8,7 @@ from collections.abc import Collection
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
-from calib.certification.calibration_evidence import ALONE, OfCalibrations
+from calib.certification.calibration_evidence_verdict_and_claim_check import ALONE, OfCalibrations
 from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import Crowd, LeftOut
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     ASSUMED_NOISE,
@@ -21,7 +21,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     WeighedPoses,
 )
 from calib.diagnosis.recording_diagnosis import Diagnosis
-from calib.diagnosis.report import report_sentences, residual_figures_and_contributions
+from calib.diagnosis.report import report_sentences, residual_figures_and_finding_contributions_to_poses
 from calib.diagnosis.report.diagnosis_json_entries import (
     SCHEMA,
     UNKNOWN,
@@ -38,11 +38,11 @@ from calib.diagnosis.report.diagnosis_json_entries import (
     effect_file_entries,
     entry_of_finding_before_search,
     finding_entry,
-    fit_entry,
     json_tree,
     largest_unexplained,
+    misfit_before_and_after_entry,
+    negligible_finding_remark_entries,
     recording_entries,
-    remark_entries,
     suggested_formula_entries,
     unnamed_finding_entries,
 )
@@ -54,7 +54,7 @@ from calib.diagnosis.report.report_sentences import (
     stated_beforehand_text,
     value_text,
 )
-from calib.diagnosis.report.residual_figures_and_contributions import (
+from calib.diagnosis.report.residual_figures_and_finding_contributions_to_poses import (
     errors_at_and_beyond_fitted_angles,
     position_error_statistics,
 )
@@ -66,7 +66,7 @@ from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import result_html
-from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
 
 ROWS = "Examine the excluded rows below: record those configurations again"
 TAKE_IN = "Include it in the calibration: `rig calibrate REC --diagnosis DIR --out calibration.json`"
@@ -192,7 +192,7 @@ def diagnosis_verdict(report: Report) -> Verdict:
     Check where something that matters is left out of the model or has no name, or where a calibration made from the
     recording leaves something unexplained; bad where the recording refutes such a calibration.
     """
-    left, rest, steps = unexplained_sentences(report), doubts_of_report(report), recommended_actions(report)
+    left, rest, steps = unexplained_sentences(report), missing_evidence_of_report(report), recommended_actions(report)
     besides = tuple(
         MissingEvidence(text, TAKE_IN)
         for text in report.calibrations.unexplained
@@ -239,8 +239,11 @@ def unexplained_sentences(report: Report, known_physics: Collection[tuple[str, s
     return tuple(dict.fromkeys([*named, *unknown]))
 
 
-def doubts_of_report(report: Report) -> tuple[MissingEvidence, ...]:
-    """Doubts of a Report: what it assumes and nobody has shown."""
+def missing_evidence_of_report(report: Report) -> tuple[MissingEvidence, ...]:
+    """Evidence that a Report lacks ([MissingEvidence]): noise that is not stated, rows left out.
+
+    That is what it assumes and nobody has shown.
+    """
     missing = []
     if report.noise_from == ASSUMED_NOISE:
         missing.append(MissingEvidence("the noise is not stated, so unmodelled effects cannot be tested"))
@@ -289,7 +292,7 @@ def diagnosis_report(diagnosis: Diagnosis) -> Report:
     """Report of a Diagnosis."""
     found = [entry_of_finding_before_search(one) for one in diagnosis.measured_findings]
     found += [finding_entry(diagnosis, f, proof) for f, proof in zip(diagnosis.findings, diagnosis.cross_validations)]
-    fits = {name: fit_entry(fit) for name, fit in diagnosis.misfits.items()}
+    fits = {name: misfit_before_and_after_entry(fit) for name, fit in diagnosis.misfits.items()}
     noise = asdict(diagnosis.noise)
     noise_from = noise.pop("source")
     return Report(
@@ -301,7 +304,7 @@ def diagnosis_report(diagnosis: Diagnosis) -> Report:
         fits,
         fits[diagnosis.shown_in],
         tuple(NotAskedEntry(s.effect, s.reason) for s in diagnosis.not_asked),
-        tuple(remark_entries(diagnosis)),
+        tuple(negligible_finding_remark_entries(diagnosis)),
         covariate_entries(diagnosis.covariates),
         diagnosis.options.said,
         recording_entries(diagnosis.parts),
@@ -316,7 +319,9 @@ def diagnosis_report(diagnosis: Diagnosis) -> Report:
     )
 
 
-def write_diagnosis_folder(folder: Path, diagnosis: Diagnosis, recording: Recording, report: Report) -> None:
+def write_diagnosis_json_and_simulation_files(
+    folder: Path, diagnosis: Diagnosis, recording: Recording, report: Report
+) -> None:
     """Write the folder of a diagnosis: diagnosis.json, and files to simulate its findings by.
 
     Those where a machine was commanded: machine.json, the recording's own rig.toml, commands, frames and sensors, and
@@ -329,7 +334,9 @@ def write_diagnosis_folder(folder: Path, diagnosis: Diagnosis, recording: Record
     tree = machine_json.machine_dict(diagnosis.design, diagnosis.machine_effects)
     write_text(folder / "machine.json", json.dumps(tree) + "\n")
     copy_recording(folder, recording)
-    residual_figures_and_contributions.write_finding_contributions_table(folder / "contributions.csv", diagnosis)
+    residual_figures_and_finding_contributions_to_poses.write_finding_contributions_table(
+        folder / "contributions.csv", diagnosis
+    )
 
 
 def copy_recording(folder: Path, recording: Recording) -> None:

@@ -9,12 +9,12 @@ from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.recording_diagnosis import Diagnosis
-from calib.diagnosis.report import residual_figures_and_contributions
+from calib.diagnosis.report import residual_figures_and_finding_contributions_to_poses
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
-from calib.diagnosis.report.residual_figures_and_contributions import (
+from calib.diagnosis.report.residual_figures_and_finding_contributions_to_poses import (
     SAME_ANGLE,
     effect_residual_figures,
-    image_residual_figures,
+    mean_residual_figures_over_camera_image,
     model_residuals,
     position_error_statistics,
     residual_scatter_figure,
@@ -150,7 +150,9 @@ class ArmView:
                     "The poses most displaced by all findings, a bar for each finding, the largest first. "
                     "contributions.csv has them for every pose."
                 ),
-                residual_figures_and_contributions.worst_pose_contribution_figure(self.evidence, d.selection),
+                residual_figures_and_finding_contributions_to_poses.worst_pose_contribution_figure(
+                    self.evidence, d.selection
+                ),
             ]
         aside = self.evidence.frames_set_aside(d.selection)
         if len(aside):
@@ -255,7 +257,7 @@ class PlatformView:
                 own = np.flatnonzero(
                     k.observed.observations.camera == [c.name for c in k.design.cameras].index(place.name)
                 )
-                parts.append(image_residual_figures(k, own, (corners,), ("what is left",)))
+                parts.append(mean_residual_figures_over_camera_image(k, own, (corners,), ("what is left",)))
         return parts
 
     def measurement(self) -> list[tuple[str, object]]:

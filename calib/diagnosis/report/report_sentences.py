@@ -93,8 +93,8 @@ def as_sentence(text: str) -> str:
     return text[0].upper() + text[1:] + "."
 
 
-def excluded_row_texts(row: LeftOut) -> tuple[str, str, str, str]:
-    """Texts (frame, place, how far off, reason) of an excluded row."""
+def excluded_outlier_texts(row: LeftOut) -> tuple[str, str, str, str]:
+    """Texts (frame, place, how far off, reason) of an outlying pose, or of corners, left out of a diagnosis."""
     return (
         str(row.frame),
         row.place,
@@ -194,15 +194,17 @@ def formula_suggestion_sentences(entry: SuggestionEntry) -> str:
     )
 
 
-def suggested_formula_rows(entry: SuggestionEntry) -> list[tuple[str, str, str]]:
-    """Table rows [(parameter, value, 95 % interval)] of a suggested formula, with units."""
+def parameter_rows_of_suggested_formula(entry: SuggestionEntry) -> list[tuple[str, str, str]]:
+    """Table rows [(parameter, value, 95 % interval)] of one suggested formula's parameters, with units."""
     return [
         (name, f"{p.value:.4g} {p.unit}", f"{p.ci95[0]:.4g} to {p.ci95[1]:.4g}" if p.ci95 else "")
         for name, p in entry.parameters.items()
     ]
 
 
-def covariate_table(covariates: Sequence[CovariateEntry]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+def covariate_table_heads_and_rows(
+    covariates: Sequence[CovariateEntry],
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Table (heads, rows) of the remainder's covariates and the shares that they explain.
 
     Shares of the squares and smallest chance before and after.

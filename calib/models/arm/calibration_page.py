@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.calibration_evidence import calibration_verdict
+from calib.certification.calibration_evidence_verdict_and_claim_check import calibration_verdict
 from calib.certification.held_out_errors import Figures, errors_before_and_after_correction
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import CertifiedArm
@@ -17,7 +17,7 @@ from calib.workspace.workspace_page import workspace_section_html
 from rig.effects.framework.effect_parameters_and_covariates import PLOT_UNITS
 from rig.model import mechanisms
 from rig.recording.recording_folder import Recording
-from rig.report.pages.image_plane_and_3d_views import view_scripts
+from rig.report.pages.image_plane_and_3d_views import view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_elements import (
     Link,
     Page,
@@ -65,7 +65,15 @@ def write_arm_calibration_page(
     judged = calibration_verdict(calibration)
     write_page(
         path,
-        Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, view_scripts(parts)),
+        Page(
+            "calibrate",
+            f"Calibration from {recording.name}",
+            judged,
+            parts,
+            judged.next,
+            links,
+            view_3d_scripts_if_needed(parts),
+        ),
     )
 
 

@@ -22,12 +22,12 @@ from calib.certification.held_out_errors import (
     HeldOut,
     compare_errors,
     errors_before_and_after_correction,
-    held_out_error_statistics,
     is_significant_gain,
+    mean_square_held_out_errors_by_configuration,
 )
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
-    axis_ranges,
+    axis_travel_limits,
     configuration_folds,
     configuration_numbers,
     mean_sample_per_configuration,
@@ -111,7 +111,7 @@ def certify_arm(
     Raises NotEnoughData, RigError as `calibrate`
     """
     said = progress or silent_progress
-    label = configuration_numbers(samples.commanded, axis_ranges(nominal))
+    label = configuration_numbers(samples.commanded, axis_travel_limits(nominal))
     parts = _parts(label)
     said("fitting the geometry", 0, 1)
     _enough_for_any(samples, nominal)
@@ -162,7 +162,9 @@ def certify_arm(
             if whole
             else np.zeros(2)
         )
-        left = held_out_error_statistics(best[1] - _shared_errors(kept, found.shared), kept, of_kept, 0.0, own)
+        left = mean_square_held_out_errors_by_configuration(
+            best[1] - _shared_errors(kept, found.shared), kept, of_kept, 0.0, own
+        )
     return CertifiedArm(
         correction,
         _as_stated(identification_with_held_out_scatter(found, left, rng), samples.measured),

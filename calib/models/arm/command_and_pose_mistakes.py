@@ -15,7 +15,7 @@ from calib.models.arm import error_model_and_observations, instrument_placement
 from calib.models.arm.error_model_and_observations import Observations, position_observations
 from calib.models.arm.instrument_placement import nearest_rotation, rigid_transform, solve_rotation_placement
 from rig.array_and_json_types import Floats, Integers
-from rig.checks.command_and_pose_disagreements import LIKELY, written_pose_columns
+from rig.checks.command_and_pose_disagreements import LIKELY, pose_columns_of_poses_csv_as_written
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.checks.unit_and_convention_mistakes import poses_in_other_conventions
 from rig.errors import RigError
@@ -158,7 +158,7 @@ def find_arm_mistakes(recording: Recording) -> tuple[Mistake, ...]:
         return ()
     design, T = recording.design, recording.poses.T_base_platform[some]
     alone = design.instrument is not None and design.instrument.rotation_sigma is None
-    v = written_pose_columns(recording)[some] if not alone else pose_to_vector(T)
+    v = pose_columns_of_poses_csv_as_written(recording)[some] if not alone else pose_to_vector(T)
     return sort_mistakes(_mistakes(ReachedPoses(arm, design.instrument, all_q, index[some], v, alone, T)))
 
 

@@ -86,7 +86,7 @@ def parameter_jacobian(q: Floats, arm: Arm) -> Floats:
     R, p = chain[..., -1, :3, :3], chain[..., -1, :3, 3]
     before, after = chain[..., :n, :, :], chain[..., 1 : n + 1, :, :]
     rows = arm.rows
-    turn = (mechanism.joint_turn_angles(q, arm) + rows[:, 0])[..., None]
+    turn = (mechanism.joint_values_with_zero_for_slides(q, arm) + rows[:, 0])[..., None]
     along = (
         np.cos(turn) * before[..., :3, 0] + np.sin(turn) * before[..., :3, 1]
     )  # the common normal, x of the turned frame

@@ -11,9 +11,9 @@ import numpy as np
 
 from calib.certification.held_out_errors import (
     HeldErrors,
-    held_out_error_statistics,
-    leverage_corrected_residuals,
+    mean_square_held_out_errors_by_configuration,
     mean_square_held_out_pose_errors_by_parameters,
+    residuals_corrected_for_noise_absorbed_by_fit,
 )
 from calib.correction.physics_compensation import samples_with_effects
 from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
@@ -26,7 +26,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
     Coordinate,
-    check_effect,
+    check_effect_place_and_parameter_bounds,
     conserved_coordinate_sums,
     coordinates_of_effects,
 )
@@ -267,7 +267,7 @@ def _written(coordinates: list[Coordinate], effects: tuple[Effect, ...], values:
     out = list(effects)
     for c, value in zip(coordinates, values.tolist()):
         out[c.effect] = c.written(out[c.effect], value)
-    return tuple(check_effect(effect) for effect in out)
+    return tuple(check_effect_place_and_parameter_bounds(effect) for effect in out)
 
 
 def _columns(
@@ -298,10 +298,10 @@ def held_out_geometry_errors(
 
     fitted_samples : Samples that it was fitted to; label : (m,) configuration of each
     """
-    freed = leverage_corrected_residuals(
+    freed = residuals_corrected_for_noise_absorbed_by_fit(
         identified.residuals[identified.inliers], *_fitted(identified, correction, fitted_samples), label
     )
-    return held_out_error_statistics(freed, fitted_samples, label)
+    return mean_square_held_out_errors_by_configuration(freed, fitted_samples, label)
 
 
 def mean_square_held_out_arm_pose_errors_by_parameters(

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.calibration_evidence import calibration_verdict
+from calib.certification.calibration_evidence_verdict_and_claim_check import calibration_verdict
 from calib.certification.error_claim_over_workspace import (
     DRAWS,
     PLACES,
@@ -22,8 +22,8 @@ from calib.certification.held_out_errors import (
     HeldOut,
     compare_errors,
     errors_before_and_after_correction,
-    held_out_error_statistics,
-    leverage_corrected_residuals,
+    mean_square_held_out_errors_by_configuration,
+    residuals_corrected_for_noise_absorbed_by_fit,
 )
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
@@ -44,7 +44,7 @@ from rig.model.mechanisms import mechanism_chain as mechanism
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.planning.configuration_sets import FILL, sobol_configurations
 from rig.recording.recording_folder import Recording
-from rig.report.pages.image_plane_and_3d_views import view_scripts
+from rig.report.pages.image_plane_and_3d_views import view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_elements import (
     Link,
     Page,
@@ -93,10 +93,10 @@ def certify_chain(
     agreed = samples.take(good)
     J = error_model.parameter_jacobian(agreed.commanded, found.chain)
     noise = agreed.covariance + np.diag(found.scatter**2)
-    freed = leverage_corrected_residuals(
+    freed = residuals_corrected_for_noise_absorbed_by_fit(
         errors_before_and_after_correction(correction, agreed)[1], J, found.covariance, noise, label[good]
     )
-    left = held_out_error_statistics(freed, agreed, label[good])
+    left = mean_square_held_out_errors_by_configuration(freed, agreed, label[good])
     scatter = np.maximum(
         found.scatter, np.sqrt(np.repeat(left.shown(rng) / 3, 3))
     )  # what a model lacks a fit takes into itself
@@ -186,7 +186,15 @@ def write_chain_calibration_page(
     judged = calibration_verdict(calibration)
     write_page(
         path,
-        Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, view_scripts(parts)),
+        Page(
+            "calibrate",
+            f"Calibration from {recording.name}",
+            judged,
+            parts,
+            judged.next,
+            links,
+            view_3d_scripts_if_needed(parts),
+        ),
     )
 
 

@@ -14,8 +14,8 @@ from calib.identify.least_squares_and_robust_fit import Linear, excess_scatter
 from calib.models.arm import error_model_and_observations as arms
 from calib.models.arm.error_model_and_observations import PLAUSIBLE
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters as independent
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import base_motion_columns
 from calib.models.platform.identification import PRIOR, pose_parameter_jacobian
-from calib.models.platform.parameter_accuracy import base_motion_columns
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats
 from rig.model.mechanism_geometry_classes import Arm, Chain, Stage

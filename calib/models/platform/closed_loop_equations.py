@@ -217,7 +217,9 @@ def whitened_pose_rows(
     return -1
 
 
-def linearised_hinge_equations(samples: Samples, lengths: Floats, mechanism: Planar2, scatter: Floats) -> Linear:
+def linearised_equations_of_two_strut_hinge_position(
+    samples: Samples, lengths: Floats, mechanism: Planar2, scatter: Floats
+) -> Linear:
     """Linearised equations (Linear) of the measured hinge (x, y) at a geometry.
 
     lengths : (n, 2) m, commanded; scatter : (2,) m of each strut beyond the poses' own

@@ -155,7 +155,7 @@ class Loops:
         """
         common = self.samples.common
         if isinstance(self.nominal, Planar2):
-            return closed_loop_equations.linearised_hinge_equations(
+            return closed_loop_equations.linearised_equations_of_two_strut_hinge_position(
                 self.samples, self.lengths, mechanism_with_parameters(self.nominal, p), scatter
             )
         right, J = np.empty((len(self.lengths), 6, 1 + common.shape[2])), np.zeros((len(self.lengths), 6, 42))

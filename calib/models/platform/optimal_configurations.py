@@ -15,8 +15,8 @@ from typing import cast
 
 import numpy as np
 
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import PLAUSIBLE
 from calib.models.platform.identification import pose_parameter_jacobian
-from calib.models.platform.parameter_accuracy import PLAUSIBLE
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotConverged, RigError
 from rig.model.mechanism_geometry_classes import Hexapod
@@ -78,12 +78,12 @@ def choose_d_optimal_configurations(
         )
     candidates, G = _candidates(hexapod, sigmas, seed, exclusion)
     known = (
-        configuration_information(existing_configurations, hexapod, sigmas)[1].reshape(-1, 42)
+        closing_commands_and_whitened_parameter_rows(existing_configurations, hexapod, sigmas)[1].reshape(-1, 42)
         if len(existing_configurations)
         else np.zeros((0, 42))
     )
     picked = choose_configurations_by_exchange(G, known.T @ known, count, criterion, progress)
-    even = configuration_information(
+    even = closing_commands_and_whitened_parameter_rows(
         configuration_sets.sobol_configurations(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas
     )[1].reshape(-1, 42)
     parts = [np.concatenate([known, rows]) for rows in (G[picked].reshape(-1, 42), even)]
@@ -121,8 +121,13 @@ def choose_configurations_by_exchange(
     return picked
 
 
-def configuration_information(commands: Floats, hexapod: Hexapod, sigmas: tuple[float, float]) -> tuple[Floats, Floats]:
-    """Information of configurations: their whitened rows (n, 6, 42), and the commands (n, 6) m that close."""
+def closing_commands_and_whitened_parameter_rows(
+    commands: Floats, hexapod: Hexapod, sigmas: tuple[float, float]
+) -> tuple[Floats, Floats]:
+    """Commands (n, 6) m that close on a pose, and the whitened rows (n, 6, 42) of their parameters.
+
+    The rows J give the information J^T J of a configuration.
+    """
     commands = np.asarray(commands, float)
     while True:
         try:
@@ -139,7 +144,7 @@ def _candidates(
 ) -> tuple[Floats, Floats]:
     """Low-discrepancy configurations and the strokes' outermost ones, with their rows."""
     spread = configuration_sets.sobol_configurations(hexapod.strut_range, CANDIDATES, FILL, seed)
-    return configuration_information(
+    return closing_commands_and_whitened_parameter_rows(
         allowed_configurations(
             np.concatenate([spread, configuration_sets.simplex_configurations(hexapod.strut_range, 1, FILL)]), avoided
         ),
@@ -224,15 +229,19 @@ def fewest_configurations(
     Raises RigError where MOST poses do not keep it, or where none may be visited
     """
     spread = configuration_sets.sobol_configurations(hexapod.strut_range, FEWEST_CANDIDATES, FILL, seed)
-    candidates, G = configuration_information(allowed_configurations(spread, exclusion), hexapod, sigmas)
-    places, _ = configuration_information(
+    candidates, G = closing_commands_and_whitened_parameter_rows(
+        allowed_configurations(spread, exclusion), hexapod, sigmas
+    )
+    places, _ = closing_commands_and_whitened_parameter_rows(
         configuration_sets.sobol_configurations(hexapod.strut_range, PLACES, WORKSPACE, seed + 1), hexapod, sigmas
     )
     J = pose_parameter_jacobian(mechanism.forward(places, hexapod), hexapod)[:, :3].reshape(-1, 42) * PLAUSIBLE
     A = J.T @ J / len(places)
     covariance: Floats = np.eye(42)  # of the parameters, each in its plausible size
     if existing_configurations is not None and len(existing_configurations):
-        known = configuration_information(existing_configurations, hexapod, sigmas)[1].reshape(-1, 42)
+        known = closing_commands_and_whitened_parameter_rows(existing_configurations, hexapod, sigmas)[1].reshape(
+            -1, 42
+        )
         covariance = cast(Floats, np.linalg.inv(np.eye(42) + known.T @ known))
     chosen: list[int] = []
     left = [_left(covariance, A, seed)]

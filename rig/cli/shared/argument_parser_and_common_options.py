@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NoReturn, TypeVar
 
 from rig.cli.shared.input_options_and_output_display import Progress
 from rig.compute import parallel_map_and_dask_cluster
-from rig.compute.worker_processes import limit_workers, terminate_child_processes, worker_count
+from rig.compute.worker_processes import temporary_worker_limit, terminate_child_processes, worker_count
 from rig.errors import MissingLibrary, RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 from rig.formats.output_files import STANDARD_OUTPUT
@@ -238,10 +238,10 @@ def parse_numbers(texts: list[str], count: int, option: str) -> list[float]:
 def add_controller_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of commands that talk to the controller: RIG.toml, --port, --trace."""
     parser.add_argument("design", metavar="RIG.toml", type=Path)
-    add_port_options(parser)
+    add_port_and_trace_options(parser)
 
 
-def add_port_options(parser: ArgumentParser) -> None:
+def add_port_and_trace_options(parser: ArgumentParser) -> None:
     """Add the options --port of the controller, and --trace FILE of the bytes exchanged."""
     parser.add_argument(
         "--port", help="controller address, instead of the one in [controller]: a device, socket://.., rfc2217://.."
@@ -260,8 +260,8 @@ def add_speed_option(parser: ArgumentParser, usual: float) -> None:
     )
 
 
-def add_trust_option(parser: ArgumentParser) -> None:
-    """Add the option --trust."""
+def add_trust_unhomed_position_option(parser: ArgumentParser) -> None:
+    """Add the option --trust: trust the position that the controller reports, though it was not homed."""
     parser.add_argument(
         "--trust", action="store_true", help="trust the position that the controller reports, though it was not homed"
     )
@@ -364,7 +364,7 @@ def use_requested_workers(arguments: Namespace) -> Iterator[None]:
     from threadpoolctl import threadpool_limits
 
     with (
-        limit_workers(arguments.workers),
+        temporary_worker_limit(arguments.workers),
         parallel_map_and_dask_cluster.use_cluster(arguments.scheduler),
         threadpool_limits(1),
     ):

@@ -19,11 +19,11 @@ from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable
 
 if TYPE_CHECKING:
     from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-    from calib.online.platform_poses_from_measuring_limbs import LimbSource
+    from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbSource
     from rig.effects.texts.effect_text_parsing import Kinds
     from rig.effects.texts.user_effect_file_loading import Plugin
     from rig.recording.recording_folder import Recording
-    from rig.report.verdict_and_refutations_of_results import Refutation, State
+    from rig.report.verdict_and_refutations_by_later_recordings import Refutation, State
 
 
 class EscapedStream:
@@ -301,12 +301,12 @@ def limb_source(arguments: Namespace) -> LimbSource | None:
         raise RigError("--check takes a number of poses, at least 1, and --limbs")
     if arguments.limbs is None:
         return None
-    from calib.online.platform_poses_from_measuring_limbs import LimbSource
+    from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbSource
 
     return LimbSource(arguments.limbs, arguments.check or CHECK_EVERY)
 
 
-def add_effects_option(parser: ArgumentParser) -> None:
+def add_user_effect_files_option(parser: ArgumentParser) -> None:
     """Add the option --effects FILE.py, a file of the user's own effects."""
     parser.add_argument(
         "--effects",
@@ -356,9 +356,12 @@ def calibration_of_arguments(arguments: Namespace) -> Calibration:
     return load_calibration(arguments.calibration, load_effect_files(arguments))
 
 
-def read_refutations(path: Path) -> tuple[Refutation, ...]:
-    """Read the refutations of a calibration file, print each as a warning. Raises FileError for an invalid list."""
-    from rig.report.verdict_and_refutations_of_results import refutations_of_file
+def read_and_print_refutations(path: Path) -> tuple[Refutation, ...]:
+    """Read the refutations of a calibration file, and print each as a warning.
+
+    Raises FileError for an invalid list.
+    """
+    from rig.report.verdict_and_refutations_by_later_recordings import refutations_of_file
 
     found = refutations_of_file(path)
     print_refutations(path, found)
@@ -378,7 +381,7 @@ def write_refutation(
 
     finding : a sentence without its full stop; state : BAD (None), or CHECK where it leaves something out
     """
-    from rig.report.verdict_and_refutations_of_results import NAME, Refutation, State, add_refutation
+    from rig.report.verdict_and_refutations_by_later_recordings import NAME, Refutation, State, add_refutation
 
     state = State.BAD if state is None else state
 

@@ -127,7 +127,7 @@ def _print_places(moved: Places) -> None:
 MOST_NAMED = 10  # frames
 
 
-def print_verdict(result: CalibrationResult) -> None:
+def print_calibration_verdict_errors_and_corrections(result: CalibrationResult) -> None:
     """Print the verdict of a calibration, then its held-out errors and corrections."""
     claim, done = result.calibration.claim, result.done
     print(

@@ -243,7 +243,7 @@ def parse_settling(text: str) -> Settling:
     return Settling(by, value)
 
 
-def image_difference(first_image: Pixels, second_image: Pixels) -> float:
+def image_difference_relative_to_noise(first_image: Pixels, second_image: Pixels) -> float:
     """Difference of two images of a camera relative to noise; above 1 the view has moved."""
     difference = np.abs(_blocks(first_image) - _blocks(second_image))
     noise = min(float(np.median(difference)) / 0.6745, LARGEST_NOISE)
@@ -262,7 +262,7 @@ def _by_images(clock: Clock, images: Callable[[], list[Pixels]]) -> None:
     start, before, still = clock.now(), images(), 0
     while still < PAIRS:
         now = images()
-        most = max(image_difference(a, b) for a, b in zip(before, now))
+        most = max(image_difference_relative_to_noise(a, b) for a, b in zip(before, now))
         still, before = still + 1 if most <= 1 else 0, now
         if clock.now() - start > MOST and still < PAIRS:
             raise NotSettled(

@@ -125,7 +125,7 @@ INSTANT = 1e-6  # s; a sum of times may round to just before
 
 
 class EmulatorPort:
-    """See rig.driving.controller_requests_and_answers.Port. emulator : its clock must be the one given."""
+    """See rig.driving.request_and_answer_exchange_with_controller.Port. emulator : its clock must be the one given."""
 
     def __init__(self, emulator: Emulator, clock: SimulatedClock) -> None:
         self._emulator, self._clock = emulator, clock

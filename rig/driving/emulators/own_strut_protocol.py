@@ -9,7 +9,7 @@ from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults
 from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine
-from rig.driving.protocols.own_strut_protocol import NM, VERSION, decode_frame, encode_frame
+from rig.driving.protocols.own_strut_protocol import NM, VERSION, encode_frame, last_valid_frame_in_line
 
 
 class Struts(Emulator):
@@ -34,7 +34,7 @@ class Struts(Emulator):
         return True
 
     def line(self, line: bytes) -> None:
-        frame = decode_frame(">", line.decode("latin-1"))
+        frame = last_valid_frame_in_line(">", line.decode("latin-1"))
         if frame is None or frame.number is None:
             if line.strip():
                 self.say(encode_frame("<", None, "NAK").decode())

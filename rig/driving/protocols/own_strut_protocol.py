@@ -60,7 +60,7 @@ def encode_frame(direction: str, number: int | None, text: str) -> bytes:
     return f"{direction}{body}*{_checksum(body)}\n".encode("ascii")
 
 
-def decode_frame(direction: str, line: str) -> Frame | None:
+def last_valid_frame_in_line(direction: str, line: str) -> Frame | None:
     """Decode the last valid frame in a line, None where there is none."""
     for match in reversed(list(_FRAME.finditer(line))):
         if match[1] == direction and match[4] == _checksum(f"{match[2]} {match[3]}"):
@@ -157,7 +157,7 @@ class Struts:
         return None
 
     def event(self, line: str) -> str:
-        frame = decode_frame("<", line)
+        frame = last_valid_frame_in_line("<", line)
         if frame is not None and frame.number is None and frame.text.startswith("BOOT"):
             return "restarted"
         return ""
@@ -196,7 +196,7 @@ class Struts:
     def _ask(self, text: str) -> Dialogue[tuple[Verdict, str]]:
         self._number = number = self._number % (NUMBERS - 1) + 1
         lines: Lines = yield Exchange(encode_frame(">", number, text), lambda lines: _answers(lines[-1], number))
-        frame = None if lines is None else decode_frame("<", lines[-1])
+        frame = None if lines is None else last_valid_frame_in_line("<", lines[-1])
         if frame is None:
             return Verdict(None, f"no answer to {text}"), ""
         word, _, rest = frame.text.partition(" ")
@@ -209,7 +209,7 @@ class Struts:
 
 
 def _answers(line: str, number: int) -> bool:
-    frame = decode_frame("<", line)
+    frame = last_valid_frame_in_line("<", line)
     return frame is not None and (
         frame.number == number and frame.text.split(" ")[0] in ("OK", "ERR") or frame == Frame(None, "NAK")
     )

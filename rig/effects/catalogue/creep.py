@@ -1,4 +1,4 @@
-"""Creep: a part of every move arrives late, approaching the command with a time constant."""
+"""Creep: an axis moves on slowly after each move, its last part arriving exponentially with a time constant."""
 
 from dataclasses import dataclass
 from typing import ClassVar

@@ -41,7 +41,7 @@ from rig.effects.catalogue.travel_heating import TravelHeating
 from rig.effects.catalogue.vibration import Vibration
 from rig.effects.catalogue.warm_up import WarmUp
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_parameters_and_covariates import Parameter, fill_axis_placeholder
+from rig.effects.framework.effect_parameters_and_covariates import Parameter, replace_axis_placeholder_in_text
 from rig.formats.number_parsing_and_rounding import range_text
 from rig.model.effect_places_and_part_tolerances import AXES, Tolerance
 
@@ -188,7 +188,7 @@ def _row(cells: Iterable[str], widths: list[int]) -> list[str]:
 
 
 def _said(text: str) -> str:
-    return _flat(fill_axis_placeholder(text))
+    return _flat(replace_axis_placeholder_in_text(text))
 
 
 def _flat(text: str) -> str:
@@ -247,7 +247,8 @@ def _effect_markdown(effect: type[Effect], sketch: str = "") -> str:
         + "| parameter | unit | what rigs show | bounds | at a joint |\n|---|---|---|---|---|\n"
         + "\n".join(rows)
         + "\n\n"
-        f"Shown by: {fill_axis_placeholder(effect.experiment)}.\n\nWhat to do: {fill_axis_placeholder(effect.action)}\n"
+        f"Shown by: {replace_axis_placeholder_in_text(effect.experiment)}.\n\n"
+        f"What to do: {replace_axis_placeholder_in_text(effect.action)}\n"
     )
 
 

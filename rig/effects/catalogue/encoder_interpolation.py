@@ -73,25 +73,30 @@ class EncoderInterpolation(Effect):
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
         amplitude, phase = (draw_number(p, drawing, rng) for p in cls.parameters[:2])
-        return cls(place, amplitude, phase, float(rng.uniform(fewest_encoder_periods_per_metre(drawing.motion), MOST)))
+        return cls(
+            place,
+            amplitude,
+            phase,
+            float(rng.uniform(fewest_encoder_periods_distinct_from_screw_error(drawing.motion), MOST)),
+        )
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         motion = context.moved()
         lengths = motion.lengths[:, motion.places.index(place)]
         spacing = FINE / max(np.ptp(lengths), SHORTEST)
-        periods = np.arange(fewest_encoder_periods_per_metre(motion) + spacing, MOST, spacing)
+        periods = np.arange(fewest_encoder_periods_distinct_from_screw_error(motion) + spacing, MOST, spacing)
         grid = [{"periods": float(w)} for w in periods[~are_periods_aliased(np.unique(lengths.round(SAME)), periods)]]
         return [Candidate(cls, place, grid, cls.linear(place), extra=1)] if grid else []
 
 
-def fewest_encoder_periods_per_metre(motion: Motion) -> float:
+def fewest_encoder_periods_distinct_from_screw_error(motion: Motion) -> float:
     """Fewest periods per metre of an encoder; with fewer it would be the screw's cyclic error."""
     return max(FEWEST, OF_SCREW / (motion.actuator.screw_lead or np.inf))
 
 
 def are_periods_aliased(lengths: Floats, periods: Floats) -> Booleans:
-    """Whether periods (k,) 1/m are are_periods_aliased to a slow function by evenly spaced lengths (n,) m.
+    """Whether periods (k,) 1/m are aliased to a slow function by evenly spaced lengths (n,) m.
 
     Steps that are whole multiples of a pitch show nothing of what is within it.
     """

@@ -1,4 +1,4 @@
-"""Joint offset: the two axes of a cardan do not meet, so that the strut's end moves as the joint turns."""
+"""Joint offset: a cardan joint's two axes are offset from each other, so the strut's end moves as the joint turns."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self

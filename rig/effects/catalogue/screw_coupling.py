@@ -10,7 +10,7 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_twist, require_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_twist_angles_about_struts, require_hexapod
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,4 +42,4 @@ class ScrewCoupling(Effect):
         if reason:
             raise RigError(f"{self.name} {reason}")
         m = require_hexapod(motion.mechanism)
-        return cardan_twist(motion.posed(), m) - cardan_twist(m.home, m)
+        return cardan_twist_angles_about_struts(motion.posed(), m) - cardan_twist_angles_about_struts(m.home, m)

@@ -80,21 +80,18 @@ class Candidate:
 class Effect:
     """Base of all effects.
 
-    name, stage; places : kinds of place it can sit at ("axis": a strut or a joint); parameters; experiment : what would
-    expose it
-    joint_experiment : the same of a joint, where it differs; action : what an owner can do about it; "{axis}" stands
-        for strut, joint or slide in all
+    places : kinds of place it can sit at ("axis": a strut or a joint); experiment : what would expose it
+    joint_experiment : the same of a joint, where it differs; action : what an owner can do about it, with "{axis}" too
     on_pose : its deviation depends on the pose; sudden : it happens at one time, and may be over soon
-    discrete : found by looking at what corners were set aside, not by its derivative; moving : shows only in exposures
-        on the way
+    discrete : found by looking at what corners were set aside, not by its derivative
+    moving : shows only in exposures on the way
     rolls : rows of an image are exposed one after the other
     form : what the model is a function of, where that is simple: the axis' own travel ("slope", "sinusoid" or
     "profile"), its "load", or a moment ("step")
-    own_axis : depends on the axis' own position alone, 1 for the simplest such model; once : a second at a place would
-        be the first
-    lasting : the machine does it again the next time, as found, so that commands can undo it; what happened at one
-    moment, or swings with a phase of its own, it does not
-    tolerance : manufacturing tolerance within which as much is nobody's fault
+    own_axis : depends on the axis' own position alone, 1 for the simplest such model
+    once : a second at a place would be the first
+    lasting : the machine does it again the next time, so that commands can undo it; not what happened at one moment
+    tolerance : of manufacturing, within which it is no fault
     cardans : [actuator] joints, those of struts' ends, one of which it needs; empty where it needs no cardan
     whole_turns : it needs the travel of one turn of its axis' screw
     fixed_mount : at a camera, it takes one whose mount does not move with the machine

@@ -15,8 +15,8 @@ from rig.model.effect_places_and_part_tolerances import AXES, NUMBER, Place
 MOST = 1000  # numbers of a parameter of any length
 
 
-def check_effect(effect: Effect) -> Effect:
-    """Check an effect and return it.
+def check_effect_place_and_parameter_bounds(effect: Effect) -> Effect:
+    """Check that an effect's place and parameters are permitted, and return it.
 
     Raises ValueError for a place where it cannot be or a parameter out of bounds.
     """

@@ -15,7 +15,7 @@ from rig.model.effect_places_and_part_tolerances import Place
 from rig.recording.recording_folder import Sensors
 
 
-def fill_axis_placeholder(text: str) -> str:
+def replace_axis_placeholder_in_text(text: str) -> str:
     """Text with its placeholder {axis} filled by the word axis, for axes of any kind."""
     return text.replace("{axis}s", "axes").format(axis="axis")
 

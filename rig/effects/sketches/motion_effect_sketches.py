@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.framework.effect_parameters_and_covariates import Drawing, Parameter
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
@@ -70,7 +70,7 @@ class ExampleRun:
     motion: Motion
 
 
-def effect_example(
+def example_run_with_effect(
     kind: type[Effect],
     place: str,
     factor: float = 1.0,
@@ -93,7 +93,7 @@ def effect_example(
     motion = replace(motion, T=motion_simulation.simulate_machine_run(base, commands, t, (), sensors).T_base_platform)
     drawn = kind.drawn(place, Drawing(seen, t, motion, displaced), np.random.default_rng(SEED))
     values = {p.name: _size(p, span, getattr(drawn, p.name), factor) for p in kind.parameters_at(place)}
-    effect = check_effect(replace(drawn, **values))
+    effect = check_effect_place_and_parameter_bounds(replace(drawn, **values))
     reason = effect.needs(motion)
     if reason:
         raise RigError(f"{effect.name} {reason}")
@@ -211,7 +211,7 @@ def draw_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     factor : of its largest usual size
     """
     place = str(Place.axis("strut", AXIS)) if "axis" in kind.places else kind.places[0]
-    way = effect_example(kind, place, factor)
+    way = example_run_with_effect(kind, place, factor)
     error = _strut_errors(way)
     first = _displaced(way) if kind.stage == "structure" or kind.on_pose else _through_time(way, error)
     return Sketch(place_and_values_text(way.effect), (first, _over_covariate(way, error)))

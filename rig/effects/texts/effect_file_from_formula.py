@@ -333,7 +333,9 @@ class NewEffect:
         return f"{self.name} at {', '.join(self.places)}: {formula}; {self.formula.where()}"
 
 
-def new_effect(name: str, path: Path, diagnosis_folder: Path | None = None, place: str | None = None) -> NewEffect:
+def new_effect_from_suggestion_or_example(
+    name: str, path: Path, diagnosis_folder: Path | None = None, place: str | None = None
+) -> NewEffect:
     """New effect of a name, by the formula that a diagnosis suggests at a place, or by an example.
 
     path : of its file, to be named in errors; diagnosis_folder : with diagnosis.json, or None for the example

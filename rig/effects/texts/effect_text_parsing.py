@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.errors import RigError
 from rig.formats.checked_entries import NAME, nearest_known_word
 from rig.formats.local_and_remote_input_files import short_repr
@@ -46,7 +46,7 @@ def parse_effect(text: str, known_effects: Kinds = BY_NAME) -> Effect:
         if own[key].size == 1 and len(numbers) > 1:
             raise RigError(f"effect {short_repr(text)}: {key} is one number, got {short_repr(value)}")
     try:
-        return check_effect(kind(_place(place.strip(), kind), **values))
+        return check_effect_place_and_parameter_bounds(kind(_place(place.strip(), kind), **values))
     except (TypeError, ValueError) as error:
         raise RigError(f"effect {short_repr(text)}: {error}") from None
 
@@ -101,7 +101,7 @@ def require_known_effect(text: str, design: Design, known_effects: Kinds = BY_NA
     if not place:
         return text
     try:
-        require_existing_place(check_effect(kind(place)), design)
+        require_existing_place(check_effect_place_and_parameter_bounds(kind(place)), design)
     except ValueError as error:
         raise RigError(f"{short_repr(text)}: {error}") from None
     return text
@@ -116,7 +116,9 @@ def parse_effect_and_place(text: str, design: Design, known_effects: Kinds = BY_
             f"{short_repr(text)}: a {name} is searched for first and cannot be assumed; state it in rig.toml"
         )
     try:
-        effect = require_existing_place(check_effect(kind(_place(place.strip(), kind))), design)
+        effect = require_existing_place(
+            check_effect_place_and_parameter_bounds(kind(_place(place.strip(), kind))), design
+        )
     except ValueError as error:
         raise RigError(f"{short_repr(text)}: {error}") from None
     return effect.name, effect.place
@@ -129,7 +131,7 @@ def require_existing_place(effect: Effect, design: Design) -> Effect:
     slide = replace(site, kind="slide")
     if kind == "joint" and slide in places:
         try:
-            return check_effect(replace(effect, place=str(slide)))
+            return check_effect_place_and_parameter_bounds(replace(effect, place=str(slide)))
         except ValueError as error:
             raise RigError(str(error)) from None
     if kind in AXES and design.mechanism.bodies and site not in places:

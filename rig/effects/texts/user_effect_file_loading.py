@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from rig.effects.catalogue.effect_list import BY_NAME, STAGES
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.framework.effect_parameters_and_covariates import Context, Parameter
 from rig.errors import FileError, RigError
 from rig.model.effect_places_and_part_tolerances import AXES
@@ -179,7 +179,7 @@ def _parameters_problem(kind: type[Effect]) -> str | None:
 def _default_problem(kind: type[Effect]) -> str | None:
     for place in kind.places:
         try:
-            check_effect(kind(EXAMPLE.get(place, place)))
+            check_effect_place_and_parameter_bounds(kind(EXAMPLE.get(place, place)))
         except Exception as error:
             return f"cannot be made with its defaults at {place}: {error}"
     return None

@@ -20,7 +20,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.design import Camera
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_twist, has_plates
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_twist_angles_about_struts, is_hexapod
 from rig.model.pose import pose_to_entry, pose_to_vector
 
 HEXAPOD = (
@@ -40,7 +40,7 @@ ARM = ("joint", "theta", "d", "a", "alpha", "beta", "lowest", "highest", "slides
 
 def geometry_json(mechanism: Hexapod | Arm) -> str:
     """Geometry of a Hexapod or an Arm as JSON."""
-    if has_plates(mechanism):
+    if is_hexapod(mechanism):
         tree = {
             name: getattr(mechanism, name).tolist()
             for name in ("base_joints", "platform_joints", "strut_zeros", "strut_range")
@@ -64,7 +64,7 @@ def geometry_csv(mechanism: Hexapod | Arm) -> str:
     """Geometry as CSV: a row per strut of a Hexapod, a row per joint of an Arm."""
     header: tuple[str, ...]
     parts: Iterable[tuple[Floats, ...]]
-    if has_plates(mechanism):
+    if is_hexapod(mechanism):
         header, last = HEXAPOD, [""] * len(mechanism.axes)
         parts = zip(
             mechanism.base_joints, mechanism.platform_joints, mechanism.strut_zeros[:, None], mechanism.strut_range
@@ -161,7 +161,7 @@ def genhexkins_settings(
     if screw_coupling:
         if screw_lead is None:
             raise RigError("a coupling of the screws needs their lead, m per revolution")
-        twist = cardan_twist(hexapod.home, hexapod)
+        twist = cardan_twist_angles_about_struts(hexapod.home, hexapod)
         sign = np.where(
             np.abs(twist) > np.pi / 2, -1.0, 1.0
         )  # the platform's axis the other way round is the same axis

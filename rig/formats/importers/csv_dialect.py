@@ -7,7 +7,13 @@ from pathlib import Path
 
 from rig.errors import FileError
 from rig.formats.csv_and_parquet_tables_and_time_origin import is_parquet, read_parquet_cells
-from rig.formats.importers.foreign_table_columns import LONGEST, NUMBER, Cells, add_time_column, lines_with_header
+from rig.formats.importers.foreign_table_columns import (
+    LONGEST,
+    NUMBER,
+    Cells,
+    add_time_column,
+    lines_with_missing_header_added,
+)
 from rig.formats.importers.import_recipe import DECIMALS, SEPARATORS, ForeignTable
 from rig.formats.importers.units_and_timestamps import ambiguity_error
 from rig.formats.local_and_remote_input_files import read_bytes, short_repr
@@ -22,8 +28,9 @@ DATE = re.compile(r"\d{4}-?\d\d-?\d\d([T ]\d\d.*)?")
 GROUPED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 
 
-def read_foreign_table(table: ForeignTable, section: str) -> Cells:
-    """Read the Cells (header and rows) of a foreign table of any CSV dialect.
+def read_header_and_cells_of_foreign_table(table: ForeignTable, section: str) -> Cells:
+    """Read the header and rows of texts (Cells) of a foreign table of any CSV dialect.
+
     section : of its section in a recipe, as settings call it
 
     Raises FileError for what is no table, RigError for one that reads well in two ways
@@ -32,7 +39,7 @@ def read_foreign_table(table: ForeignTable, section: str) -> Cells:
         header, rows = add_time_column(table, *read_parquet_cells(table.file))
         return Cells(table.file, header, rows, list(range(1, len(rows) + 1)), table, ())
     content, words = _decoded(table.file)
-    with_header = lines_with_header(table, section, _lines(table.file, content, table.header is None))
+    with_header = lines_with_missing_header_added(table, section, _lines(table.file, content, table.header is None))
     lines, table, words = with_header.lines, with_header.table, (*words, *with_header.said)
     fits = _fitting(table, lines)
     if not fits:

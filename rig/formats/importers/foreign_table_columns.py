@@ -153,7 +153,7 @@ class TableWithHeader:
     said: tuple[str, ...] = ()
 
 
-def lines_with_header(table: ForeignTable, section: str, lines: list[tuple[int, str]]) -> TableWithHeader:
+def lines_with_missing_header_added(table: ForeignTable, section: str, lines: list[tuple[int, str]]) -> TableWithHeader:
     """Lines of a table with a header added where it has none: the stated one, or TUM's.
     section : of the table's section
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
 from rig.formats.checked_entries import LARGEST_RIG
-from rig.formats.importers.csv_dialect import read_foreign_table
+from rig.formats.importers.csv_dialect import read_header_and_cells_of_foreign_table
 from rig.formats.importers.foreign_table_columns import (
     FRAME,
     TIME,
@@ -22,7 +22,7 @@ from rig.formats.importers.import_recipe import EULER, ForeignTable
 from rig.formats.importers.units_and_timestamps import ANGLES, LENGTHS, ambiguity_error
 from rig.model.design import Design
 from rig.model.mechanisms import hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_plates
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 
 POSITION = {
     "x": ("x", "tx", "px", "posx", "positionx", "xpos"),
@@ -76,7 +76,7 @@ def read_poses(
         known
     are_plausible : whether times (n,) s from the first can be so
     """
-    cells = read_foreign_table(table, "poses")
+    cells = read_header_and_cells_of_foreign_table(table, "poses")
     found = find_columns(
         cells, "poses", {**TIME, **FRAME, **POSITION, **VECTOR, **EULERS, **QUATERNION, **NUMBERED}, ("x", "y", "z")
     )
@@ -203,7 +203,7 @@ def _by_commands(
         if not any((way[2] * other[2].inv()).magnitude().max() < 1e-9 for other in distinct):
             distinct.append(way)
     m = design.mechanism
-    if q is not None and has_plates(m) and len(p) >= LEAST:
+    if q is not None and is_hexapod(m) and len(p) >= LEAST:
 
         def miss(R: Rotation) -> float:
             return float(np.sqrt(((hexapod.inverse(RigidTransform.from_components(p, R), m) - q) ** 2).mean()))

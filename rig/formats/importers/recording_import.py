@@ -34,7 +34,7 @@ from rig.formats.output_files import write_bytes
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
 from rig.recording.image_file_check_and_reading import image_file_problem
-from rig.recording.recording_tables import Poses, write_poses, write_table
+from rig.recording.recording_table_loading_and_writing import Poses, write_poses, write_table
 
 LARGEST_IMAGE_FILE = 1 << 31  # bytes
 SAME_MOMENT = 0.05  # s that a pose may be from its frame

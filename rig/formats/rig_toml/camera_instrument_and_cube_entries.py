@@ -19,7 +19,7 @@ from rig.model.design import (
     Permission,
     Target,
 )
-from rig.model.design_comparison_and_cube_remounting import find_cube, parse_cube_turn_permission
+from rig.model.design_comparison_and_cube_turning_instructions import find_cube, parse_cube_turn_permission
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 from rig.model.pose import pose_to_vector
 

@@ -9,7 +9,7 @@ from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import camera_instrument_and_cube_entries
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_table
-from rig.model.controller_port_names import port_problem
+from rig.model.controller_protocol_list_and_port_name_check import port_problem
 from rig.model.design import (
     DICTIONARIES,
     FACES,

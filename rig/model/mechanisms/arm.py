@@ -38,7 +38,7 @@ def link_frames(q: Floats, arm: Arm) -> Floats:
         )
     out = np.empty((*q.shape[:-1], len(arm.joints) + 2, 4, 4))
     out[..., 0, :, :] = arm.base.as_matrix()
-    links = link_transform(joint_turn_angles(q, arm), arm.rows.T)
+    links = link_transform(joint_values_with_zero_for_slides(q, arm), arm.rows.T)
     if arm.slides.any():
         links[..., 2, 3] += np.where(arm.slides, q, 0.0)
     for i in range(q.shape[-1]):
@@ -47,7 +47,7 @@ def link_frames(q: Floats, arm: Arm) -> Floats:
     return out
 
 
-def joint_turn_angles(q: Floats, arm: Arm) -> Floats:
+def joint_values_with_zero_for_slides(q: Floats, arm: Arm) -> Floats:
     """Turn angles (..., n) rad of the joints at joint values q (..., n): 0 for slides."""
     return np.where(arm.slides, 0.0, q) if arm.slides.any() else np.asarray(q, float)
 
@@ -152,7 +152,7 @@ def axis_deviation_and_sway_by_member_growth(
     A slide's scale is its travel with it.
     """
     chain, rows = link_frames(q, arm), arm.rows
-    before, turn = chain[:, : len(rows), :3], (joint_turn_angles(q, arm) + rows[:, 0])[..., None]
+    before, turn = chain[:, : len(rows), :3], (joint_values_with_zero_for_slides(q, arm) + rows[:, 0])[..., None]
     along = np.cos(turn) * before[..., 0] + np.sin(turn) * before[..., 1]  # the common normal
     offset = rows[:, 1] + np.where(arm.slides, q, 0.0)
     moved = np.einsum("mn,mni->mi", share, offset[..., None] * before[..., 2] + rows[:, 2, None] * along)

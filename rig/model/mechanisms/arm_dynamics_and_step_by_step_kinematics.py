@@ -133,21 +133,23 @@ class KinematicsStep(NamedTuple):
     points: Floats
 
 
-def hand_points_at_zero(arm: Arm) -> Floats:
+def three_hand_points_at_zero_joint_values(arm: Arm) -> Floats:
     """Points A, B, C (3, 3) m of an arm's hand at zero, in its global frame."""
     F = frame_at_first_axes_crossing(arm)
     a = F.inv().apply(mechanism.forward(np.zeros(len(arm.joints)), arm).translation)
     return np.array([a, a + [0, 0, 1], a + [0, 1, 0]])
 
 
-def forward_steps(q: Floats, arm: Arm) -> list[KinematicsStep]:
-    """Steps of the forward kinematics of any Arm at q (axes,) rad or m.
+def hand_points_after_moving_each_joint(q: Floats, arm: Arm) -> list[KinematicsStep]:
+    """Points of an arm's hand at zero, then after each joint is moved, the last joint first.
+
+    Steps of the forward kinematics of any Arm at q (axes,) rad or m.
 
     Points at zero, then after each joint, the last first
     """
     to_global = frame_at_first_axes_crossing(arm).inv()
     chain = (to_global * RigidTransform.from_matrix(mechanism.link_frames(np.zeros(len(q)), arm))).as_matrix()
-    abc = hand_points_at_zero(arm)
+    abc = three_hand_points_at_zero_joint_values(arm)
     steps = [KinematicsStep(0, 0.0, np.zeros((2, 3)), tuple("ABC"), abc)]
     for i in range(len(q) - 1, -1, -1):
         o, u = chain[i, :3, 3], chain[i, :3, 2]
@@ -189,7 +191,9 @@ def inverse_steps(T_base_platform: RigidTransform, six_arm: SixJointArm, q: Floa
     return way.steps
 
 
-def inverse_steps_of_numerical_solution(T_base_platform: RigidTransform, arm: Arm, q: Floats) -> list[KinematicsStep]:
+def joint_by_joint_steps_of_numerical_inverse(
+    T_base_platform: RigidTransform, arm: Arm, q: Floats
+) -> list[KinematicsStep]:
     """Steps of the inverse of a pose () for a numerical solution q (n,), from joint 1 to n.
 
     The last leaves A, B, C where they are at zero, but for what the solution leaves of the pose.
@@ -199,7 +203,7 @@ def inverse_steps_of_numerical_solution(T_base_platform: RigidTransform, arm: Ar
     moved = (
         frame.inv() * T_base_platform * mechanism.forward(np.zeros(len(q)), arm).inv() * frame
     )  # the hand since zero, in the global frame
-    abc = moved.apply(hand_points_at_zero(arm))
+    abc = moved.apply(three_hand_points_at_zero_joint_values(arm))
     steps = [KinematicsStep(0, 0.0, np.zeros((2, 3)), tuple("ABC"), abc)]
     for i, value in enumerate(q):
         o, u = chain[i, :3, 3], chain[i, :3, 2]

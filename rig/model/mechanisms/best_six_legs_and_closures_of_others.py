@@ -97,7 +97,7 @@ def combine_leg_sets(
     )
 
 
-def leg_length_jacobians(legs: RedundantLegs, T: RigidTransform) -> tuple[Floats, Floats, Floats]:
+def leg_lengths_and_pose_and_base_jacobians(legs: RedundantLegs, T: RigidTransform) -> tuple[Floats, Floats, Floats]:
     """Leg lengths (n, k) m, their Jacobians (n, k, 6) with the pose, and with the base joints (n, k, 3)."""
     matrix = T.as_matrix()
     R, place = matrix[:, :3, :3], matrix[:, :3, 3]
@@ -110,7 +110,7 @@ def leg_length_jacobians(legs: RedundantLegs, T: RigidTransform) -> tuple[Floats
 
 def leg_parameter_jacobians(legs: RedundantLegs, T: RigidTransform) -> Floats:
     """Jacobians (n, k, 7 k) of leg lengths with each leg's parameters: base joint, platform joint, zero."""
-    own = _slope(leg_length_jacobians(legs, T)[2], T)
+    own = _slope(leg_lengths_and_pose_and_base_jacobians(legs, T)[2], T)
     return (np.eye(own.shape[1])[:, :, None] * own[:, :, None]).reshape(*own.shape[:2], -1)
 
 
@@ -130,7 +130,7 @@ def best_six_legs(legs: RedundantLegs, T: RigidTransform) -> Integers:
     where none of them holds the platform
     """
     size = float(np.linalg.norm(legs.platform - legs.platform.mean(axis=0), axis=1).mean())
-    J = leg_length_jacobians(
+    J = leg_lengths_and_pose_and_base_jacobians(
         legs, T[np.unique(np.linspace(0, len(T) - 1, min(len(T), LOOKED_AT)).round().astype(int))]
     )[1]
     J = J / np.repeat([1.0, size], 3) / legs.sigma[:, None]
@@ -148,7 +148,7 @@ def leg_closures(legs: RedundantLegs, lengths: Floats, chosen_six: Integers) -> 
     """
     checks = np.setdiff1d(np.arange(len(legs.names)), chosen_six)
     T = mechanism.forward(lengths[:, chosen_six], legs.six(chosen_six))
-    told, J, to_base = leg_length_jacobians(legs, T)
+    told, J, to_base = leg_lengths_and_pose_and_base_jacobians(legs, T)
     values = np.linalg.svd(J[:, chosen_six], compute_uv=False)
     if (values[:, -1] < SINGULAR * values[:, 0]).any():
         raise RigError(

@@ -109,7 +109,7 @@ def axis_loads(T: RigidTransform, lengths: Floats, hexapod: Hexapod, wrench: Flo
 
 
 def link_weight_loads(T: RigidTransform, lengths: Floats, hexapod: Hexapod, gravity: Floats) -> Floats:
-    """Loads of the links' own weight: none (n, 6, 0), the base carries the struts."""
+    """Empty loads (n, 6, 0): a hexapod has no arm links, and the base carries the struts."""
     return np.zeros((*np.shape(lengths), 0))
 
 
@@ -134,7 +134,7 @@ def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, hexapod: Hexapod) 
 
 
 def link_points(lengths: Floats, hexapod: Hexapod) -> None:
-    """Points of links for drawing at lengths (n, axes): none, as struts are no links."""
+    """None: a hexapod has no arm links to draw."""
     return None
 
 

@@ -156,7 +156,7 @@ def axis_loads(T: RigidTransform, values: Floats, chain: Chain, wrench: Floats) 
 
 
 def link_weight_loads(T: RigidTransform, values: Floats, chain: Chain, gravity: Floats) -> Floats:
-    """Loads of the links' own weight: none (n, axes of all, 0), stages' weight is not modelled."""
+    """Empty loads (n, axes of all, 0): the weight of a chain's stages is not modelled."""
     return np.zeros((*np.shape(values), 0))
 
 
@@ -186,7 +186,7 @@ def jacobian_rows_by_axis(T: RigidTransform, values: Floats, chain: Chain) -> Fl
 
 
 def link_points(values: Floats, chain: Chain) -> None:
-    """Points of links for drawing at values (n, axes): none, as a chain is drawn without links."""
+    """None: there are no points of links to draw at values (n, axes), as a chain is drawn without links."""
     return None
 
 

@@ -32,8 +32,8 @@ def has_struts(mechanism: Mechanism) -> TypeIs[Struts]:
     return mechanism.strut_joints is not None
 
 
-def has_plates(mechanism: Mechanism) -> TypeIs[Hexapod]:
-    """Whether a mechanism's struts stand between two plates, so that they hold all six coordinates of a pose."""
+def is_hexapod(mechanism: Mechanism) -> TypeIs[Hexapod]:
+    """Whether a mechanism is a hexapod: struts between two plates, holding all six coordinates of a pose."""
     return mechanism.plates is not None
 
 
@@ -56,7 +56,7 @@ def require_hexapod(
     mechanism: Mechanism, refusal: str = "this requires a hexapod, not a mechanism of kind {kind!r}"
 ) -> Hexapod:
     """Require that a mechanism is a hexapod, and return it. Raises RigError for another kind."""
-    if not has_plates(mechanism):
+    if not is_hexapod(mechanism):
         raise RigError(refusal.format(kind=mechanism.kind))
     return mechanism
 
@@ -143,7 +143,7 @@ def _least(hexapod: Hexapod, move: Floats, size: float) -> float:
     return float(values[-1] / values[0])
 
 
-def cardan_twist(T: RigidTransform, mechanism: Hexapod) -> Floats:
+def cardan_twist_angles_about_struts(T: RigidTransform, mechanism: Hexapod) -> Floats:
     """Twist (..., 6) rad of each strut's platform-side cardan against its base-side one, about the strut.
 
     A cardan's first axis lies in its plate, tangential, (-y, x, 0) of the joint in the plate's frame; its second is

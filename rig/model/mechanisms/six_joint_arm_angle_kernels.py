@@ -91,7 +91,7 @@ def cosine_equation_angles(a: float, b: float, r_minus_c: float, r_plus_c: float
 
 
 @njit(cache=True, error_model="numpy")
-def both_shoulder_angles(
+def both_first_joint_angles_for_point_level(
     point: Vector, o: Vector, u1: Vector, u2: Vector, level: float
 ) -> tuple[float, float, float, float, float]:
     """Both shoulder angles (joint 1) that bring the point to `level` along axis 2, with spread and distances."""

@@ -23,7 +23,7 @@ from rig.model.mechanisms.six_joint_arm_angle_kernels import (
     add_scaled,
     angle_about_axis,
     both_elbow_points,
-    both_shoulder_angles,
+    both_first_joint_angles_for_point_level,
     cosine_equation_angles,
     cross,
     dot,
@@ -110,7 +110,7 @@ def spherical_wrist_inverse(
     reach, mark, bend = add_scaled(k0, matrix_row(hand_points_at_zero, 0), -1.0), cross(u6, u5), _bend(u4, u5, u6)
     for m in range(len(wanted_hand_points)):
         W, ex, ey, ez = _hand(wanted_hand_points, m, reach)
-        first, second, h1, miss, span1 = both_shoulder_angles(W, o1, u1, u2, level)
+        first, second, h1, miss, span1 = both_first_joint_angles_for_point_level(W, o1, u1, u2, level)
         if miss > SLACK:
             reason[m], gap[m] = OFF_AXIS, miss
             continue
@@ -216,7 +216,7 @@ def parallel_axes_inverse(
     sign3, sign4 = dot(u3, u2), dot(u4, u2)
     for m in range(len(wanted_hand_points)):
         P, ex, ey, ez = _hand(wanted_hand_points, m, reach)
-        first, second, h1, miss, span1 = both_shoulder_angles(P, o1, u1, u2, level)
+        first, second, h1, miss, span1 = both_first_joint_angles_for_point_level(P, o1, u1, u2, level)
         if miss > SLACK:
             reason[m], gap[m] = OFF_AXIS, miss
             continue

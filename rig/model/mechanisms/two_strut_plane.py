@@ -83,7 +83,7 @@ def axis_loads(T: RigidTransform, lengths: Floats, planar: Planar2, wrench: Floa
 
 
 def link_weight_loads(T: RigidTransform, lengths: Floats, planar: Planar2, gravity: Floats) -> Floats:
-    """Loads of the links' own weight: none (n, 2, 0), the base carries the struts."""
+    """Empty loads (n, 2, 0): the mechanism has no arm links, and the base carries the struts."""
     return np.zeros((*np.shape(lengths), 0))
 
 
@@ -95,12 +95,12 @@ def axis_deviation_and_sway_by_member_growth(
 
 
 def inverse_kinematics_jacobian(T: RigidTransform, lengths: Floats, planar: Planar2) -> Floats:
-    """Jacobian (n, 2, 6) of inverse kinematics: change of strut lengths with the pose's tangent, at poses T (n,)."""
+    """Jacobian (n, 2, 6) of strut lengths by the pose's tangent, at poses T (n,)."""
     return jacobian(T, planar)
 
 
 def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, planar: Planar2) -> Floats:
-    """Rows (n, 2, 6) of the Jacobian, one for each strut, at poses T (n,).
+    """Rows (n, 2, 6) of the strut lengths' Jacobian with the pose, one for each strut, at poses T (n,).
 
     They coincide where the machine is singular.
     """
@@ -108,7 +108,7 @@ def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, planar: Planar2) -
 
 
 def link_points(lengths: Floats, planar: Planar2) -> None:
-    """Points of links for drawing at lengths (n, 2): none, as struts are no links."""
+    """None: two struts have no arm links to draw."""
     return None
 
 

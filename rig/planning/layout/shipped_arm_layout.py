@@ -71,7 +71,7 @@ def shipped_arm_path(path_or_name: str) -> Path:
     return Path(str(files("rig") / "arms" / f"{path_or_name}.toml"))
 
 
-def load_shipped_arm(path_or_name: str) -> Design:
+def load_shipped_arm_design(path_or_name: str) -> Design:
     """Load the Design of a shipped arm by its name, or of a rig.toml by its path.
     Raises RigError for what is neither, FileError as rig.formats.rig_toml.design_file.load_design.
     rig.formats.rig_toml.design_file.load_design.
@@ -105,7 +105,7 @@ def arm_layout_rig_toml(
     Raises RigError for a name that there is not, a dictionary with too few identities, or figures that make no rig
     """
     text = shipped_arm_rig_toml(name).replace(INSTRUMENT, "")
-    arm = _arm_with_limits_about_best_posture(require_arm(load_shipped_arm(name).mechanism), TURNS[hand_mounted])
+    arm = _arm_with_limits_about_best_posture(require_arm(load_shipped_arm_design(name).mechanism), TURNS[hand_mounted])
     require_possible_layout(1.0, cameras, cubes if hand_mounted == "cubes" else -(-3 * cubes // 2), dictionary)
     lines = [_narrowed(text, arm).rstrip(), ""]
     T = mechanism.forward(sobol_configurations(arm.limits, 64, 1.0), arm)
@@ -235,8 +235,8 @@ class LayoutOptions:
         return int(size[1]), int(size[2])
 
 
-def layout_rig_toml(options: LayoutOptions) -> str:
-    """rig.toml text of a new design: of a hexapod, two struts or a shipped arm, with cameras and cubes placed.
+def hexapod_two_strut_or_arm_rig_toml(options: LayoutOptions) -> str:
+    """rig.toml text of a new hexapod, two struts or a shipped arm, with cameras and cubes placed.
 
     Raises RigError as `hexapod_layout_rig_toml`, `two_strut_layout_rig_toml` and `arm_layout_rig_toml`
     """

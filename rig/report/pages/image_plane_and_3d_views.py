@@ -181,7 +181,7 @@ class Scene:
 
 
 def view_3d_html(scene: Scene) -> list[str]:
-    """HTML of the 3-D view of a scene, once in a page, which needs `view_scripts`."""
+    """HTML of the 3-D view of a scene, once in a page, which needs `view_3d_scripts_if_needed`."""
     chosen = np.arange(0, len(scene.frames), max(-(-len(scene.frames) // MOST_FRAMES), 1))
     data = json.dumps(_tree(scene, chosen), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     told = [
@@ -201,7 +201,7 @@ def view_3d_html(scene: Scene) -> list[str]:
     ]
 
 
-def view_scripts(parts: Sequence[str]) -> tuple[str, ...]:
+def view_3d_scripts_if_needed(parts: Sequence[str]) -> tuple[str, ...]:
     """Scripts of the 3-D view, where a page's parts contain one; else ()."""
     return (
         (read_page_asset("view3d.js") + read_page_asset("stage.js"),)

@@ -14,8 +14,8 @@ from urllib.parse import quote
 
 from rig.errors import RigError
 from rig.formats.output_files import CommandOutputs, write_text
-from rig.report import verdict_and_refutations_of_results
-from rig.report.verdict_and_refutations_of_results import WORST, State, Verdict, worst_state
+from rig.report import verdict_and_refutations_by_later_recordings
+from rig.report.verdict_and_refutations_by_later_recordings import WORST, State, Verdict, worst_state
 
 NARROW = {
     ".": 0.32,
@@ -326,7 +326,7 @@ def read_page_summary(path: Path) -> PageSummary | None:
         return None
     if said is None or said[2] not in list(State):
         return None
-    later = verdict_and_refutations_of_results.refutations_of_file(path.with_suffix(".json"))
+    later = verdict_and_refutations_by_later_recordings.refutations_of_file(path.with_suffix(".json"))
     state, why = (
         worst_state([State(said[2]), *(one.state for one in later)]),
         "; ".join([*(one.line for one in later), html.unescape(said[3])]),

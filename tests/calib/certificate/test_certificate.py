@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 
 from calib.certificate import certificate_json_and_digital_si_xml
-from calib.certificate.certificate import combined_held_out_poses
+from calib.certificate.certificate_verdict_and_provenance import combined_held_out_poses
 from calib.certification.pose_error_promise_and_conformity import OPEN, pose_error_promise
-from calib.certification.uncertainty_budget import rms_length_uncertainty, thermometer_covariance
+from calib.certification.uncertainty_budget import rms_position_and_rotation_uncertainty, thermometer_covariance
 from calib.correction.correction import calibrate_correction
 from calib.correction.physics_compensation import Physics
 from calib.files import calibration_file
@@ -31,9 +31,9 @@ from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose_difference
 from rig.planning import configuration_sets, plan
-from rig.recording import recording_folder, recording_tables
+from rig.recording import recording_folder, recording_table_loading_and_writing
 from rig.recording.recording_folder import Sensors
-from rig.recording.recording_tables import Poses
+from rig.recording.recording_table_loading_and_writing import Poses
 from synthetic import secret_machine
 
 GAP = 40e-6
@@ -60,16 +60,16 @@ def _made(folder, secret, rig_text, design, route, seed):
     folder.mkdir()
     (folder / "rig.toml").write_text(rig_text)
     frames = np.arange(len(done.t))
-    recording_tables.write_table(
+    recording_table_loading_and_writing.write_table(
         folder / "frames.csv", ("frame", "t", "camera", "image"), [f"{k},{t:.4f},cam0," for k, t in zip(frames, done.t)]
     )
-    recording_tables.write_table(
+    recording_table_loading_and_writing.write_table(
         folder / "commands.csv",
         ("t", *design.mechanism.axes),
         [",".join(f"{v:.9f}" for v in (t, *row)) for t, row in zip(done.commands.t, done.commands.values)],
     )
     seen = T * exp(OWN * rng.normal(size=(len(frames), 6)))
-    recording_tables.write_poses(
+    recording_table_loading_and_writing.write_poses(
         folder / "poses.csv", Poses(frames, seen, np.tile(np.diag(OWN**2), (len(frames), 1, 1)))
     )
     return folder
@@ -275,7 +275,7 @@ def test_physics_that_is_undone_is_part_of_what_is_certified(held):
         for sensors in both
     ]
     moved = np.linalg.norm(pose_difference(*poses)[:, :3], axis=1)
-    assert rms_length_uncertainty(added)[0] == pytest.approx(np.sqrt((moved**2).mean()), rel=0.25), (
+    assert rms_position_and_rotation_uncertainty(added)[0] == pytest.approx(np.sqrt((moved**2).mean()), rel=0.25), (
         "the log's noise is 0.1 K"
     )
 

@@ -15,7 +15,7 @@ from calib.certification.extended_correction_certification import (
     claim_without_geometry,
 )
 from calib.certification.platform_certification import platform_pose_covariance, platform_workspace_claim
-from calib.correction.interpolation_methods_and_correction_summand_fields import single_step_correction_errors
+from calib.correction.interpolation_methods_and_correction_summand_fields import single_step_command_errors
 from calib.files import calibration_file, calibration_provenance_and_used_frames
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
@@ -138,7 +138,7 @@ def test_the_single_step_misses_what_the_fixed_point_meets(gridded, design):
     x = hexapod.inverse(wanted, design.mechanism)
     np.testing.assert_allclose(step, x + correction.summand(x), atol=1e-15)
     np.testing.assert_allclose(exact, x + correction.summand(exact), atol=1e-11)
-    assert 1e-7 < np.abs(step - exact).max() < 1e-4 and single_step_correction_errors(correction)[1] > 1e-7
+    assert 1e-7 < np.abs(step - exact).max() < 1e-4 and single_step_command_errors(correction)[1] > 1e-7
     np.testing.assert_allclose(
         correction.corrected_forward(x).as_matrix(), hexapod.forward(step, design.mechanism).as_matrix(), atol=1e-9
     )

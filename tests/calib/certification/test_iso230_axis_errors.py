@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
-from calib.certification.iso230_and_iso9283_tests import axis_accuracy, axis_repeatability, reversal_values
+from calib.certification.iso230_and_iso9283_tests import (
+    axis_repeatability,
+    bidirectional_and_unidirectional_axis_accuracy,
+    reversal_values,
+)
 
 MEAN = np.array([[1.0, -1.0], [4.0, 3.0], [2.0, 5.0]])  # from below, from above, at three positions
 S = np.array([[0.5, 0.25], [0.25, 0.5], [1.0, 0.25]])
@@ -14,7 +18,7 @@ def test_reversal_is_the_greatest_by_size():
 
 
 def test_accuracy_is_the_range_of_means_and_twice_their_scatter():
-    A, up, down = axis_accuracy(MEAN, S)
+    A, up, down = bidirectional_and_unidirectional_axis_accuracy(MEAN, S)
     assert (A, up, down) == (5.5 + 1.5, 4.5 - 0.0, 5.5 + 1.5)
 
 
@@ -25,7 +29,7 @@ def test_repeatability_of_both_directions_holds_the_reversal():
 
 def test_one_visit_shows_no_scatter():
     assert (
-        axis_accuracy(MEAN, np.where(S > 0.9, np.nan, S))
+        bidirectional_and_unidirectional_axis_accuracy(MEAN, np.where(S > 0.9, np.nan, S))
         == (None, None, None)
         == axis_repeatability(MEAN, np.where(S > 0.9, np.nan, S))
     )

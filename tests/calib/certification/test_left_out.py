@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_ranges, configuration_numbers
+from calib.certification.held_out_pose_errors_and_distinct_configurations import (
+    axis_travel_limits,
+    configuration_numbers,
+)
 from calib.certification.platform_certification import (
     certify_platform,
     platform_pose_covariance,
@@ -16,7 +19,7 @@ from calib.certification.strut_deviation_covariance_functions import (
     CONDITION,
     PLACE,
     SAMPLE,
-    strut_deviation_components,
+    candidate_covariance_functions_of_strut_deviations,
 )
 from calib.certification.strut_deviation_sizes_and_possible_machines import (
     Closures,
@@ -136,8 +139,11 @@ def strut(rng, n, parts, deviation):
 
 def test_sizes_are_found_where_samples_show_them_and_nothing_where_they_do_not(design):
     samples, _ = sampled(design, 5, 40)
-    label, rng = configuration_numbers(samples.commanded, axis_ranges(design.mechanism)), np.random.default_rng(1)
-    parts = strut_deviation_components(samples, label, design.mechanism)
+    label, rng = (
+        configuration_numbers(samples.commanded, axis_travel_limits(design.mechanism)),
+        np.random.default_rng(1),
+    )
+    parts = candidate_covariance_functions_of_strut_deviations(samples, label, design.mechanism)
     time = next(part for part in parts[0] if part.name == "time").basis
     course = 2e-5 * np.sin(4 * samples.t / np.ptp(samples.t))
     off = [np.zeros(40), course, np.zeros(40), np.zeros(40), np.zeros(40), np.zeros(40)]
@@ -151,10 +157,10 @@ def test_sizes_are_found_where_samples_show_them_and_nothing_where_they_do_not(d
 
 def test_components_have_a_mean_square_of_one_where_the_machine_is_used(design):
     samples, _ = sampled(design, 5, 60)
-    label = configuration_numbers(samples.commanded, axis_ranges(design.mechanism))
+    label = configuration_numbers(samples.commanded, axis_travel_limits(design.mechanism))
     rng = np.random.default_rng(0)
     places = 0.8 * rng.uniform(-1, 1, (4000, 6))
-    for part in strut_deviation_components(samples, label, design.mechanism)[2]:
+    for part in candidate_covariance_functions_of_strut_deviations(samples, label, design.mechanism)[2]:
         assert part.over in (SAMPLE, PLACE, CONDITION)
         if part.use is not None:
             mean, variance = part.use(places)

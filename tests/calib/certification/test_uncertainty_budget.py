@@ -8,7 +8,7 @@ import pytest
 from calib.certification.uncertainty_budget import (
     camera_and_lens_covariance,
     expanded_uncertainty_over_poses,
-    rms_length_uncertainty,
+    rms_position_and_rotation_uncertainty,
 )
 
 
@@ -26,14 +26,15 @@ def test_cameras_and_lenses_make_up_what_is_shared():
         adjustment=SimpleNamespace(shared_factor=factor, shared_names=names, of_prints=np.zeros(len(names), bool))
     )
     cameras, lenses = camera_and_lens_covariance([(SimpleNamespace(common=common), measurement)])
-    whole = rms_length_uncertainty(common @ np.swapaxes(common, 1, 2))
+    whole = rms_position_and_rotation_uncertainty(common @ np.swapaxes(common, 1, 2))
     known = np.linalg.inv(np.linalg.inv(factor @ factor.T)[:6, :6])  # covariance of the places were the lens known
-    assert rms_length_uncertainty(cameras) == pytest.approx(
-        rms_length_uncertainty(gain[:, :, :6] @ known @ np.swapaxes(gain[:, :, :6], 1, 2)), rel=1e-6
+    assert rms_position_and_rotation_uncertainty(cameras) == pytest.approx(
+        rms_position_and_rotation_uncertainty(gain[:, :, :6] @ known @ np.swapaxes(gain[:, :, :6], 1, 2)), rel=1e-6
     )
     assert (
-        np.hypot(rms_length_uncertainty(cameras), rms_length_uncertainty(lenses)) == pytest.approx(whole)
-        and rms_length_uncertainty(lenses)[0] < whole[0]
+        np.hypot(rms_position_and_rotation_uncertainty(cameras), rms_position_and_rotation_uncertainty(lenses))
+        == pytest.approx(whole)
+        and rms_position_and_rotation_uncertainty(lenses)[0] < whole[0]
     )
     assert camera_and_lens_covariance([(SimpleNamespace(common=common), None)]) is None
 

@@ -9,14 +9,16 @@ from calib.certification.calibration_dataclass_and_accuracy_claim_sentences impo
 from calib.certification.claim_verification import verify_claim
 from calib.certification.held_out_errors import compare_errors, errors_before_and_after_correction
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
-    axis_ranges,
+    axis_travel_limits,
     configuration_folds,
     configuration_numbers,
     mean_sample_per_configuration,
 )
 from calib.certification.platform_certification import certify_platform, platform_workspace_claim
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
+    estimate_tolerance_of_stated_geometry,
+)
 from calib.models.platform.identification import identify_platform
-from calib.models.platform.parameter_accuracy import estimate_tolerance_of_stated_geometry
 from calib.samples.pose_samples import sample_recording
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
@@ -89,7 +91,7 @@ def test_witnesses_say_what_all_poses_say(design):
     samples, _ = sampled(
         design, 3, len(commands), commands=commands + 2e-6 * np.random.default_rng(0).normal(size=commands.shape)
     )
-    label = configuration_numbers(samples.commanded, axis_ranges(design.mechanism))
+    label = configuration_numbers(samples.commanded, axis_travel_limits(design.mechanism))
     to_pose = np.linalg.inv(hexapod.jacobian(samples.T_base_platform, design.mechanism))
     each = mean_sample_per_configuration(samples, label, to_pose)
     together, apart = (identify_platform(some, design.mechanism) for some in (each, samples))

@@ -13,7 +13,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from calib.correction import interpolation_methods_and_correction_summand_fields
 from calib.correction.interpolation.field_interface_and_combinations import FieldSamples, merge_repeated_samples
-from calib.correction.interpolation.grid import grid_lattice_of_configurations
+from calib.correction.interpolation.interpolation_on_grid_of_samples import grid_lattice_of_configurations
 from rig.errors import FileError, NotConverged, RigError
 from rig.formats.checked_entries import Entries
 from rig.planning.configuration_sets import divided_grid_configurations, sobol_configurations

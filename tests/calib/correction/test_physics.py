@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.correction.command_route_and_pose_space_map import HOLDING, TURNING, Pace, timed_route
+from calib.correction.command_sequence_timing_and_pose_error_map import HOLDING, TURNING, Pace, timed_route
 from calib.correction.correction import Correction, calibrate_correction
 from calib.correction.physics_compensation import (
     Machine,

@@ -16,7 +16,7 @@ from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import l
 from calib.diagnosis.problems.arm.projected_pose_residuals import fit_terms_to_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
-from calib.diagnosis.report.report_sentences import covariate_table
+from calib.diagnosis.report.report_sentences import covariate_table_heads_and_rows
 from rig.effects.framework.machine_motion_and_play import Path, play_operator
 from rig.recording.recording_folder import Sensors
 from tests.calib import secret_arms
@@ -47,7 +47,7 @@ def test_what_an_effect_follows_leads_and_is_gone_after(rec):
     by = {c.name: c.explains for c in told.covariates}
     assert by["step"]["struts"].before > 0.1 > 0.05 > by["step"]["struts"].after
     assert by["humidity_percent"]["struts"].p_value > 1e-3 and by["humidity_percent"]["images"].after < 0.01
-    heads, rows = covariate_table(told.covariates)
+    heads, rows = covariate_table_heads_and_rows(told.covariates)
     assert heads[0] == "goes with" and len(heads) == len(rows[0]) == 6 and rows[0][0] == "step"
 
 

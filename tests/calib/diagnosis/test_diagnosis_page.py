@@ -12,7 +12,7 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.problems.platform import platform_recording_evidence as platform
 from calib.diagnosis.report.diagnosis_json_entries import AlternativeEntry, NotAskedEntry
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
-from calib.diagnosis.report.residual_figures_and_contributions import (
+from calib.diagnosis.report.residual_figures_and_finding_contributions_to_poses import (
     effect_residual_figures,
     model_residuals,
     residuals_without_effects,
@@ -23,7 +23,7 @@ from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.planning import plan
 from rig.recording import recording_folder
-from rig.recording.recording_tables import write_poses
+from rig.recording.recording_table_loading_and_writing import write_poses
 from synthetic import recording_simulation, secret_machine
 from tests.calib.diagnose_recording import diagnosis_of, page_text
 

@@ -171,7 +171,7 @@ def test_what_the_catalogue_lacks_is_unknown_at_its_joint():
     assert chosen.terms == ()
     left = [
         *find_lack_of_fit_by_joint(chosen, 5),
-        *arm_excess_scatter.excess_scatter(chosen, pose_repeatability(chosen), []),
+        *arm_excess_scatter.excess_scatter_over_stated_noise(chosen, pose_repeatability(chosen), []),
     ]
     assert left[0].place == Place("joint", "3") and left[0].depends_on == ("pose",)
     assert left[0].magnitude == pytest.approx(np.std(2e-4 * np.sin(arms.q[:, 0])), rel=0.3)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
-from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value, bounded_value
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value, value_with_interval_cut_at_bounds
 from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
@@ -108,7 +108,7 @@ def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open
     found = Refinement(None, None, coordinates, values, np.diag([1e-6, sigma]) ** 2, None).intervals(0)
     value, low, high = found["time_constant"]
     assert (value, low, high) == pytest.approx((1800, *ends), rel=1e-3)
-    p = bounded_value(value, "s", (low, high), effect.parameters[1].bounds)
+    p = value_with_interval_cut_at_bounds(value, "s", (low, high), effect.parameters[1].bounds)
     assert p.open == left_open and p.ci95 == [low, high]
     finding = FindingEntry("warm_up", "strut 2", {"time_constant": p})
     assert said in report_sentences.parameter_rows(finding)[0][2] and (
@@ -128,8 +128,8 @@ def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open
     ],
 )
 def test_an_interval_that_is_cut_off_at_one_end_says_so(ends, left_open, said):
-    p = bounded_value(5e-5, "m", ends, (-2e-3, 2e-3))
+    p = value_with_interval_cut_at_bounds(5e-5, "m", ends, (-2e-3, 2e-3))
     finding = FindingEntry("warm_up", "strut 2", {"amplitude": p})
     assert p.open == left_open and report_sentences.parameter_rows(finding) == [("amplitude", "50 µm", said)]
     assert report_sentences.finding_size_text(finding) == f", amplitude 50 µm (95 %: {said.replace(' µm', '')})"
-    assert bounded_value(1.0, "", (0.5, 2.0), (-3, 3)) == Value(1.0, "", [0.5, 2.0])
+    assert value_with_interval_cut_at_bounds(1.0, "", (0.5, 2.0), (-3, 3)) == Value(1.0, "", [0.5, 2.0])

@@ -11,7 +11,7 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import refine_ope
 from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import (
     parameter_errors_by_temperature_logs,
 )
-from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import smooth_temperatures
+from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import smooth_temperatures
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.recording.recording_folder import Sensors
 from synthetic.secret_machine import draw_temperatures

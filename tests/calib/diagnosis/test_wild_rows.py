@@ -18,7 +18,7 @@ from calib.identify.least_squares_and_robust_fit import (
     has_several_deviating_numbers,
     isolated_outlier_rows,
     robust_fit,
-    tail_length_ratio,
+    tail_quantile_ratio_to_normal_within_gate,
 )
 from calib.models.arm.certification import arm_workspace_claim as arm_promised
 from calib.models.arm.certification import certify_arm as arm_certify
@@ -26,7 +26,7 @@ from calib.models.platform.identification import Loops, identify_platform
 from calib.samples.pose_samples import sample_recording
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.recording import frame_selection_and_content_hashes, recording_folder
-from rig.report.verdict_and_refutations_of_results import State
+from rig.report.verdict_and_refutations_by_later_recordings import State
 from tests.calib import secret_arms
 from tests.calib.diagnose_recording import diagnosis_of, page_text
 from tests.calib.recordings_with_effects import recorded
@@ -77,10 +77,10 @@ def test_where_a_tail_is_long_no_row_in_it_is_wild():
     """What is left out of a model leaves some rows far off; a wild one is off beyond all of them."""
     rng = np.random.default_rng(3)
     t, q, left = np.arange(200.0), rng.uniform(size=(200, 6)), rng.normal(size=(200, 6))
-    assert tail_length_ratio(left, 7.0) == pytest.approx(1.0, abs=0.15)
+    assert tail_quantile_ratio_to_normal_within_gate(left, 7.0) == pytest.approx(1.0, abs=0.15)
     left[rng.permutation(200)[:50]] *= 3.5
     assert (
-        tail_length_ratio(left, 7.0) > 1.8
+        tail_quantile_ratio_to_normal_within_gate(left, 7.0) > 1.8
         and np.abs(left).max() > 7
         and not isolated_outlier_rows(left, t, q, 7.0).any()
     )

@@ -15,7 +15,7 @@ from rig.cli.command_line import main
 from rig.model.design import quarter_turns_of_cubes
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
-from vision.combined_recordings import combine_recordings
+from vision.recording_combination_and_moved_cameras import combine_recordings
 from vision.recording_measurement import measure_recording
 
 FACE = "face_misplacement:marker 0:offset=4e-4/2e-4/0"

@@ -27,7 +27,7 @@ from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.layout import hexapod_layout_and_camera_placement, shipped_arm_layout
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors, WantedPoses
-from rig.recording.recording_tables import Poses, write_poses
+from rig.recording.recording_table_loading_and_writing import Poses, write_poses
 from tests import gantry_and_hexapod
 from tests.cli import command
 

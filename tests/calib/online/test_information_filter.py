@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import frame_motion_columns
 from calib.models.platform.identification import identify_platform
-from calib.models.platform.parameter_accuracy import frame_motion_columns
 from calib.online.information_filter import Online
 from calib.samples.pose_samples import Samples
 from rig.errors import FileError, RigError

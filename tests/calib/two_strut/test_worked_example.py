@@ -13,8 +13,8 @@ from calib.two_strut.worked_example import (
     REAL,
     compute_worked_example,
     example_figures,
+    hinge_positions_of_command_grid,
     reached_hinge_positions,
-    workspace_grid,
 )
 
 FIGURES = Path(__file__).parents[3] / "docs" / "two-strut"
@@ -64,7 +64,7 @@ def test_one_step_takes_out_nearly_all(example):
     """[0090], [0091]: S1 + ds1 and S2 + ds2 give the wanted pose, but for what is negligible: here a thirtieth at the
     most.
     """
-    wanted = workspace_grid()
+    wanted = hinge_positions_of_command_grid()
     before, after = (
         np.sqrt(((reached_hinge_positions(c, wanted) - wanted) ** 2).sum(axis=1).mean())
         for c in (None, example.correction)

@@ -136,7 +136,7 @@ def test_every_column_of_cells_is_drawn_and_written(calibrated):
         workspace_page.POSITION,
         workspace_page.ROTATION,
         workspace_page.SINGULAR,
-        workspace_page.axis_margin_quantity("m"),
+        workspace_page.workspace_map_quantity_of_axis_margin("m"),
     ):
         unit, seen = workspace_page.cell_views(w, q)
         assert seen.count("<rect") == len(np.unique(w.index[:, :2], axis=0)) + len(

@@ -185,7 +185,7 @@ def test_reversals_at_speed_tell_an_arms_lag_from_a_clock():
     from rig.planning.layout import shipped_arm_layout
     from rig.planning.plan import build_plan
 
-    design, found = shipped_arm_layout.load_shipped_arm("puma560"), {}
+    design, found = shipped_arm_layout.load_shipped_arm_design("puma560"), {}
     lag, late = parse_effect("servo_lag:rig:time_constant=0.02"), parse_effect("time_offset:clock:offset=-0.02")
     for text in ("moving:40", "zigzag:40"):
         plan = build_plan(design, text, 3)

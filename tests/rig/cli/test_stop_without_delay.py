@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from rig.driving.protocols import protocol_of_controller
-from rig.driving.urgent_stop import STOPS, stated_address
+from rig.driving.urgent_stop import STOPS, controller_address_in_rig_toml
 from rig.formats.rig_toml import design_file
 from rig.model.design import PROTOCOLS
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -60,13 +60,16 @@ def test_the_urgent_stop_is_out_before_anything_slow_is_imported(stated):
 def test_what_is_sent_first_is_what_the_protocol_sends_to_stop(stated):
     protocol, path, _ = stated
     design = design_file.load_design(path)
-    address, c = stated_address(path, None), design.driver()
+    address, c = controller_address_in_rig_toml(path, None), design.driver()
     assert (address.port, address.baudrate, address.password) == (c.port, c.baudrate, c.password)
     assert address.urgent_stop().endswith(protocol_of_controller(c, 6).urgent_stop)
-    assert stated_address(path, "/dev/other").port == "/dev/other"
+    assert controller_address_in_rig_toml(path, "/dev/other").port == "/dev/other"
 
 
 def test_a_rig_without_a_controller_has_no_address(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=1))
-    assert stated_address(path, None) is None and stated_address(tmp_path / "none.toml", None) is None
+    assert (
+        controller_address_in_rig_toml(path, None) is None
+        and controller_address_in_rig_toml(tmp_path / "none.toml", None) is None
+    )

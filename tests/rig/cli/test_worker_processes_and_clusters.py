@@ -56,7 +56,7 @@ def test_processes_that_end_at_the_same_thing_every_time_are_given_up(monkeypatc
 
 def test_workers_are_as_many_as_asked(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    with worker_processes.limit_workers(3), worker_processes.limit_workers(None):
+    with worker_processes.temporary_worker_limit(3), worker_processes.temporary_worker_limit(None):
         assert worker_count() == 3
         assert (
             len(

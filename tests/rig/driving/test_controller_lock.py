@@ -15,7 +15,7 @@ from rig.driving.clock import SystemClock
 from rig.driving.controller_lock import ControllerLock, lock_names, stop_lock_holder
 from rig.driving.serial_port import SerialPort
 from rig.errors import LinkLost, RigError
-from rig.model.controller_port_names import port_problem
+from rig.model.controller_protocol_list_and_port_name_check import port_problem
 from tests.conftest import ROOT
 
 HOLD = (

@@ -12,10 +12,10 @@ from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Camera, Platform
 from rig.model.mechanisms import hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_twist
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_twist_angles_about_struts
 from rig.model.pose import exp, pose, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
-from vision.predict import State, marker_map, markers_facing_cameras, predict_sightings
+from vision.predict import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
 
 def moved(design, values, t, effect, sensors=None):
@@ -120,11 +120,15 @@ def test_screw_coupling_by_hand(design):
         design.mechanism, platform_joints=design.mechanism.base_joints, home=pose([0, 0, 0.45], [0, 0, 0])
     )
     psi = 0.01
-    np.testing.assert_allclose(cardan_twist(pose([0, 0, 0.45], [0, 0, psi]), upright), psi, rtol=2e-3)
+    np.testing.assert_allclose(
+        cardan_twist_angles_about_struts(pose([0, 0, 0.45], [0, 0, psi]), upright), psi, rtol=2e-3
+    )
     T = design.mechanism.home * exp(np.array([0, 0, 0, 0, 0, psi]))
     lengths = hexapod.inverse(T, design.mechanism)
     found = moved(design, [lengths, lengths], [1], parse_effect("screw_coupling:rig:gain=0.5"))[0]
-    twist = cardan_twist(T, design.mechanism) - cardan_twist(design.mechanism.home, design.mechanism)
+    twist = cardan_twist_angles_about_struts(T, design.mechanism) - cardan_twist_angles_about_struts(
+        design.mechanism.home, design.mechanism
+    )
     np.testing.assert_allclose(found, 0.5 * design.actuator.screw_lead / (2 * np.pi) * twist, rtol=1e-3)
     assert (found > 0).all()  # a positive turn lengthens
     ball = replace(design, actuator=replace(design.actuator, joints="cardan-ball"))
@@ -206,7 +210,7 @@ def looking(design):
         effects = [parse_effect(text)] if text else []
         state = State(rig.cameras, RigidTransform.concatenate([design.mechanism.home] * len(t)), {})
         sensors = Sensors(np.array([-1e9, 1e9]), {name: np.full(2, value) for name, value in channels.items()})
-        found = markers_facing_cameras(state, marker_map(rig))
+        found = sightings_of_markers_facing_cameras(state, marker_map(rig))
         return predict_sightings(found, state, marker_map(rig), np.array(t), effects, sensors)[::2] - [639.5, 511.5]
 
     np.testing.assert_allclose(look()[0], [[-50, -50], [50, -50], [50, 50], [-50, 50]], atol=1e-9)
@@ -284,7 +288,7 @@ def test_rolling_shutter_by_hand(setting):
     markers = marker_map(design)
     run = motion_simulation.simulate_machine_run(design, commands, t, rates=True)
     state = State(design.cameras, run.T_base_platform, {})
-    found = markers_facing_cameras(state, markers)
+    found = sightings_of_markers_facing_cameras(state, markers)
     uv = predict_sightings(found, state, markers, t, [effect], None, run)
     k = np.flatnonzero(markers.on_platform[found.marker])[::29]
     late = 2e-5 * (uv[k, 0, 1] - 512)

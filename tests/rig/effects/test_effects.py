@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import RigError
 from rig.formats.machine_json import effect_from_dict, effect_to_dict
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands
-from vision.predict import State, marker_map, markers_facing_cameras, predict_sightings
+from vision.predict import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
 PLACES = {
     "axis": "strut 3",
@@ -68,7 +68,7 @@ def corners(setting, effects):
     """All corners that face a camera, through machine and cameras with the effects."""
     design, commands, t, sensors = setting
     clean = motion_simulation.simulate_machine_run(design, commands, t)
-    found = markers_facing_cameras(State(design.cameras, clean.T_base_platform, {}), marker_map(design))
+    found = sightings_of_markers_facing_cameras(State(design.cameras, clean.T_base_platform, {}), marker_map(design))
     run = motion_simulation.simulate_machine_run(design, commands, t, effects, sensors, rates=True)
     return predict_sightings(
         found, State(design.cameras, run.T_base_platform, {}), marker_map(design), t, effects, sensors, run
@@ -99,7 +99,9 @@ def test_the_catalogue_is_whole():
 
 @pytest.mark.parametrize("kind, place", EVERYWHERE, ids=[f"{kind.name} at {place}" for kind, place in EVERYWHERE])
 def test_zero_parameters_change_nothing(setting, kind, place):
-    np.testing.assert_allclose(corners(setting, [check_effect(kind(place))]), corners(setting, []), atol=1e-9)
+    np.testing.assert_allclose(
+        corners(setting, [check_effect_place_and_parameter_bounds(kind(place))]), corners(setting, []), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("name", SOME)

@@ -10,7 +10,7 @@ import pytest
 from calib.diagnosis.problems.platform.vibration_frequency import rank_one_direction_and_phase_fit
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Context
-from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.framework.effect_parameters_and_covariates import Drawing
 from rig.effects.framework.machine_motion_and_play import Path
 from rig.effects.texts.effect_text_parsing import parse_effect
@@ -85,11 +85,11 @@ def test_zero_changes_nothing_and_a_drawn_one_something(there, kind):
     drawing = Drawing(design, t, context.motion, lambda effect, camera: 1.0)
     for place in kind.sites(context)[-2:]:
         zero = motion_simulation.simulate_machine_run(
-            design, commands, t, [_other(check_effect(kind(place)), context)], sensors
+            design, commands, t, [_other(check_effect_place_and_parameter_bounds(kind(place)), context)], sensors
         )
         np.testing.assert_allclose(pose_difference(zero.T_base_platform, clean), 0, atol=1e-9)
         found = motion_simulation.simulate_machine_run(
-            design, commands, t, [check_effect(kind.drawn(place, drawing, rng))], sensors
+            design, commands, t, [check_effect_place_and_parameter_bounds(kind.drawn(place, drawing, rng))], sensors
         )
         moved = np.abs(pose_difference(found.T_base_platform, clean))
         assert moved.shape == (60, 6) and np.isfinite(moved).all() and 1e-9 < moved.max() < 0.5
@@ -120,7 +120,7 @@ def test_columns_are_the_derivatives_of_the_model(there, kind):
             coefficients = np.array([column.step for column in candidate.linear]) * rng.uniform(
                 0.5, 2, len(candidate.linear)
             )
-            effect = check_effect(candidate.effect(shape, coefficients))
+            effect = check_effect_place_and_parameter_bounds(candidate.effect(shape, coefficients))
             told = columns @ (coefficients if len(coefficients) else np.ones(1))
             np.testing.assert_allclose(
                 effect.deviation(context.motion), told, rtol=1e-6, atol=1e-3 * np.abs(told).max() * 1e-3

@@ -6,7 +6,10 @@ import pytest
 from rig.effects.catalogue.creep import Creep
 from rig.effects.catalogue.hysteresis import PLAYS, Hysteresis
 from rig.effects.catalogue.warm_up import WarmUp
-from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect, coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import (
+    check_effect_place_and_parameter_bounds,
+    coordinates_of_effects,
+)
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model import motion_simulation
 from rig.recording.recording_folder import Commands, Sensors
@@ -69,7 +72,7 @@ def test_a_strut_follows_its_thermometer_late(design, home):
 
 @pytest.mark.parametrize("effect", SHARED, ids=lambda effect: effect.name)
 def test_shares_are_written_with_the_sum_of_one_and_do_the_same(design, home, effect):
-    written, values = check_effect(effect.written()), out_and_back(home, 0.02)
+    written, values = check_effect_place_and_parameter_bounds(effect.written()), out_and_back(home, 0.02)
     assert np.isclose(sum(written.shares), 1.0) and not np.isclose(sum(effect.shares), 1.0)
     np.testing.assert_allclose(
         moved(design, values, [0.3, 1, 2], written), moved(design, values, [0.3, 1, 2], effect), rtol=1e-9
@@ -79,7 +82,7 @@ def test_shares_are_written_with_the_sum_of_one_and_do_the_same(design, home, ef
 @pytest.mark.parametrize("effect", SHARED, ids=lambda effect: effect.name)
 def test_shares_of_another_sum_are_refused(effect):
     with pytest.raises(ValueError, match=f"{effect.name}: shares have the sum of 1, not"):
-        check_effect(effect)
+        check_effect_place_and_parameter_bounds(effect)
 
 
 @pytest.mark.parametrize("effect", SHARED, ids=lambda effect: effect.name)

@@ -10,7 +10,7 @@ import pytest
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_file
 from rig.model.design import quarter_turns_of_cubes
-from rig.model.design_comparison_and_cube_remounting import design_with_turned_cubes, rig_toml_with_turns
+from rig.model.design_comparison_and_cube_turning_instructions import design_with_turned_cubes, rig_toml_with_turns
 from rig.planning.plan import build_plan
 from rig.planning.plan_construction_and_table import write_plan_table
 from rig.recording import combined_recordings

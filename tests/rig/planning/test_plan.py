@@ -70,7 +70,7 @@ def test_a_ladder_approaches_every_length_from_both_sides(design):
 
 
 def test_iso_9283_visits_the_cubes_middle_and_four_corners_of_a_plane_in_turn(design):
-    poses = configuration_sets.iso9283_test_commands(design)
+    poses = configuration_sets.iso9283_five_test_pose_commands(design)
     p = hexapod.forward(poses, design.mechanism).translation
     arms = p[1:] - p[0]
     half = np.abs(arms).max()
@@ -97,7 +97,7 @@ def test_axes_translate_along_and_turn_about_the_axes(design):
 
 
 def test_combined_plans_turn_while_they_move_along_every_pair_of_axes(design):
-    T = hexapod.forward(configuration_sets.translation_rotation_moves(design, 4), design.mechanism)
+    T = hexapod.forward(configuration_sets.moves_combining_translation_and_rotation(design, 4), design.mechanism)
     moved = pose_difference(design.mechanism.home, T).reshape(3, 3, 2, 4, 6)
     for i in range(3):
         for j in range(3):

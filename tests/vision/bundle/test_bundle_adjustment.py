@@ -21,7 +21,7 @@ from vision.bundle.unknowns_estimate_and_printing_errors import (
     offset_from_stated,
     update_estimate,
 )
-from vision.corner_observations import corner_correlation_rows, whitener_of_observations
+from vision.corner_observations import correlations_of_whitened_marker_corners, whitener_of_observations
 from vision.predict import State, marker_map, predict_corners
 
 
@@ -56,7 +56,8 @@ def test_jacobian_agrees_with_differences(setting, moving, correlated, free):
     if correlated:
         root = np.random.default_rng(8).normal(size=(len(observations) // 4, 8, 8)) + 3 * np.eye(8)
         observations = replace(
-            observations, correlation=corner_correlation_rows(root @ np.swapaxes(root, 1, 2)).reshape(-1, 2, 8)
+            observations,
+            correlation=correlations_of_whitened_marker_corners(root @ np.swapaxes(root, 1, 2)).reshape(-1, 2, 8),
         )
         observations = observations.take(np.arange(len(observations)) % 7 != 0)
     state = with_markers(start(stated, true, T), stated)

@@ -10,7 +10,11 @@ from vision.bundle import bundle_adjustment as adjusting
 from vision.bundle.normal_equations_and_corner_jacobians import linearise, normal_equations
 from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated
-from vision.corner_observations import corner_correlation_rows, merge_repeated_corners, whitener_of_observations
+from vision.corner_observations import (
+    correlations_of_whitened_marker_corners,
+    merge_repeated_corners,
+    whitener_of_observations,
+)
 from vision.predict import State
 
 
@@ -64,7 +68,9 @@ def test_what_hangs_together_and_what_moves_stays_as_it_is(setting):
     m = -(-len(observations) // 4)
     tied = replace(
         observations,
-        correlation=corner_correlation_rows(np.tile(np.eye(8), (m, 1, 1))).reshape(-1, 2, 8)[: len(observations)],
+        correlation=correlations_of_whitened_marker_corners(np.tile(np.eye(8), (m, 1, 1))).reshape(-1, 2, 8)[
+            : len(observations)
+        ],
     )
     assert merge_repeated_corners(tied, state) == (tied, 0.0)
     moving = replace(state, moving={0: state.platform})

@@ -10,7 +10,7 @@ from rig.model.design import DICTIONARIES, Marker, Target
 from rig.model.pose import pose
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.exact_pictures import SIZE, camera, picture, quad
-from vision.corners.marker_detection import detect_markers, fit_read_markers
+from vision.corners.marker_detection_and_corner_fit import detect_markers, fit_read_markers
 from vision.corners.whole_image_marker_reader import ReadMarkers
 from vision.predict import marker_map, markers_expected_in_image
 
@@ -148,7 +148,8 @@ def test_where_a_pose_is_expected_only_its_places_are_read(design, monkeypatch):
     view, markers, corners, image = cube_scene(design, here)
     whole = detect_markers(image, view, markers)
     monkeypatch.setattr(
-        "vision.corners.marker_detection.read_markers", lambda *_: pytest.fail("the whole image was searched")
+        "vision.corners.marker_detection_and_corner_fit.read_markers",
+        lambda *_: pytest.fail("the whole image was searched"),
     )
     for offset in ([0, 0, 0], [0.003, -0.003, 0]):  # 3 px
         found = detect_markers(image, view, markers, T_base_platform=pose(offset, [0, 0, 0]))

@@ -13,7 +13,7 @@ from rig.model.design import Marker, Target
 from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands, Exposures, Recording
 from tests.vision.reading.test_marker_identity import printed
-from vision.corners import marker_detection
+from vision.corners import marker_detection_and_corner_fit
 from vision.predict import marker_map
 from vision.reading import expected_marker_places
 from vision.reading import recording_corners as collecting
@@ -62,13 +62,13 @@ def write(folder, design, T, rng, as_another, frames=range(FRAMES)):
 def searches(monkeypatch):
     """How many whole images are searched, counted."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")  # what other processes search is not counted here
-    count, search = [], marker_detection.read_markers
+    count, search = [], marker_detection_and_corner_fit.read_markers
 
     def counted(*arguments):
         count.append(1)
         return search(*arguments)
 
-    monkeypatch.setattr(marker_detection, "read_markers", counted)
+    monkeypatch.setattr(marker_detection_and_corner_fit, "read_markers", counted)
     monkeypatch.setattr(collecting, "read_markers", counted)
     return count
 

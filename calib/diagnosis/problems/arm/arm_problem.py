@@ -22,7 +22,9 @@ from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Progress, Wald
 from calib.diagnosis.engine.term_selection import fit_selected_terms, remove_redundant_terms
 from calib.diagnosis.problems.arm import lack_of_fit_and_unlisted_effects as remainder
-from calib.diagnosis.problems.arm.finding_and_nonlinear_parameters import has_continuous_parameters
+from calib.diagnosis.problems.arm.finding_parameters_with_intervals_and_nonlinear_optimisation import (
+    has_continuous_parameters,
+)
 from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, JointScore
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, Geometry
 from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import (

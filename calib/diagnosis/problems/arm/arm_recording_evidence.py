@@ -21,13 +21,13 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, La
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.arm.arm_problem import COARSE_PARTS, FINE_PARTS, ArmProblem, nested_held_out_poses
-from calib.diagnosis.problems.arm.finding_and_nonlinear_parameters import (
+from calib.diagnosis.problems.arm.finding_parameters_with_intervals_and_nonlinear_optimisation import (
     finding_parameters,
     term_errors_by_temperature_logs,
 )
 from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, joint_candidates
 from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import (
-    excess_scatter,
+    excess_scatter_over_stated_noise,
     ranked_covariates,
     suggest_joint_formulas,
 )
@@ -45,7 +45,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     Value,
     require_assumed_effects_testable,
 )
-from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
+from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
     Repeats,
     Suggestion,
     axis_speeds,
@@ -185,7 +185,7 @@ class ArmEvidence:
     def scatter_beyond_noise(
         self, selection: ArmSelection, left: list[LackOfFit], repeats: Repeats | None, covariates: list[Covariate]
     ) -> list[LackOfFit]:
-        return excess_scatter(selection.fit, repeats, covariates)
+        return excess_scatter_over_stated_noise(selection.fit, repeats, covariates)
 
     def scatter_beyond_stated(self, selection: ArmSelection) -> tuple[float, bool]:
         beyond, stated = float(np.sqrt(3) * selection.fit.scatter[0]), _length(selection.fit.arms, slice(0, 3))

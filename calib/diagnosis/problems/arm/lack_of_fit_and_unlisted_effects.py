@@ -27,7 +27,7 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
     significant_lack_of_fit,
     test_lack_of_fit,
 )
-from calib.diagnosis.problems.arm.finding_and_nonlinear_parameters import (
+from calib.diagnosis.problems.arm.finding_parameters_with_intervals_and_nonlinear_optimisation import (
     has_continuous_parameters,
     term_parameter_covariance,
 )
@@ -36,7 +36,7 @@ from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import A
 from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import optimise_terms
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_terms_to_poses
 from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_motion_inner_products
-from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
+from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
     AGREE,
     NAME,
     Repeats,
@@ -44,8 +44,8 @@ from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats impo
     formula_quantities,
     formula_text,
     library_of_quantities,
-    motion_functions,
-    time_and_sensor_functions,
+    smooth_functions_of_axis_motion,
+    smooth_functions_of_time_and_sensors,
 )
 from rig.array_and_json_types import Floats
 from rig.effects.framework.machine_motion_and_play import independent_load_columns
@@ -194,7 +194,9 @@ def _hats(t: Floats) -> Floats:
     return np.stack([np.interp(t, x, row) for row in np.eye(KNOTS)[1:]], axis=1)
 
 
-def excess_scatter(fit: Fit, repeats: Repeats | None, covariates: Sequence[Covariate]) -> list[LackOfFit]:
+def excess_scatter_over_stated_noise(
+    fit: Fit, repeats: Repeats | None, covariates: Sequence[Covariate]
+) -> list[LackOfFit]:
     """Excess scatter of positions and of rotations beyond their stated noise ([LackOfFit]).
 
     repeats : Repeats, which show whether the scatter recurs with the same joint angles ("configuration"); where it does
@@ -239,8 +241,8 @@ def _shares(fit: Fit, cluster: int) -> dict[str, dict[str, Share]]:
     count = arms.q.shape[1]
     products = [joint_motion_inner_products(fit, j) for j in range(count)]
     asked = {
-        **time_and_sensor_functions(arms.t, arms.context.sensors),
-        **motion_functions(arms.context.moved().path, arms.commands, arms.t),
+        **smooth_functions_of_time_and_sensors(arms.t, arms.context.sensors),
+        **smooth_functions_of_axis_motion(arms.context.moved().path, arms.commands, arms.t),
     }
     out = {}
     for name, functions in asked.items():

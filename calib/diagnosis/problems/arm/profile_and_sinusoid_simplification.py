@@ -7,7 +7,7 @@ from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers imp
     SelectionPolicy,
     StatedTerms,
 )
-from calib.diagnosis.problems.arm.finding_and_nonlinear_parameters import (
+from calib.diagnosis.problems.arm.finding_parameters_with_intervals_and_nonlinear_optimisation import (
     has_continuous_parameters,
     optimise_nonlinear_parameters,
 )

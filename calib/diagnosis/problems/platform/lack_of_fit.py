@@ -38,12 +38,12 @@ from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions 
     camera_time_functions,
     corner_shift_pixel_derivatives,
     image_warp_pixel_derivatives,
-    smooth_strut_functions,
+    strut_deviation_basis_functions_by_covariate,
 )
-from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
-    motion_functions,
+from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
     separate_weights_for_each_direction,
-    time_and_sensor_functions,
+    smooth_functions_of_axis_motion,
+    smooth_functions_of_time_and_sensors,
 )
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
@@ -94,7 +94,7 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
         test_lack_of_fit(
             model.linear, products, Test(place, "m", (depends,), weights, each[weights.any(axis=(0, 2))].sum())
         )
-        for depends, strutwise in smooth_strut_functions(k)
+        for depends, strutwise in strut_deviation_basis_functions_by_covariate(k)
         for place, weights in strutwise
     ]
     inverse, own = np.linalg.inv(model.closures.W), model.strut_noise()
@@ -284,8 +284,8 @@ def _shares(model: LinearisedModel) -> dict[str, dict[str, Share]]:
     if k.axes:
         products = axis_elongation_inner_products(model)
         for name, functions in {
-            **time_and_sensor_functions(k.t, k.sensors),
-            **motion_functions(k.motion(()).path, k.commanded, k.t),
+            **smooth_functions_of_time_and_sensors(k.t, k.sensors),
+            **smooth_functions_of_axis_motion(k.motion(()).path, k.commanded, k.t),
         }.items():
             out.setdefault(name, {})[STRUTS] = share_explained_by_functions(
                 model.linear, CLOSURES, [(products, separate_weights_for_each_direction(functions, k.axes))]
@@ -299,7 +299,7 @@ def _shares(model: LinearisedModel) -> dict[str, dict[str, Share]]:
             for i in seen
             if i not in k.moving
         ]
-        for name, functions in time_and_sensor_functions(k.t, k.sensors).items():
+        for name, functions in smooth_functions_of_time_and_sensors(k.t, k.sensors).items():
             parts = [
                 (products, separate_weights_for_each_direction(functions, products.beta.shape[1])) for products in views
             ]

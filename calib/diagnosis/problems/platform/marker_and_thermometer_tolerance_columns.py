@@ -17,7 +17,7 @@ from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions import SLOW
-from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import time_cosines
+from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import time_cosines
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect_parameters_and_covariates import Linear

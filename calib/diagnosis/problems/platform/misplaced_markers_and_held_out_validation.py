@@ -26,9 +26,9 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import Oper
 from calib.diagnosis.problems.platform.linearised_corners import camera_edge_bias_freedoms
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
-from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
+from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
     axis_speeds,
-    scaled_to_plus_minus_one,
+    centred_and_scaled_to_plus_minus_one,
     time_cosines,
 )
 from calib.identify.least_squares_and_robust_fit import (
@@ -137,9 +137,9 @@ def _smooth(k: OperatingPoint) -> Floats:
     lengths = k.commanded.at(k.t)
     out = [path.direction, pace]
     for name, values in sorted(varying.items(), key=lambda one: one[0] != PAYLOAD):
-        out.append(np.broadcast_to(scaled_to_plus_minus_one(values)[:, None], lengths.shape))
+        out.append(np.broadcast_to(centred_and_scaled_to_plus_minus_one(values)[:, None], lengths.shape))
         if name == PAYLOAD:
-            out.append(scaled_to_plus_minus_one(values)[:, None] * (lengths - lengths.mean(axis=0)))
+            out.append(centred_and_scaled_to_plus_minus_one(values)[:, None] * (lengths - lengths.mean(axis=0)))
     out += [np.broadcast_to(c[:, None], lengths.shape) for c in time_cosines(k.t, SLOW).T]
     out.append(path.last_step)
     scaled = [values / max(np.abs(values).max(), 1e-300) for values in out if np.any(values)]
@@ -270,7 +270,7 @@ def cross_validate_effects(refinement: Refinement, numbers: set[int], residual_b
     return _compared(refinement.model, before, after, (residual_block,))[0]
 
 
-def cross_validate_effects_by_residual_block(
+def cross_validate_effects_for_each_residual_block(
     refinement: Refinement, numbers: set[int], residual_blocks: tuple[int, ...]
 ) -> tuple[CrossValidation, ...]:
     """Cross-validate several admitted effects together, once for each block of residuals (corners, closures)."""

@@ -27,9 +27,9 @@ from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate
 from calib.diagnosis.problems.platform.simultaneous_refinement import (
     Refinement,
     add_term,
+    operating_point_without_term,
     refine_at_fixed_repeated_error,
     refine_operating_point,
-    remove_term,
 )
 from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions import (
     model_with_smooth_functions,
@@ -110,7 +110,9 @@ class PlatformProblem:
         and what it does would no longer be linear."""
         k = fit.refined.point
         if fit.terms[number].seen_alone:
-            return refine_at_fixed_repeated_error(remove_term(fit.refined, number), self.sensitivities).model
+            return refine_at_fixed_repeated_error(
+                operating_point_without_term(fit.refined, number), self.sensitivities
+            ).model
         return linearise(k.with_effects(e for i, e in enumerate(k.effects) if i != number))
 
     def marginalised(self, model: LinearisedModel) -> LinearisedModel:
@@ -157,7 +159,7 @@ class PlatformProblem:
 
     def remove_term(self, fit: PlatformFit, number: int) -> PlatformFit:
         return PlatformFit(
-            refine_operating_point(remove_term(fit.refined, number), self.sensitivities),
+            refine_operating_point(operating_point_without_term(fit.refined, number), self.sensitivities),
             fit.terms[:number] + fit.terms[number + 1 :],
         )
 

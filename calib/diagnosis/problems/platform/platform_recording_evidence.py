@@ -22,9 +22,9 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     RequestedEffects,
     Tolerable,
     Value,
-    bounded_value,
     onset_time_value,
     require_assumed_effects_testable,
+    value_with_interval_cut_at_bounds,
 )
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, platform_candidates
 from calib.diagnosis.problems.platform.lack_of_fit import closure_residuals, excess_scatter, ranked_covariates
@@ -39,17 +39,17 @@ from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation
     _without_outliers,
     correct_marker_swaps,
     cross_validate_effect_by_regions,
-    cross_validate_effects_by_residual_block,
+    cross_validate_effects_for_each_residual_block,
     find_marker_swaps,
 )
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
 from calib.diagnosis.problems.platform.strut_formula_suggestions import FORMULA_PLACES, suggest_strut_formulas
 from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import (
-    add_temperature_alternatives,
+    add_temperature_effects_as_alternatives_of_findings,
     separate_findings_within_tolerances,
     widen_intervals_by_temperature_logs_and_tolerances,
 )
-from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
+from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
     Repeats,
     Suggestion,
     repeatability_of_pairs,
@@ -110,7 +110,7 @@ class PlatformEvidence:
         return separate_findings_within_tolerances(_problem(selection), selection, left)
 
     def with_temperature_alternatives(self, selection: PlatformSelection) -> PlatformSelection:
-        return add_temperature_alternatives(_problem(selection), selection)
+        return add_temperature_effects_as_alternatives_of_findings(_problem(selection), selection)
 
     def suggestions(
         self, selection: PlatformSelection, left: list[LackOfFit], progress: Progress | None
@@ -162,7 +162,9 @@ class PlatformEvidence:
         k = refined.point
         blocks = {"corners": CORNERS} if k.seen is not None else {}
         blocks |= {"closures": CLOSURES} if k.axes else {}
-        found = cross_validate_effects_by_residual_block(refined, set(range(len(k.effects))), tuple(blocks.values()))
+        found = cross_validate_effects_for_each_residual_block(
+            refined, set(range(len(k.effects))), tuple(blocks.values())
+        )
         seen = "closures" not in blocks or any(f.score.candidate.seen_alone for f in first)
         misfits = {name: Misfit(v.before, v.after, v.floor, v.unit) for name, v in zip(blocks, found)}
         return misfits, "corners" if seen else "closures"
@@ -196,7 +198,9 @@ class PlatformEvidence:
         out = {
             name: Value(value, known[name].unit, [low, high])
             if isinstance(value, list) or isinstance(low, list) or isinstance(high, list)
-            else bounded_value(value, known[name].unit, (low, high), known[name].bounds, bound.get(name))
+            else value_with_interval_cut_at_bounds(
+                value, known[name].unit, (low, high), known[name].bounds, bound.get(name)
+            )
             for name, (value, low, high) in refined.intervals(number).items()
         }
         for p in effect.parameters:

@@ -7,7 +7,11 @@ from typing import Any
 import numpy as np
 
 from calib.diagnosis.engine import frame_inner_products_and_reduced_least_squares as inner
-from calib.diagnosis.engine.candidate_score import best_node_score, insignificant_score, score_at_node
+from calib.diagnosis.engine.candidate_score import (
+    best_node_score,
+    score_at_node,
+    score_of_insignificant_candidate_without_dispersion,
+)
 from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import Node
 from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import FrameProducts, Solved
 from calib.diagnosis.engine.linear_model import Column
@@ -108,7 +112,7 @@ def candidate_column(
     k = model.point
     if candidate.reach is Reach.SPECTRUM:
         return model.lengthened(
-            vibration_frequency.sinusoidal_axis_elongations(model, np.array([node["frequency"]]))[0]
+            vibration_frequency.axis_elongations_by_sinusoidal_platform_motion(model, np.array([node["frequency"]]))[0]
         )
     if candidate.reach is Reach.AXES:
         return model.lengthened(sensitivities.deviation(candidate, node, motion or k.motion(k.effects)))
@@ -266,7 +270,7 @@ def _viewed(
     )
     best = int(np.argmax(solved.delta_chi2 - solved.rank * np.log(model.size)))
     if solved.delta_chi2[best] < least:
-        return insignificant_score(candidate, solved, best)
+        return score_of_insignificant_candidate_without_dispersion(candidate, solved, best)
     products = corner_displacement_inner_products(model, sensitivities.corners(*seen[best]))
     weights = np.broadcast_to(np.eye(products.beta.shape[1]), products.gamma.shape)
     return score_at_node(model.linear, candidate, best, candidate.grid[best], solved, products, weights)

@@ -35,7 +35,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
     Coordinate,
-    check_effect,
+    check_effect_place_and_parameter_bounds,
     conserved_coordinate_sums,
     cost_of_priors,
     prior_precision,
@@ -185,7 +185,7 @@ def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensit
         known = _stepped_effects(k.effects, refinement.coordinates, share * step)
         if known is None:
             continue
-        added = check_effect(score.candidate.effect(score.node, share * theta))
+        added = check_effect_place_and_parameter_bounds(score.candidate.effect(score.node, share * theta))
         found = _apply(model, step, parts, [*known, added], share)
         if not len(theta) or _cost_without_relinearisation(model, *found) <= _comparable(model):
             break
@@ -194,8 +194,8 @@ def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensit
     return refine_operating_point(found[0], sensitivities)
 
 
-def remove_term(refinement: Refinement, number: int) -> OperatingPoint:
-    """Remove the term of an admitted effect from a Refinement: OperatingPoint, what is free moved to compensate."""
+def operating_point_without_term(refinement: Refinement, number: int) -> OperatingPoint:
+    """OperatingPoint of a Refinement without the term of one effect; what is free is moved to compensate."""
     model, effects = refinement.model, refinement.point.effects
     if refinement.column is None:
         return refinement.point.with_effects(e for i, e in enumerate(effects) if i != number)
@@ -290,7 +290,7 @@ def _stepped_effects(effects: tuple[Effect, ...], coordinates: list[Coordinate],
     for c, s in zip(coordinates, step):
         out[c.effect] = c.written(out[c.effect], c.read(effects[c.effect]) + s)
     try:
-        return [check_effect(effect.written()) for effect in out]
+        return [check_effect_place_and_parameter_bounds(effect.written()) for effect in out]
     except ValueError:  # a combination of numbers, each within its bounds, that the effect does not allow
         return None
 

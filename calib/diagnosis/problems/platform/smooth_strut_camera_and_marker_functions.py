@@ -10,10 +10,10 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import Oper
 from calib.diagnosis.problems.platform.linearised_corners import edge_shift_pixel_derivatives
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.scores_of_all_candidates import camera_mount_pixel_derivatives
-from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
+from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
     axis_speeds,
+    centred_and_scaled_to_plus_minus_one,
     scaled_powers,
-    scaled_to_plus_minus_one,
     time_cosines,
 )
 from rig.array_and_json_types import Floats, Integers
@@ -27,8 +27,11 @@ ROUNDS = 3  # of taking what smooth functions explain off the corners
 SEEN = 1e-3  # share of a function's square that the nuisances must leave for it to be taken off
 
 
-def smooth_strut_functions(point: OperatingPoint) -> list[tuple[str, list[tuple[Place, Floats]]]]:
-    """Smooth functions of struts at an OperatingPoint: [(depends on, [(place, (F, axes, q) m)])]."""
+def strut_deviation_basis_functions_by_covariate(point: OperatingPoint) -> list[tuple[str, list[tuple[Place, Floats]]]]:
+    """Smooth basis functions of strut deviations by what they depend on, at an OperatingPoint.
+
+    Returns [(depends on, [(place, (F, axes, q) m)])]
+    """
     F, ones = len(point.t), np.ones(point.axes)
     bases = [
         ("pose", _alike(_pose(point), ones)),
@@ -45,7 +48,7 @@ def smooth_strut_functions(point: OperatingPoint) -> list[tuple[str, list[tuple[
     lengths, way_last = motion.lengths, motion.path.direction
     for j in range(point.axes):
         bases.append((f"strut {j + 1}'s position", _alike(scaled_powers(lengths[:, j], 4), ones)))
-    scaled = np.stack([scaled_to_plus_minus_one(column) for column in lengths.T], axis=1)
+    scaled = np.stack([centred_and_scaled_to_plus_minus_one(column) for column in lengths.T], axis=1)
     bases.append(("history", np.stack([way_last, way_last * scaled], axis=2)))
     way = motion.path.way
     if np.ptp(way, axis=0).min(initial=np.inf) > 0:
@@ -141,7 +144,11 @@ def smooth_function_columns(
     """
     k = model.point
     weights = (
-        {depends: strutwise for depends, strutwise in smooth_strut_functions(k) if len(strutwise) == k.axes}
+        {
+            depends: strutwise
+            for depends, strutwise in strut_deviation_basis_functions_by_covariate(k)
+            if len(strutwise) == k.axes
+        }
         if k.axes
         else {}
     )  # the finest of each

@@ -25,7 +25,7 @@ from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
 from calib.diagnosis.problems.platform.scores_of_all_candidates import axis_elongation_inner_products
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
-from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import (
+from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
     AGREE,
     GAIN,
     NAME,

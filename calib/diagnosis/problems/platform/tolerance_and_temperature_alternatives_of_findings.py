@@ -46,7 +46,7 @@ from calib.diagnosis.problems.platform.platform_problem import PlatformFit, Plat
 from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions import SLOW
-from calib.diagnosis.problems.remainder_covariates_temperatures_and_repeats import time_cosines
+from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import time_cosines
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
@@ -64,7 +64,9 @@ SIZES = 200  # of a coefficient that are tried, over DECADES about what rigs sho
 DECADES = 1.0  # beyond
 
 
-def add_temperature_alternatives(problem: PlatformProblem, selection: PlatformSelection) -> PlatformSelection:
+def add_temperature_effects_as_alternatives_of_findings(
+    problem: PlatformProblem, selection: PlatformSelection
+) -> PlatformSelection:
     """Add to each finding of a Selection, as alternatives, the temperature effects that explain it as well."""
     return _noisy_log_temperature_alternatives(problem, _unlogged_temperature_alternatives(problem, selection))
 

@@ -28,7 +28,7 @@ ROUNDS = 30  # of one factor after the other; each brings them nearer
 SOFT = 1e-9  # of a direction's power, added so that those that move nothing can be solved for
 
 
-def sinusoidal_axis_elongations(model: LinearisedModel, frequencies: Floats) -> Floats:
+def axis_elongations_by_sinusoidal_platform_motion(model: LinearisedModel, frequencies: Floats) -> Floats:
     """Axis elongations (k, F, a, 12) m by sinusoidal platform motion at frequencies (k,) Hz.
 
     Sine, then cosine, along each of six directions.
@@ -72,14 +72,19 @@ def best_vibration_frequency_score(
     spectrum, frequency = spectrum[inside], frequency[inside]
     peaks = np.argsort(-spectrum)[:PEAKS]
     near = np.unique(np.concatenate([frequency[p] + np.linspace(-1, 1, 21) / (OVERSAMPLED * length) for p in peaks]))
-    normal = normal_equations_by_direction_weights(products, sinusoidal_axis_elongations(model, near))
+    normal = normal_equations_by_direction_weights(
+        products, axis_elongations_by_sinusoidal_platform_motion(model, near)
+    )
     deltas, coefficients = (
         np.array(part) for part in zip(*(rank_one_direction_and_phase_fit(*pair) for pair in zip(normal.b, normal.G)))
     )
     best = int(np.argmax(deltas))
     seen = solve_normal_equations(Normal(*(part[best : best + 1] for part in normal))).seen[0]
     ratio = residual_dispersion(
-        model.linear, products, sinusoidal_axis_elongations(model, near[best : best + 1])[0], coefficients[best]
+        model.linear,
+        products,
+        axis_elongations_by_sinusoidal_platform_motion(model, near[best : best + 1])[0],
+        coefficients[best],
     ).ratio
     delta = deltas[best] / ratio
     p = min(1.0, length * high * float(scipy.special.chdtrc(free, delta)))
@@ -129,7 +134,7 @@ def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tup
     aside.
     """
     t = model.point.t
-    modes = sinusoidal_axis_elongations(model, np.zeros(1))[0, :, :, 6:]
+    modes = axis_elongations_by_sinusoidal_platform_motion(model, np.zeros(1))[0, :, :, 6:]
     beta, power = (
         np.einsum("fad,fa->fd", modes, products.beta),
         np.einsum("fad,fab,fbe->de", modes, products.gamma, modes),

@@ -15,7 +15,7 @@ from calib.correction.interpolation_methods_and_correction_summand_fields import
 from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import arm_pose_covariance
-from calib.models.arm.joint_space_correction_certification import (
+from calib.models.arm.joint_space_correction_and_certification import (
     certify_extended_arm,
     claim_without_geometry,
     joint_correction_field_samples,
@@ -29,7 +29,7 @@ from rig.model.pose import exp, pose_difference
 from rig.planning.configuration_sets import divided_grid_configurations, sobol_configurations
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Poses
-from rig.recording.recording_tables import write_poses
+from rig.recording.recording_table_loading_and_writing import write_poses
 from tests.calib import secret_arms as worlds
 from tests.cli import command
 from tests.rig.arms import SEVEN, UR10

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.correction.command_route_and_pose_space_map import Pace
+from calib.correction.command_sequence_timing_and_pose_error_map import Pace
 from calib.correction.physics_compensation import Physics
 from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations
@@ -31,7 +31,7 @@ from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.layout import shipped_arm_layout
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Poses, Sensors
-from rig.recording.recording_tables import write_poses
+from rig.recording.recording_table_loading_and_writing import write_poses
 from synthetic import recording_simulation, secret_machine
 
 MOVING = (

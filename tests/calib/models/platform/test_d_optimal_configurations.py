@@ -5,15 +5,15 @@ given.
 import numpy as np
 import pytest
 
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import PLAUSIBLE, parameter_combinations
 from calib.models.platform.identification import identify_platform
 from calib.models.platform.optimal_configurations import (
     CANDIDATES,
     CRITERIA,
     FILL,
     choose_d_optimal_configurations,
-    configuration_information,
+    closing_commands_and_whitened_parameter_rows,
 )
-from calib.models.platform.parameter_accuracy import PLAUSIBLE, parameter_combinations
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
@@ -45,10 +45,10 @@ def test_each_criterion_is_best_at_its_own(chosen):
 def test_no_single_exchange_pays_any_more(chosen, design):
     """What the exchange ends in is an optimum among its candidates: tried anew by brute force at one place."""
     found = chosen["determinant"]
-    _, kept = configuration_information(found.commands[1:], design.mechanism, SIGMAS)
+    _, kept = closing_commands_and_whitened_parameter_rows(found.commands[1:], design.mechanism, SIGMAS)
     base = kept.reshape(-1, 42)
     spread = configuration_sets.sobol_configurations(design.mechanism.strut_range, CANDIDATES, FILL, 0)[:400]
-    _, others = configuration_information(spread, design.mechanism, SIGMAS)
+    _, others = closing_commands_and_whitened_parameter_rows(spread, design.mechanism, SIGMAS)
     now = np.linalg.slogdet((found.root * PLAUSIBLE).T @ (found.root * PLAUSIBLE))[1]
     best = max(np.linalg.slogdet(base.T @ base + rows.T @ rows)[1] for rows in others)
     assert best <= now + 0.01

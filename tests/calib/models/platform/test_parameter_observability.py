@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
+    frame_motion_columns,
+    parameter_combinations,
+)
 from calib.models.platform.identification import identify_platform, pose_parameter_jacobian
-from calib.models.platform.parameter_accuracy import frame_motion_columns, parameter_combinations
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import NAMES, geometric_parameters, mechanism_with_parameters
 from rig.model.pose import exp, pose_difference, transform_points

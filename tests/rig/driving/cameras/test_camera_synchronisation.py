@@ -8,7 +8,7 @@ from rig.driving.cameras.camera_interface_and_grabbing import (
     Frame,
     NotSettled,
     SynchronisedCameras,
-    image_difference,
+    image_difference_relative_to_noise,
     parse_settling,
     set_exposure_for_markers,
 )
@@ -67,11 +67,16 @@ def test_rest_is_told_by_images_from_motion_under_noise():
     def image(shift, noise=2.0):
         return np.clip(np.roll(scene, shift, axis=1) + noise * rng.normal(size=scene.shape), 0, 255).astype(np.uint8)
 
-    assert all(image_difference(image(0), image(0)) < 1 for _ in range(20))
+    assert all(image_difference_relative_to_noise(image(0), image(0)) < 1 for _ in range(20))
     moved = scene.copy()
     moved[200:240, 300:340] = np.roll(scene, 1, axis=1)[200:240, 300:340]  # a marker alone, by a pixel
-    assert image_difference(image(0), np.clip(moved + 2 * rng.normal(size=scene.shape), 0, 255).astype(np.uint8)) > 1
-    assert image_difference(image(0), image(3)) > 1
+    assert (
+        image_difference_relative_to_noise(
+            image(0), np.clip(moved + 2 * rng.normal(size=scene.shape), 0, 255).astype(np.uint8)
+        )
+        > 1
+    )
+    assert image_difference_relative_to_noise(image(0), image(3)) > 1
     clock, shifts = Ticking(), iter([9, 5, 2, 1] + [0] * 20)
     taken = []
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from rig.driving.clock import SimulatedClock
-from rig.driving.controller_requests_and_answers import Link
 from rig.driving.protocols.gcs import GCS
 from rig.driving.protocols.protocol_interface import Segment
+from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.errors import ControllerFault, NoAnswer
 from tests.rig.scripted_wire import ScriptedPort
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from rig.driving.clock import SimulatedClock, SystemClock
-from rig.driving.controller_requests_and_answers import Link
-from rig.driving.protocols.own_strut_protocol import Struts, decode_frame, encode_frame
+from rig.driving.protocols.own_strut_protocol import Struts, encode_frame, last_valid_frame_in_line
 from rig.driving.protocols.protocol_interface import Segment
+from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.driving.serial_port import SerialPort
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, NoAnswer, PositionLost
@@ -45,7 +45,7 @@ def talk(script, *what):
 def test_the_document_s_conversation_is_what_is_sent():
     text = (ROOT / "docs" / "protocol.md").read_text()
     frames = re.findall(r"^    ([<>].*\*[0-9A-F]{4})$", text, re.MULTILINE)
-    assert len(frames) == 14 and all(decode_frame(frame[0], frame) for frame in frames)
+    assert len(frames) == 14 and all(last_valid_frame_in_line(frame[0], frame) for frame in frames)
     target = np.full(6, 2e-3)
     pairs = [((frames[i] + "\n").encode(), (frames[i + 1] + "\n").encode()) for i in range(4, 14, 2)]
     assert [tuple(pair) for pair in HELLO] == [

@@ -61,7 +61,7 @@ def test_the_points_of_a_branch_are_hand_worked():
 def test_forward_by_points_is_the_chain(arm):
     """A, B, C turned and moved about the axes at zero, the last joint first, are those of the hand."""
     q = np.random.default_rng(4).uniform(*arm.limits.T)
-    steps = arm_dynamics_and_step_by_step_kinematics.forward_steps(q, arm)
+    steps = arm_dynamics_and_step_by_step_kinematics.hand_points_after_moving_each_joint(q, arm)
     assert [step.joint for step in steps] == [0, *range(len(q), 0, -1)]
     frame = closed_form_and_numerical_arm_inverse.frame_at_first_axes_crossing(arm)
     start, end = mechanism.forward(0 * q, arm), mechanism.forward(q, arm)

@@ -8,9 +8,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calib.certification import measuring_limb_calibration_and_slips
+from calib.certification import measuring_limb_calibration_agreement_with_vision_and_slips
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.redundant_measuring_limb_checks import Limbs
+from calib.certification.redundant_measuring_limb_checks_by_loop_closure import Limbs
 from calib.correction.correction import Correction
 from calib.files import calibration_file
 from calib.online import measuring_limbs_file
@@ -24,7 +24,7 @@ from rig.planning.configuration_sets import sobol_configurations
 def machine(limbed):
     """(strut and limb Hexapods as they truly are, poses (40,))"""
     true = limbed[2].world.true
-    limbs = measuring_limb_calibration_and_slips.hexapod_of_six_limbs(true)
+    limbs = measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(true)
     return (
         true.mechanism,
         limbs,
@@ -90,7 +90,7 @@ def test_the_best_six_are_the_best_of_all(machine):
     of, T = legs(machine, (3e-6, 1e-6)), machine[2][:8]
     size = np.linalg.norm(of.platform - of.platform.mean(axis=0), axis=1).mean()
     J = (
-        best_six_legs_and_closures_of_others.leg_length_jacobians(of, T)[1]
+        best_six_legs_and_closures_of_others.leg_lengths_and_pose_and_base_jacobians(of, T)[1]
         / np.repeat([1.0, size], 3)
         / of.sigma[:, None]
     )
@@ -136,13 +136,19 @@ def test_the_command_chooses_checks_and_names(limbed, tmp_path, capsys):
         tmp_path / "closures.csv",
     )
     T = done.run.T_base_platform[:30]
-    agreement = measuring_limb_calibration_and_slips.limb_agreement(T, T, np.zeros((30, 6, 6)), (1e-3, 1e-3))
+    agreement = measuring_limb_calibration_agreement_with_vision_and_slips.limb_agreement(
+        T, T, np.zeros((30, 6, 6)), (1e-3, 1e-3)
+    )
     known = 1e-14 * np.eye(42)
     measuring_limbs_file.save_limbs(
         limbs,
         measuring_limbs_file.Accepted(
-            Limbs(measuring_limb_calibration_and_slips.hexapod_of_six_limbs(true), known, np.full(6, 1e-6)),
-            measuring_limb_calibration_and_slips.hexapod_of_six_limbs(design),
+            Limbs(
+                measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(true),
+                known,
+                np.full(6, 1e-6),
+            ),
+            measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design),
             agreement,
             None,
             {},

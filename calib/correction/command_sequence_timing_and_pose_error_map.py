@@ -1,4 +1,4 @@
-"""Route of commands in time, and the map of pose errors in pose space with the pose to request.
+"""Timing of a sequence of commands (Route), and the map of pose errors in pose space with the pose to request.
 
 Source: configuration-space patent, [0035] (error maps and compensation in the configuration space, the workspace or
     both)

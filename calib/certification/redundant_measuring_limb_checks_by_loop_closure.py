@@ -1,4 +1,4 @@
-"""Redundant measuring limbs as checks: six limbs give the platform's pose, each other limb checks it.
+"""Redundant measuring limbs checked by loop closure: six give the platform's pose, each other limb checks it.
 
 A check's own joints and zero are fitted to the poses that the six told while vision held them, so that what it does
 not close by later is no matter of vision's frame: the reading of some limb has changed. Source: Merlet, Parallel
@@ -170,7 +170,7 @@ def _leg(T: RigidTransform, read: Floats, stated: Floats, variance: Floats) -> t
             ("m",), p[None, :3], p[None, 3:6], p[6:], T[0], np.ones(1), np.zeros((7, 7))
         )
         told, A = (
-            best_six_legs_and_closures_of_others.leg_length_jacobians(one, T)[0][:, 0],
+            best_six_legs_and_closures_of_others.leg_lengths_and_pose_and_base_jacobians(one, T)[0][:, 0],
             best_six_legs_and_closures_of_others.leg_parameter_jacobians(one, T)[:, 0],
         )
         rows = np.concatenate([A * weight[:, None], np.eye(7) / PRIOR])

@@ -1,4 +1,7 @@
-"""Requests to a controller and its answers over a port: one at a time, with timeout, trace and reconnection."""
+"""Exchange of requests and answers with a controller over a port: one at a time, with timeout and reconnection.
+
+Every byte sent and received can be traced.
+"""
 
 import threading
 from collections import deque

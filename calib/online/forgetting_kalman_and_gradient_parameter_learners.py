@@ -13,8 +13,8 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.files.mechanism_and_physics_entries_of_calibration_json import mechanism_dict, mechanism_from_entries
 from calib.models.platform import closed_loop_equations
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import PLAUSIBLE
 from calib.models.platform.identification import PRIOR
-from calib.models.platform.parameter_accuracy import PLAUSIBLE
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
@@ -23,7 +23,7 @@ from rig.formats.output_files import write_text
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     geometric_parameters,
-    has_plates,
+    is_hexapod,
     mechanism_with_parameters,
 )
 
@@ -228,7 +228,7 @@ def load_learner(path: Path | str) -> Learner:
     tree = json_toml_and_yaml_loading.load_json(Path(path), "state of a learner", SCHEMA)
     kind = LEARNERS[tree.text("learner", tuple(LEARNERS))]
     nominal = mechanism_from_entries(tree.table("nominal"))
-    if not has_plates(nominal):
+    if not is_hexapod(nominal):
         tree.fail("nominal is not a hexapod", "nominal")
     try:
         learner = kind(nominal, tree.number(kind.SETTING))

@@ -23,7 +23,7 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
-from rig.recording.recording_tables import write_table
+from rig.recording.recording_table_loading_and_writing import write_table
 from rig.report.pages.image_plane_and_3d_views import Arrows, image_plane_figure, patch_means
 from rig.report.pages.page_templates_and_elements import svg_figure, svg_text, svg_tooltip
 from rig.report.pages.plots import COLOURS, Series, bar_chart_svg, panel_row_html, plot_panel_svg
@@ -200,7 +200,7 @@ def effect_residual_figures(refinement: Refinement, number: int) -> str:
         return residual_scatter_figure(x, label, [v * 1e6 for v in y], "strut, µm")
     own = _own(effect, k)
     draw = {
-        "map": lambda: image_residual_figures(k, own, (image_before, image_after)),
+        "map": lambda: mean_residual_figures_over_camera_image(k, own, (image_before, image_after)),
         "time": lambda: _along_time(k, own, image_before, image_after),
         "scale": lambda: _focal(k, own, image_before, image_after),
         "outward": lambda: _outward(k, own, image_before, image_after),
@@ -319,7 +319,7 @@ def _bars(effect: Effect, k: OperatingPoint, before: Floats, after: Floats) -> s
     )
 
 
-def image_residual_figures(
+def mean_residual_figures_over_camera_image(
     point: OperatingPoint,
     corner_rows: Integers,
     residuals: tuple[Floats, ...],

@@ -1,4 +1,4 @@
-"""Certificate of a calibration from recordings it was not made from, with its verdict and its provenance."""
+"""Certificate of a calibration computed from held-out recordings, its verdict and its provenance."""
 
 import hashlib
 import json
@@ -35,7 +35,11 @@ from calib.certification.pose_error_promise_and_conformity import (
     pose_error_promise,
     promise_by_cell,
 )
-from calib.certification.uncertainty_budget import rms_length_uncertainty, thermometer_covariance, uncertainty_budget
+from calib.certification.uncertainty_budget import (
+    rms_position_and_rotation_uncertainty,
+    thermometer_covariance,
+    uncertainty_budget,
+)
 from calib.files import calibration_provenance_and_used_frames
 from calib.models.machine_models import corrected_pose_covariance
 from calib.samples.confounded_conditions import confound_sentences, confounds_of_recordings
@@ -45,7 +49,7 @@ from rig.errors import NotEnoughData
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, hashes_of_frames
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import result_html
-from rig.report.verdict_and_refutations_of_results import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,7 +145,7 @@ def _units(calibration: Calibration, poses: HeldPoses) -> tuple[float, float]:
         after = calibration.held_out.after
         if after.position[0] > 0 and after.rotation[0] > 0:
             return after.position[0], after.rotation[0]
-    return rms_length_uncertainty(
+    return rms_position_and_rotation_uncertainty(
         corrected_pose_covariance(calibration, poses.T_base_platform, poses.commanded) + poses.own
     )
 

@@ -241,7 +241,7 @@ def _cut_out(
     """square.Squares of quads (m, 4, 2) px of one size."""
     height, width = full.shape
     sides_px = np.linalg.norm(quads[:, _NEXT] - quads, axis=2)
-    centres = local_lens.local_coordinate_origins(quads)
+    centres = local_lens.local_coordinate_origins_and_scales(quads)
     polynomials = np.empty((len(quads), 2, local_lens.TERMS))
     local_lens.fit_local_polynomials(local_lens.ideal_coordinate_table(camera), centres, polynomials)
     room = ROOM + reach + BEND * sides_px.max(axis=1)[:, None]

@@ -1,4 +1,4 @@
-"""Loop closures of redundant legs: six leg lengths give the platform's pose, the others close on it."""
+"""Loop closure check of redundant legs: six lengths give the platform's pose, the others are checked against it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,7 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification import measuring_limb_calibration_and_slips, redundant_measuring_limb_checks
+from calib.certification import (
+    measuring_limb_calibration_agreement_with_vision_and_slips,
+    redundant_measuring_limb_checks_by_loop_closure,
+)
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.online.measuring_limbs_file import Accepted
 from rig.array_and_json_types import Floats, Integers, Json
@@ -17,11 +20,11 @@ from rig.model.mechanisms.best_six_legs_and_closures_of_others import (
     best_six_legs,
     combine_leg_sets,
     leg_closures,
-    leg_length_jacobians,
+    leg_lengths_and_pose_and_base_jacobians,
 )
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import write_table
+from rig.recording.recording_table_loading_and_writing import write_table
 from rig.report.pages.page_templates_and_elements import result_html
 
 EXACT = 1e-7  # m, of a commanded length: controllers resolve steps, and a calibration's scatter may be none
@@ -65,7 +68,7 @@ class LoopClosureResult:
     @property
     def condition(self) -> Floats:
         """(n,) condition number of the legs that give the pose."""
-        jacobians = leg_length_jacobians(self.legs, self.closures.T_base_platform)[1]
+        jacobians = leg_lengths_and_pose_and_base_jacobians(self.legs, self.closures.T_base_platform)[1]
         values = np.linalg.svd(jacobians[:, self.chosen], compute_uv=False)
         return values[:, 0] / values[:, -1]
 
@@ -119,7 +122,9 @@ class LoopClosureResult:
 
 
 def close_loops(recording: Recording, options: LoopClosureOptions = LoopClosureOptions()) -> LoopClosureResult:
-    """LoopClosureResult of a recording with measuring limbs next to its struts, as `rig closure` makes it.
+    """Closure errors (LoopClosureResult) of a recording's legs beyond the six that give the pose.
+
+    Measuring limbs next to the struts, as `rig closure` makes it.
 
     Raises RigError for a recording without limbs' readings, and for other legs than it has
     """
@@ -137,9 +142,9 @@ def _legs(recording: Recording, options: LoopClosureOptions) -> tuple[RedundantL
     """(Legs of struts and limbs, frames (n,), lengths (n, legs) m as commanded and read)."""
     machine, stated = (
         require_hexapod(recording.design.mechanism),
-        measuring_limb_calibration_and_slips.stated_limbs(recording.design),
+        measuring_limb_calibration_agreement_with_vision_and_slips.stated_limbs(recording.design),
     )
-    frames, lengths = measuring_limb_calibration_and_slips.limb_readings(recording)
+    frames, lengths = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings(recording)
     n = len(stated.channels)
     every, _, values = recording.commanded()
     commanded = values[np.searchsorted(every, frames)]
@@ -152,7 +157,10 @@ def _legs(recording: Recording, options: LoopClosureOptions) -> tuple[RedundantL
         struts = ("l", fitted, np.hypot(calibration.scatter, EXACT), calibration.covariance)
         commanded = commanded - calibration.correction.rho(commanded)
     if options.limbs is not None:
-        limbs = ("m", *redundant_measuring_limb_checks.limbs_sigmas_and_covariance(options.limbs.limbs, stated))
+        limbs = (
+            "m",
+            *redundant_measuring_limb_checks_by_loop_closure.limbs_sigmas_and_covariance(options.limbs.limbs, stated),
+        )
     return combine_leg_sets([struts, limbs], machine.home), frames, np.hstack([commanded, lengths])
 
 

@@ -1,4 +1,4 @@
-"""Names of protocols and ports of controllers, and what is wrong with one; imports nothing that takes time."""
+"""List of controller protocols, and check of a port's name; imports nothing that takes time."""
 
 PROTOCOLS = ("grblhal", "gcs", "linuxcnc", "struts")
 SHOWN = 80  # characters of a port's name that a message repeats

@@ -1,4 +1,4 @@
-"""Tables of a recording: exposures, corners, poses and configurations (CSV), loaded with checks and written."""
+"""Loading, with checks, and writing of a recording's tables: exposures, corners, poses and configurations (CSV)."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -13,8 +13,8 @@ from calib.workspace import workspace_page
 from calib.workspace.workspace_map_and_lost_poses import (
     COLUMNS,
     Workspace,
-    axis_margin_description,
     certified_cell_promises,
+    pose_description_of_axis_margin_map,
     workspace_dict,
     workspace_rows,
 )
@@ -25,9 +25,9 @@ from rig.formats.checked_entries import Entries
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
-from rig.recording.recording_tables import write_table
+from rig.recording.recording_table_loading_and_writing import write_table
 from rig.report.pages.page_templates_and_elements import Link, result_html
-from rig.report.verdict_and_refutations_of_results import Verdict
+from rig.report.verdict_and_refutations_by_later_recordings import Verdict
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
 
 
@@ -74,14 +74,14 @@ class WorkspaceResult:
 
     def tree(self) -> Json:
         """What `rig workspace --json` prints."""
-        margins = axis_margin_description(self.calibration.correction)
+        margins = pose_description_of_axis_margin_map(self.calibration.correction)
         return {"verdict": self.verdict.tree(), **workspace_dict(self.workspace), "room_of": margins}
 
     def write(self, folder: Path, links: Sequence[Link] = ()) -> None:
         """Write the map into a folder, as data, as a table and as a page."""
         write_text(folder / "workspace.json", json.dumps(self.tree(), allow_nan=False) + "\n")
         write_table(folder / "workspace.csv", COLUMNS, workspace_rows(self.workspace))
-        margins = axis_margin_description(self.calibration.correction)
+        margins = pose_description_of_axis_margin_map(self.calibration.correction)
         workspace_page.write_workspace_page(
             folder / "workspace.html", self.name, self.workspace, self.unit, margins, self.certified, links
         )

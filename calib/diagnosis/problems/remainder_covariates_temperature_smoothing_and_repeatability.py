@@ -1,4 +1,4 @@
-"""Covariates of the remainder, smoothing of logged temperatures, and repeats of commands.
+"""Covariates of the remainder, smoothing of logged temperatures, and repeatability of repeated commands.
 
 Covariates are ranked by what they explain of the remainder, with formulas suggested for it; logged temperatures hold a
 thermometer's noise; repeats show whether the remainder repeats with the commands, or is noise.
@@ -171,7 +171,7 @@ COURSE = 4  # cosines of a covariate that goes on and on
 AT_ONCE = 1e-3  # s; a shorter wait counts as so long
 
 
-def time_and_sensor_functions(t: Floats, sensors: Sensors | None) -> dict[str, Floats]:
+def smooth_functions_of_time_and_sensors(t: Floats, sensors: Sensors | None) -> dict[str, Floats]:
     """Smooth functions {covariate: (F, 1, q)} of time and of each sensor, at times (F,) s."""
     order = np.argsort(np.argsort(t)).astype(float)
     out = {"time": time_cosines(t, COURSE), "order": time_cosines(order, COURSE)}
@@ -181,7 +181,7 @@ def time_and_sensor_functions(t: Floats, sensors: Sensors | None) -> dict[str, F
     return {name: functions[:, None, :] for name, functions in out.items()}
 
 
-def motion_functions(path: Path, commands: Commands, t: Floats) -> dict[str, Floats]:
+def smooth_functions_of_axis_motion(path: Path, commands: Commands, t: Floats) -> dict[str, Floats]:
     """Smooth functions {covariate: (F, axes or 1, q)} of the axes' motion up to times (F,) s."""
     wait = np.log(np.maximum(path.dwell, AT_ONCE))
     own = {"step": path.last_step, "speed": axis_speeds(commands, t), "way travelled": path.way}
@@ -200,14 +200,14 @@ def separate_weights_for_each_direction(functions: Floats, count: int) -> Floats
     return np.einsum("faq,ab->fabq", wide, np.eye(count)).reshape(len(functions), count, -1)
 
 
-def scaled_to_plus_minus_one(x: Floats) -> Floats:
+def centred_and_scaled_to_plus_minus_one(x: Floats) -> Floats:
     """x (F,) about its mean, scaled to within plus or minus one."""
     return (x - x.mean()) / max(np.abs(x - x.mean()).max(), 1e-300)
 
 
 def scaled_powers(x: Floats, highest: int) -> Floats:
     """Powers (F, highest) of a covariate x (F,) scaled to within -1 .. 1, from the first on."""
-    return np.stack([scaled_to_plus_minus_one(x) ** n for n in range(1, highest + 1)], axis=1)
+    return np.stack([centred_and_scaled_to_plus_minus_one(x) ** n for n in range(1, highest + 1)], axis=1)
 
 
 def time_cosines(t: Floats, count: int) -> Floats:

@@ -1,4 +1,4 @@
-"""Platform poses from accepted measuring limbs, recorded or live, as a recording's samples, checked by vision.
+"""Platform poses from measuring limbs, recorded or live, checked by redundant limbs and by vision.
 
 The limbs are learnt on as struts are, from vision's poses, beginning with what their acceptance knows: then what
 detects a strut that missed steps (filter_kernels_and_change_detection.py) detects a limb that slipped. One pose of
@@ -15,8 +15,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification import measuring_limb_calibration_and_slips, redundant_measuring_limb_checks
-from calib.certification.redundant_measuring_limb_checks import Limbs
+from calib.certification import (
+    measuring_limb_calibration_agreement_with_vision_and_slips,
+    redundant_measuring_limb_checks_by_loop_closure,
+)
+from calib.certification.redundant_measuring_limb_checks_by_loop_closure import Limbs
 from calib.online import measuring_limbs_file
 from calib.online.filter_kernels_and_change_detection import Change
 from calib.online.information_filter import Online
@@ -135,7 +138,7 @@ def limb_poses(recording: Recording, accepted: Accepted) -> LimbPoses:
 
     Raises as insitu.readings does, NotConverged for readings that close on no pose
     """
-    frames, lengths = measuring_limb_calibration_and_slips.limb_readings(recording)
+    frames, lengths = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings(recording)
     T = accepted.limbs.pose(lengths)
     return LimbPoses(frames, lengths, T, *accepted.limbs.uncertainty(T))
 
@@ -173,10 +176,12 @@ def check_limb_poses_by_redundancy_and_vision(
 
     Raises what measuring raises
     """
-    open_ = redundant_measuring_limb_checks.first_unclosed_limb(accepted.limbs, poses.lengths)
+    open_ = redundant_measuring_limb_checks_by_loop_closure.first_unclosed_limb(accepted.limbs, poses.lengths)
     if open_ is not None:
         return Checked(
-            0, int(poses.frames[open_.at]), Disagreement(str(open_), open_.limb, redundant_measuring_limb_checks.WHO)
+            0,
+            int(poses.frames[open_.at]),
+            Disagreement(str(open_), open_.limb, redundant_measuring_limb_checks_by_loop_closure.WHO),
         )
     if recording.corners is None and not recording.has_images:
         return Checked(0, None, None)
@@ -220,10 +225,16 @@ class LiveLimbPoses:
         """What limbs beyond six say of readings (limbs,) m and those before; where they disagree, limbs are out of
         force. Raises as `pose`
         """
-        self._last = [*self._last[1 - redundant_measuring_limb_checks.IN_A_ROW :], lengths]
-        open_ = redundant_measuring_limb_checks.first_unclosed_limb(self.accepted.limbs, np.array(self._last))
+        self._last = [*self._last[1 - redundant_measuring_limb_checks_by_loop_closure.IN_A_ROW :], lengths]
+        open_ = redundant_measuring_limb_checks_by_loop_closure.first_unclosed_limb(
+            self.accepted.limbs, np.array(self._last)
+        )
         self.in_force = open_ is None
-        return None if open_ is None else Disagreement(str(open_), open_.limb, redundant_measuring_limb_checks.WHO)
+        return (
+            None
+            if open_ is None
+            else Disagreement(str(open_), open_.limb, redundant_measuring_limb_checks_by_loop_closure.WHO)
+        )
 
     def is_check_due(self, unsure: bool) -> bool:
         """Whether vision looks at the pose in hand, once for each pose. unsure : whether the struts tell otherwise than

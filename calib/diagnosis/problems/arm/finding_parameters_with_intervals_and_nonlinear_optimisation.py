@@ -24,7 +24,11 @@ from calib.diagnosis.problems.arm.joint_candidates import SPAN, Form, JointCandi
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
 from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_motion_inner_products, solve_candidate_at_nodes
-from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value, bounded_value, onset_time_value
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
+    Value,
+    onset_time_value,
+    value_with_interval_cut_at_bounds,
+)
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect_parameters_and_covariates import Parameter
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
@@ -202,13 +206,13 @@ def finding_parameters(
         if roles[name] == "inverse"
         else (theta[0], theta[0] - sigma[0], theta[0] + sigma[0])
     )
-    out = {name: bounded_value(float(value), units[name], (float(low), float(high)), bounds[name])}
+    out = {name: value_with_interval_cut_at_bounds(float(value), units[name], (float(low), float(high)), bounds[name])}
     spreads = Z95 * np.sqrt(np.diag(joint.covariance)[len(theta) :] * finding.score.dispersion)
     spread = {n: float(s) for n, s in zip(joint.names, spreads)}
     return out | {
         key: onset_time_value(fit.arms.t, v, origin, onset_time_interval(fit, number, finding.score.dispersion))
         if roles[key] == "moment"
-        else bounded_value(v, units[key], (v - spread[key], v + spread[key]), bounds[key])
+        else value_with_interval_cut_at_bounds(v, units[key], (v - spread[key], v + spread[key]), bounds[key])
         if key in spread
         else Value(v, units[key])
         for key, v in one.node.items()

@@ -1,4 +1,4 @@
-"""Check of a recording for mistakes, and its preparation: refused, joined, instrument displacement removed.
+"""Recordings checked and refused if unfit, combined, and the instrument's displacement between them removed.
 
 The geometry and, for each further recording, the six numbers of the instrument's place are fitted to all closures at
 once, each strut weighed by its poses' noise and by what it scatters beyond in that recording: what the machine's model
@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.drift.visit_equations_and_reference import base_motion_columns
 from calib.models.platform.identification import PRIOR
 from calib.samples.pose_samples import Samples, sample_recording
-from rig.api import CheckResult, check_files
+from rig.api import CheckResult, load_and_check_recording_files
 from rig.array_and_json_types import Floats, Integers
 from rig.checks import command_and_pose_disagreements
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
@@ -33,7 +33,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 from rig.model.pose import exp
 from rig.recording.combined_recordings import is_measured_by_instrument
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Corners
+from rig.recording.recording_table_loading_and_writing import Corners
 from vision.checks import find_corner_mistakes
 from vision.checks.recording_refusal_and_uneven_cube_layouts import (
     Notice,
@@ -43,7 +43,7 @@ from vision.checks.recording_refusal_and_uneven_cube_layouts import (
     refuse_spoilt_files,
     uneven_cube_layout_remarks,
 )
-from vision.combined_recordings import combine_recordings, require_combinable
+from vision.recording_combination_and_moved_cameras import combine_recordings, require_combinable
 
 ROUNDS = 4  # of linearising anew
 ALIKE = 1e-3  # probability with which an instrument that stands still is taken for moved, which costs little
@@ -185,10 +185,12 @@ def check_and_combine_recordings(
     """
     every = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if len(every) == 1:
-        return PreparedRecording(every[0], refuse_unfit_recording(every[0], ignore_mistakes, notice), False)
+        return PreparedRecording(
+            every[0], refuse_unfit_recording_and_return_corner_check(every[0], ignore_mistakes, notice), False
+        )
     require_combinable(every)
     for recording in every:
-        look = refuse_unfit_recording(recording, ignore_mistakes, notice)
+        look = refuse_unfit_recording_and_return_corner_check(recording, ignore_mistakes, notice)
         corners = recorded_or_sampled_corners(recording)
         if corners is not None:
             look(corners)
@@ -208,10 +210,10 @@ def check_and_combine_recordings(
     return PreparedRecording(recording, lambda corners: None, True)
 
 
-def refuse_unfit_recording(recording: Recording, anyway: bool, notice: Notice) -> Callable[[Corners], None]:
-    """Refuse a recording with spoilt files or poses; returns the check that refuses its corners once read.
-    `check_and_combine_recordings` does
-    """
+def refuse_unfit_recording_and_return_corner_check(
+    recording: Recording, anyway: bool, notice: Notice
+) -> Callable[[Corners], None]:
+    """Refuse a recording with spoilt files or poses; returns the check that refuses its corners once read."""
     refuse_spoilt_files(recording, anyway, notice)
     if recording.poses is not None and recording.corners is None and not recording.has_images:
         refuse_mistakes(pose_mistakes(recording), anyway, notice)
@@ -235,7 +237,7 @@ def pose_mistakes(recording: Recording) -> tuple[Mistake, ...]:
                 recording,
                 recording.poses.frame,
                 recording.poses.T_base_platform,
-                command_and_pose_disagreements.written_pose_columns(recording),
+                command_and_pose_disagreements.pose_columns_of_poses_csv_as_written(recording),
             )
         )
     )
@@ -250,15 +252,15 @@ def check(path: Path | str, detect: bool = False) -> CheckResult:
     >>> print(calib.check("tests/data/bench/check"))
     good: nothing wrong or unlikely was found
     """
-    recording, files = check_files(Path(path))
+    recording, files = load_and_check_recording_files(Path(path))
     if recording is None:
         return files
     found = [*files.found, *pose_mistakes(recording)]
     corners = recording.corners
     if recording.has_images and (corners is None or detect):
-        from vision.checks.image_sample_corners_and_dictionary_mistakes import read_corners_of_image_sample
+        from vision.checks.image_sample_corners_and_dictionary_mistakes import read_corners_and_mistakes_of_image_sample
 
-        seen, more = read_corners_of_image_sample(recording)
+        seen, more = read_corners_and_mistakes_of_image_sample(recording)
         found += more
         corners = corners or seen
     if corners is not None:

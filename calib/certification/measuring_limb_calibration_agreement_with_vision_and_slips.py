@@ -16,8 +16,8 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification import redundant_measuring_limb_checks
-from calib.certification.redundant_measuring_limb_checks import Limbs
+from calib.certification import redundant_measuring_limb_checks_by_loop_closure
+from calib.certification.redundant_measuring_limb_checks_by_loop_closure import Limbs
 from calib.identify.least_squares_and_robust_fit import time_block_folds
 from calib.models.platform.identification import PRIOR, Identified, identify_platform
 from calib.samples.pose_samples import Samples
@@ -83,7 +83,7 @@ def hexapod_of_six_limbs(design: Design, limb_numbers: Integers | None = None) -
     """
     limbs = stated_limbs(design)
     hexapod = require_hexapod(design.mechanism, "measuring limbs require a hexapod, not a mechanism of kind {kind!r}")
-    return redundant_measuring_limb_checks.stated_limb_legs(limbs, hexapod.home).six(
+    return redundant_measuring_limb_checks_by_loop_closure.stated_limb_legs(limbs, hexapod.home).six(
         np.arange(6) if limb_numbers is None else limb_numbers
     )
 
@@ -238,7 +238,9 @@ def detect_limb_slip(samples: Samples, limbs: Limbs, sigma: float) -> Slip | Non
     )
     if n < 2 * LEAST:
         return None
-    told, J, _ = best_six_legs_and_closures_of_others.leg_length_jacobians(of, samples.T_base_platform)
+    told, J, _ = best_six_legs_and_closures_of_others.leg_lengths_and_pose_and_base_jacobians(
+        of, samples.T_base_platform
+    )
     spread = J @ samples.covariance @ np.swapaxes(J, 1, 2) + sigma**2 * np.eye(6)
     W = np.linalg.inv(np.linalg.cholesky(spread))
     y = (W @ (samples.commanded - told)[..., None]).reshape(-1)

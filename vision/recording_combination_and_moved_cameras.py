@@ -1,4 +1,4 @@
-"""Combined recordings of one rig, each measured alone first to find the cameras that were moved."""
+"""Recordings of one rig combined, each measured alone first to find the cameras that were moved."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.model.design_comparison_and_cube_remounting import WORDS
+from rig.model.design_comparison_and_cube_turning_instructions import WORDS
 from rig.model.pose import log
 from rig.recording.combined_recordings import (
     Owners,

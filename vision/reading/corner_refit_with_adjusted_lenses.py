@@ -13,10 +13,10 @@ from rig.compute.parallel_map_and_dask_cluster import path_on_workers
 from rig.model.design import Camera
 from rig.recording.image_file_check_and_reading import read_image
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Corners
+from rig.recording.recording_table_loading_and_writing import Corners
 from vision.corners import local_lens
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD
-from vision.corners.marker_detection import Detection, fit_read_markers, grey_image_at_full_depth
+from vision.corners.marker_detection_and_corner_fit import Detection, fit_read_markers, grey_image_at_full_depth
 from vision.corners.whole_image_marker_reader import ReadMarkers
 from vision.predict import MarkerMap
 from vision.reading.parallel_image_map_and_marker_rendering import map_images_in_processes
@@ -34,7 +34,7 @@ def largest_lens_difference(corners: Corners, fitted_with: Mapping[str, Camera],
     most, names, centres = (
         0.0,
         np.array(corners.camera)[::4],
-        local_lens.local_coordinate_origins(corners.uv.reshape(-1, 4, 2)),
+        local_lens.local_coordinate_origins_and_scales(corners.uv.reshape(-1, 4, 2)),
     )
     for camera in cameras:
         own = centres[names == camera.name]

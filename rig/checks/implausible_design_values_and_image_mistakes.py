@@ -252,7 +252,7 @@ def corners_outside_images(recording: Recording) -> Iterator[Mistake]:
             )
 
 
-def recording_file_mistakes(recording: Recording) -> tuple[Mistake, ...]:
+def mistakes_found_without_looking_at_images(recording: Recording) -> tuple[Mistake, ...]:
     """Mistakes in a Recording's files, sorted, found without looking at images."""
     return sort_mistakes(_all(recording))
 

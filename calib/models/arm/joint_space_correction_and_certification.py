@@ -29,7 +29,7 @@ from calib.certification.extended_correction_certification import (
 from calib.certification.held_out_errors import draw_mean_square_common_pose_errors
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
-    axis_ranges,
+    axis_travel_limits,
     configuration_folds,
     configuration_numbers,
     mean_sample_per_configuration,
@@ -65,23 +65,26 @@ PLACES = 256  # at which a single step is held against the fixed point, and what
 
 def joint_correction_field_samples(samples: Samples, arm: Arm, shared: Floats) -> FieldSamples:
     """Samples for a field of joint correction summands, rad or m, common errors removed."""
-    found = joint_correction_summands(samples, arm, shared)
+    found = commanded_minus_joint_values_of_measured_poses(samples, arm, shared)
     return FieldSamples(
         samples.commanded, found.values, np.einsum("mii->mi", found.covariance), mechanism.travel_ranges(arm)
     )
 
 
-def joint_correction_summands_of_stated_model(samples: Samples, placed_arm: Arm) -> CorrectionSummands:
-    """Joint correction summands by the stated arm model, placed as the instrument sees it.
+def commanded_minus_joint_values_by_stated_arm(samples: Samples, placed_arm: Arm) -> CorrectionSummands:
+    """Commands less the joint values that give the measured poses by the stated arm (CorrectionSummands).
+
+    They are the joint correction summands. placed_arm : placed as the instrument sees it
     covariance : what all poses share included. Raises RigError as `summands`
     """
     whole = replace(samples, covariance=samples.total_covariance(), common=samples.common[..., :0])
-    return joint_correction_summands(whole, placed_arm, np.zeros(0))
+    return commanded_minus_joint_values_of_measured_poses(whole, placed_arm, np.zeros(0))
 
 
-def joint_correction_summands(samples: Samples, arm: Arm, shared: Floats) -> CorrectionSummands:
-    """Joint correction summands: joint values less the nearest ones that give the measured pose, rad or m.
+def commanded_minus_joint_values_of_measured_poses(samples: Samples, arm: Arm, shared: Floats) -> CorrectionSummands:
+    """Commands less the nearest joint values that give the measured poses, rad or m (CorrectionSummands).
 
+    They are the joint correction summands.
     arm : the model; shared : (j,) draw of the poses' common errors, taken out
     A joint has one only as far as its pose tells it (see LOOSE) and the model is near; what too few joints, or
     positions alone, leave open takes the least values, by the poses' covariance. Variances of what is not told are
@@ -140,7 +143,7 @@ def certify_extended_arm(
             f"{UNPLACED[samples.measured]}"
         )
     said = progress or silent_progress
-    label = configuration_numbers(samples.commanded, axis_ranges(nominal))
+    label = configuration_numbers(samples.commanded, axis_travel_limits(nominal))
     said("fitting the geometry", 0, 1)
     start = start_arm_of_fit(sample_observations(samples), nominal, instrument)
 

@@ -16,10 +16,13 @@ from calib.certification.calibration_dataclass_and_accuracy_claim_sentences impo
 from calib.certification.claim_verification import Part, Verification, verify_claim
 from calib.certification.error_claim_over_workspace import Claim
 from calib.certification.held_out_errors import HeldOut, pose_errors
-from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_ranges, configuration_numbers
+from calib.certification.held_out_pose_errors_and_distinct_configurations import (
+    axis_travel_limits,
+    configuration_numbers,
+)
 from calib.samples.confounded_conditions import Confounds, confound_sentences
 from calib.samples.pose_samples import Samples
-from rig.report.verdict_and_refutations_of_results import (
+from rig.report.verdict_and_refutations_by_later_recordings import (
     LOOK,
     Evidence,
     MissingEvidence,
@@ -58,10 +61,10 @@ ALONE = OfCalibrations()  # of a recording from which none was made
 
 def calibration_verdict(calibration: Calibration, refutations: Sequence[Refutation] = ()) -> Verdict:
     """The Verdict on a calibration. refutations : of its file, by later recordings"""
-    return judge_evidence(calibration_evidence(calibration, refutations))
+    return judge_evidence(calibration_evidence_verdict_and_claim_check(calibration, refutations))
 
 
-def calibration_evidence(
+def calibration_evidence_verdict_and_claim_check(
     calibration: Calibration,
     refutations: Sequence[Refutation] = (),
     statement: str | None = None,
@@ -130,7 +133,7 @@ def verify_claim_on_samples(
     """Verification of a calibration's claim on samples, None where no factor is claimed."""
     if calibration.claim is None or calibration.claim.after is None:
         return None
-    label = configuration_numbers(samples.commanded, axis_ranges(calibration.correction.nominal))
+    label = configuration_numbers(samples.commanded, axis_travel_limits(calibration.correction.nominal))
     return verify_claim(calibration.correction.predict(samples.effective), samples, label, calibration.claim, rng)
 
 

@@ -1,4 +1,4 @@
-"""Designs of one rig compared (contradictions, lenses); cubes remounted by quarter turns, with instructions."""
+"""Contradictions of two designs of one rig, and cubes turned by quarters, with instructions to the operator."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -35,7 +35,7 @@ def design_contradictions(a: Design, b: Design) -> list[str]:
     return [*found, PAYLOAD] if any(text.startswith("platform.mass") for text in found) else found
 
 
-def same_lens(a: Camera, b: Camera) -> bool:
+def same_camera_apart_from_pose_and_source(a: Camera, b: Camera) -> bool:
     """Whether two Cameras have the same lens, sensor, shutter and mount, wherever they are."""
     return not any(where.partition(".")[0] not in ("pose", "source", "capture") for where, _ in _differences(a, b, ""))
 

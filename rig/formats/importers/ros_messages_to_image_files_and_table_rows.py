@@ -1,4 +1,6 @@
-"""ROS messages as files and rows: images (raw as PNG, compressed unchanged), joints, poses, temperatures.
+"""ROS messages written as image files (raw as PNG, compressed unchanged) and as table rows.
+
+Rows are of joints, poses and temperatures.
 
 Source: ROS, sensor_msgs/Image, CompressedImage and image_encodings.hpp
 """
