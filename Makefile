@@ -23,7 +23,7 @@ docs: .venv/.runs
 	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[docs]'
 	$(BIN)/python -m docs.make.rig_toml > docs/rig-toml.md
 	$(BIN)/python -m docs.make.tables > docs/tables.md
-	$(BIN)/rig catalogue --force --out docs/effects.md
+	$(BIN)/rig effects document --force --out docs/effects.md
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
 
 test: export PYTHONDONTWRITEBYTECODE =  # empty is unset: the tests start many processes, which would each compile every module

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from synthetic.diagnosis_score import Case, Figure, Hidden
 
 LOOK_AT = "Examine the wrong answers below, each in its folder: `diagnoses/NNNN/diagnosis.html`"
-MORE = "Draw more cases: `rig blind --season N --out DIR` with a longer season"
+MORE = "Draw more cases: `rig simulate blind --season N --out DIR` with a longer season"
 LINKS = 12  # to diagnoses that were not right
 OUTCOMES = ("named and placed", "named", "allowed", "taken for another", "unknown", "nothing")
 

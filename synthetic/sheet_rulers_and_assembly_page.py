@@ -50,7 +50,7 @@ def draw_rulers_and_legend(axes: Axes, paper: tuple[float, float], label: str) -
         LEFT,
         MARGIN + 9.5,
         f"Both rulers are {RULER} mm long when printed at 100 %; if not, the markers deviate by the same factor: "
-        "measure them, or rig check-print.",
+        "measure them, or rig print check.",
         fontsize=6,
     )
 
@@ -69,7 +69,7 @@ BODIES = ("base", "platform")
 STEPS = (
     "1. Print all sheets at 100 %, without fitting to the page. Measure both rulers and some markers with a "
     "caliper, or photograph a sheet and "
-    "run rig check-print; write the measured side into rig.toml.",
+    "run rig print check; write the measured side into rig.toml.",
     "2. Cut along the full black lines, flaps (grey) included. Score the dashed lines with a blunt blade, "
     "and fold them back by "
     "90 degrees, the print outside.",

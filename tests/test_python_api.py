@@ -13,7 +13,7 @@ import calib
 import rig
 import synthetic
 import vision
-from rig.cli.command_line import COMMANDS
+from rig.cli.command_list import COMMANDS, module_of_command
 from rig.errors import RigError
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording.recording_table_loading_and_writing import write_poses
@@ -30,15 +30,15 @@ CALLS = {
     **{verb: f"calib.api.verify_and_watch:{verb}" for verb in ("verify", "watch")},
     "simulate": "synthetic.api:simulate",
     "measure": "vision.api:measure",
-    "online": "calib.api.learn:learn",
-    "insitu": "calib.api.measuring_limb_acceptance_and_platform_poses:accept_limbs",
-    "closure": "calib.api.loop_closure_check_of_redundant_legs:close_loops",
+    "calibrate online": "calib.api.learn:learn",
+    "limbs test": "calib.api.measuring_limb_acceptance_and_platform_poses:accept_limbs",
+    "limbs closures": "calib.api.loop_closure_check_of_redundant_legs:close_loops",
     "workspace": "calib.api.workspace_change_by_calibration:analyse_workspace",
     "export": "calib.api.export:export",
-    "kinematics": "calib.api.arm_kinematics:load_arm_kinematics",
-    "posture": "rig.posture.best_posture:best_posture",
-    "wrench": "rig.posture.external_wrench_from_torque_table:measure_wrench",
-    "blind": "synthetic.blind_campaign:Campaign",
+    "arm kinematics": "calib.api.arm_kinematics:load_arm_kinematics",
+    "arm posture": "rig.posture.best_posture:best_posture",
+    "arm wrench": "rig.posture.external_wrench_from_torque_table:measure_wrench",
+    "simulate blind": "synthetic.blind_campaign:Campaign",
     "run": "calib.api.machine_run:plan_run",
     "view": "calib.api.view:view",
     "go": "calib.api.pose_move:plan_pose_move",
@@ -46,14 +46,14 @@ CALLS = {
     "lens": "vision.lenses.lens_calibration_from_photographs:calibrate_photographs",
     "doctor": "rig.compute.installation_inventory:installation_inventory",
     "effects": "rig.effects.texts.effect_file_from_formula:new_effect_from_suggestion_or_example",
-    "catalogue": "rig.api:effect_catalogue",
+    "effects document": "rig.api:effect_catalogue",
     "completion": "rig.cli.shared.argument_parser_and_common_options:completion_script",
     "print": "synthetic.print_sheets:write_sheets",
-    "check-print": "vision.printed_marker_size:measure_printed_marker_scale",
-    **dict.fromkeys(("design", "new"), "rig.planning.layout.shipped_arm_layout:hexapod_two_strut_or_arm_rig_toml"),
+    "print check": "vision.printed_marker_size:measure_printed_marker_scale",
+    **dict.fromkeys(("new design", "new"), "rig.planning.layout.shipped_arm_layout:hexapod_two_strut_or_arm_rig_toml"),
     "import": "rig.api:import_recording",
     "emulate": "rig.driving.emulators.controller_emulator_opening_and_ports:load_emulator",
-    "index": "rig.report.pages.page_templates_and_elements:write_index_page",
+    "view index": "rig.report.pages.page_templates_and_elements:write_index_page",
 }  # module:function that does a command's work
 STATEMENTS = 35  # of a command's `run` at the most: arguments, one call, print and write
 COMPUTING = (
@@ -279,7 +279,7 @@ def test_every_command_has_its_call():
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_is_arguments_one_call_print_and_write(command):
-    found, whole = functions(command.replace("-", "_"))
+    found, whole = functions(module_of_command(command))
     statements = [node for node in ast.walk(found["run"]) if isinstance(node, ast.stmt)]
     assert len(statements) <= STATEMENTS, f"{command}: {len(statements)} statements"
     home, function = call_of(command)
@@ -293,7 +293,7 @@ def test_a_command_is_arguments_one_call_print_and_write(command):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_imports_nothing_that_computes(command):
-    _, whole = functions(command.replace("-", "_"))
+    _, whole = functions(module_of_command(command))
     for_types = {
         inner
         for node in whole.body

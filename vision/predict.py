@@ -38,10 +38,8 @@ class MarkerMap:
     id : (m,), as printed; on_platform : (m,) bool, on what moves: the platform, or a stage of a chain below it;
         stage : (m,) number (from 1) of that stage, 0 for the base's and the platform's own
     T_body_marker : RigidTransform (m,); side, margin : (m,) m; dictionary, target : m names
-    shift : (m,) added to an identity where the same print is another row, as that of a cube that was put back turned; 0
-        for all by default
-    stated : (m,) bool, whether the pose is what rig.toml states, all by default; one that is not is free in every
-        adjustment, and holds no frame
+    shift : (m,) added to an identity where the same print is another row, as that of a cube put back turned
+    stated : (m,) bool, whether rig.toml states the pose; one that is not is free when adjusted, and holds no frame
     heights : (m, 4) m by which the corners stand off the marker's plane, along its normal; (1, 4) zeros by default
     corners : (m, 4, 3) m, body frame, corner 0 the marker's own top left, then clockwise; they follow from pose, side
         and heights

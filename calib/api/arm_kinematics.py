@@ -34,7 +34,7 @@ class ArmKinematics:
     left_out: str | None = None
 
     def forward(self, frames: Integers, q: Floats, steps: bool = False) -> Json:
-        """Poses that joint values q (n, joints) rad or m give, as `rig kinematics --forward --json` prints them.
+        """Poses that joint values q (n, joints) rad or m give, as `rig arm kinematics --forward --json` prints them.
 
         frames : (n,) their numbers; steps : whether points and vectors after each joint are given
         """
@@ -67,7 +67,7 @@ class ArmKinematics:
         return {"schema": "kinematics/1", "units": list(mechanisms.axis_units(arm)), "frames": out}
 
     def inverse(self, frames: Integers, T_base_platform: RigidTransform, steps: bool = False) -> Json:
-        """All joint values of poses (n,), as `rig kinematics --inverse --json` prints them; all else as of forward."""
+        """All joint values of poses (n,), as `rig arm kinematics --inverse --json` prints them; else as forward."""
         arm, correction = self.arm, self.correction
         form, why_none = None, ""
         try:

@@ -137,7 +137,7 @@ def _correction_tables(path: Path, kind: str, options: ExportOptions) -> ExportR
     parts = options.parts if options.parts is not None else 3 if kind == "grid" else 64
     most = 9 if kind == "grid" else geometry_and_camera_files.MOST - 1
     if not 1 <= parts <= most:
-        raise RigError(f"--parts is 1 to {most} for {kind}, not {parts}")
+        raise RigError(f"--intervals is 1 to {most} for {kind}, not {parts}")
     if kind == "grid":
         text = geometry_and_camera_files.correction_grid_csv(
             *grid_correction_table(correction, parts), mechanism.axes, mechanisms.kinematics_of(mechanism).UNIT

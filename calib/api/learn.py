@@ -90,7 +90,7 @@ class LearningResult:
         return result_html(str(self), self.found.lines)
 
     def tree(self) -> Json:
-        """What `rig online --json` prints."""
+        """What `rig calibrate online --json` prints."""
         confounds = self.online.confounds
         return {
             **self.found.figures,
@@ -117,7 +117,7 @@ def learn(
     progress: Progress = lambda *_: None,
     notice: Notice = ignore_notice,
 ) -> LearningResult:
-    """LearningResult of a recording's poses, learnt one at a time, as `rig online` makes it.
+    """LearningResult of a recording's poses, learnt one at a time, as `rig calibrate online` makes it.
 
     Poses that have been learnt before are left out.
     progress : called with (label, done, of); notice : with what is found on the way, in words

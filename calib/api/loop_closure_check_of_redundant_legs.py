@@ -87,7 +87,7 @@ class LoopClosureResult:
         return result_html(str(self))
 
     def tree(self) -> Json:
-        """What `rig closure --json` prints."""
+        """What `rig limbs closures --json` prints."""
         legs = []
         for i, e, ratio in zip(self.closures.checks, self.closures.error.T, self.ratio):
             worst = int(abs(e).argmax())
@@ -124,7 +124,7 @@ class LoopClosureResult:
 def close_loops(recording: Recording, options: LoopClosureOptions = LoopClosureOptions()) -> LoopClosureResult:
     """Closure errors (LoopClosureResult) of a recording's legs beyond the six that give the pose.
 
-    Measuring limbs next to the struts, as `rig closure` makes it.
+    Measuring limbs next to the struts, as `rig limbs closures` makes it.
 
     Raises RigError for a recording without limbs' readings, and for other legs than it has
     """

@@ -97,7 +97,7 @@ class LimbAcceptance:
         return result_html(str(self), self.verdict.rests_on)
 
     def tree(self) -> Json:
-        """What `rig insitu --json` prints."""
+        """What `rig limbs test --json` prints."""
         found, gone, limbs = self.agreement, self.accepted.withdrawn, self.accepted.limbs
         closures = [
             {
@@ -141,7 +141,7 @@ class LimbAcceptance:
 def accept_limbs(
     recording: Recording, options: AcceptLimbsOptions = AcceptLimbsOptions(), progress: Progress | None = None
 ) -> LimbAcceptance:
-    """LimbAcceptance by a recording in which both limbs and vision measured, as `rig insitu` makes it.
+    """LimbAcceptance by a recording in which both limbs and vision measured, as `rig limbs test` makes it.
 
     progress : called with (label, done, of), or None
     Raises RigError for a recording without limbs' readings, and for other limbs than it has

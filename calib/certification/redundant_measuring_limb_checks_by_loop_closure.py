@@ -118,7 +118,7 @@ def _require_six_limbs(stated: MeasuringLimbs) -> None:
         raise RigError(
             f"rig.toml has {n} measuring limb{'s' * (n > 1)} in [insitu], and a platform has six freedoms: "
             "fewer than six lengths tell no "
-            "pose. `rig closure` uses them as checks in addition to the struts"
+            "pose. `rig limbs closures` uses them as checks in addition to the struts"
         )
 
 

@@ -143,12 +143,14 @@ def accepted_limbs(path: Path | str, design: Design) -> Accepted:
         )
     other = hexapod_of_six_limbs(design, six)
     if found.verdict == "refused":
-        raise RigError(f"{path}: these limbs did not pass the comparison with vision; `rig insitu` reports by how much")
+        raise RigError(
+            f"{path}: these limbs did not pass the comparison with vision; `rig limbs test` reports by how much"
+        )
     if found.withdrawn is not None:
         w = found.withdrawn
         raise RigError(
             f"{path}: the acceptance of these limbs was withdrawn at frame {w.frame} of {w.recording}: "
-            f"{w.reason}; `rig insitu` accepts "
+            f"{w.reason}; `rig limbs test` accepts "
             "them anew"
         )
     for name in ("base_joints", "platform_joints", "strut_zeros"):

@@ -263,7 +263,7 @@ EVERY = 5  # poses between two looks of vision
 
 @dataclass(frozen=True, slots=True)
 class LimbSource:
-    """path : of the file in which `rig insitu` saved what it accepted; every : poses between two looks of vision."""
+    """path : of the file that `rig limbs test` saved; every : poses between two looks of vision."""
 
     path: Path
     every: int = EVERY

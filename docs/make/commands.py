@@ -4,8 +4,9 @@ import argparse
 import importlib
 
 from docs.make.told import in_cell
-from rig.cli.command_line import COMMANDS
-from rig.cli.shared.argument_parser_and_common_options import SHARED, add_worker_options
+from rig.cli.command_list import GROUPS, module_of_command
+from rig.cli.shared.argument_parser_and_common_options import SHARED
+from rig.cli.shared.worker_options_and_pool import add_worker_options
 
 HEAD = """# The commands
 
@@ -22,13 +23,13 @@ a signal);
 def page() -> str:
     """The page in Markdown."""
     parts = [HEAD]
-    for name, words in COMMANDS.items():
+    for group, name, words in [(group, *entry) for group, commands in GROUPS.items() for entry in commands.items()]:
         parser = argparse.ArgumentParser(prog=f"rig {name}", add_help=False, formatter_class=_Plain)
-        importlib.import_module(f"rig.cli.{name.replace('-', '_')}").arguments(parser)
+        importlib.import_module(f"rig.cli.{module_of_command(name)}").arguments(parser)
         if name in SHARED:
             add_worker_options(parser)
         usage = "\n".join(f"    {line}" for line in parser.format_usage().removeprefix("usage: ").rstrip().splitlines())
-        parts.append(f"\n## rig {name}\n\n{in_cell(words)}\n\n{usage}\n")
+        parts.append(f"\n## rig {name}\n\n{in_cell(words)} Group: {group}.\n\n{usage}\n")
         rows = [_row(action) for action in parser._actions if action.help != argparse.SUPPRESS]
         if rows:
             parts.append("\n| argument | what |\n|---|---|\n" + "\n".join(rows) + "\n")

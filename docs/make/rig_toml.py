@@ -43,7 +43,7 @@ HEAD = """# rig.toml, table by table
 Made from what reads the file (`python -m docs.make.rig_toml`). Lengths are in metres, angles in radians, times in \
 seconds; a rotation is a
 rotation vector. A key that the reader does not know is an error, with its line and the nearest key that is
-known; remarks are TOML comments. `rig design` writes a file to begin with; [conventions](conventions.md) say how \
+known; remarks are TOML comments. `rig new design` writes a file to begin with; [conventions](conventions.md) say how \
 frames, faces and corners are meant.
 
 `schema = "rig/1"` stands first.
@@ -303,7 +303,8 @@ def page() -> str:
             parts.append("\n| key | takes | if left out | what |\n|---|---|---|---|\n" + "\n".join(rows) + "\n")
     whole = _indented(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=1, cubes=1))
     return (
-        "".join(parts) + f"\n## A whole one\n\nAs `rig design --radius 0.3 --cameras 1 --cubes 1` writes it:\n\n{whole}"
+        "".join(parts)
+        + f"\n## A whole one\n\nAs `rig new design --radius 0.3 --cameras 1 --cubes 1` writes it:\n\n{whole}"
     )
 
 

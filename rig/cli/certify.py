@@ -17,6 +17,7 @@ from rig.cli.shared.argument_parser_and_common_options import (
     file_or_stdout,
     missing_matplotlib_reason,
     page_links,
+    parse_tolerance,
     print_frames_without_pose,
     require_matplotlib,
 )
@@ -31,23 +32,7 @@ if TYPE_CHECKING:
     from calib.certificate.digital_certificate_xml import Issuer
 
 
-UNITS = {
-    "um": ("position", 1e-6),
-    "mm": ("position", 1e-3),
-    "m": ("position", 1.0),
-    "urad": ("rotation", 1e-6),
-    "mrad": ("rotation", 1e-3),
-    "rad": ("rotation", 1.0),
-}
 KINDS = (".json", ".html", ".pdf", ".xml")
-
-
-def parse_tolerance(text: str) -> tuple[str, float]:
-    r"""Parse a tolerance such as 20um or 0.1mrad: (\"position\", m) or (\"rotation\", rad). Raises ArgumentTypeError"""
-    found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*([a-z]+)\s*", text)
-    if found is None or found[2] not in UNITS or not 0 < float(found[1]) < 1e9:
-        raise ArgumentTypeError(f"{text!r} is not a tolerance; write a number > 0 and {', '.join(UNITS)}, as in 20um")
-    return UNITS[found[2]][0], float(found[1]) * UNITS[found[2]][1]
 
 
 def parse_share(text: str) -> float:

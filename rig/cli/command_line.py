@@ -11,8 +11,17 @@ import threading
 from collections.abc import Collection, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout, suppress
 from pathlib import Path
+from shutil import get_terminal_size
 from typing import NoReturn, TextIO, TypeVar, cast
 
+from rig.cli.command_list import (
+    COMMANDS,
+    EARLIER_NAMES,
+    FAMILIES,
+    grouped_command_text,
+    join_command_words,
+    module_of_command,
+)
 from rig.cli.shared.argument_parser_and_common_options import Parser, add_common_options, join_negative_numbers
 from rig.errors import RigError
 from rig.formats.output_files import STANDARD_OUTPUT, CommandOutputs
@@ -31,52 +40,6 @@ WRITTEN = (
 )  # arguments that name what is written; all else is read
 
 S = TypeVar("S", bound=int | str | None)  # an exit status
-COMMANDS = {
-    "new": "A rig.toml from four questions, or from options when not interactive.",
-    "check": "All errors and implausible values of a recording, at once, with remedies.",
-    "import": "A recording from existing files: folders of images, tables in any dialect, units and clocks; and a "
-    "recipe of it.",
-    "measure": "Images or corners of a recording -> platform poses with covariance, cameras adjusted.",
-    "calibrate": "A recording -> calibration.json: geometry and corrections, with held-out figures.",
-    "diagnose": "A recording -> its unmodelled effects: where, which, how large, and the evidence.",
-    "blind": "Blind cases of the diagnosis on simulated rigs, and their score.",
-    "correct": "Wanted poses -> the strut lengths to command for them.",
-    "kinematics": "An arm's poses of joint values, or all joint values of poses, step by step in one global frame.",
-    "posture": "A redundant arm's posture for sensing or exerting force, with the hand fixed.",
-    "wrench": "The wrench on an arm's hand, from its joints' torques or motor currents: force and moment with "
-    "covariance.",
-    "verify": "A calibration verified by a recording not used for it: error before and after.",
-    "investigate": "Automatic investigation: plan, diagnosis, the most informative experiment, repeated, up to a "
-    "certificate.",
-    "watch": "Small visits compared with a calibration day by day: whether it still holds, what changed, what to "
-    "remeasure.",
-    "certify": "What a calibration promises of all poses in a volume, from recordings held out: a certificate.",
-    "workspace": "What a calibration does to the workspace: lost, gained, room to limits, singularities, error bounds.",
-    "lens": "Photographs of a board -> one camera's lens: models compared, a [[camera]] block.",
-    "simulate": "A simulated rig under a plan -> a recording, and its truth separately.",
-    "emulate": "An emulated controller, at a pseudo-terminal or over TCP, with faults on request.",
-    "run": "A plan executed on the real machine: moved, settled, grabbed, journalled, measured during the run.",
-    "go": "The platform sent to one pose through a calibration: corrected lengths, checked.",
-    "jog": "Struts moved a little, checked as any move.",
-    "home": "All struts homed.",
-    "stop": "The struts stopped now, and any process that moves them.",
-    "status": "The status of the controller; nothing moves.",
-    "plan": "Which configurations to visit so that the parameters are observable.",
-    "online": "A recording's poses learnt one at a time: the current estimate of the machine, and sudden changes.",
-    "insitu": "Measuring limbs tested against vision; once they pass, saved to replace it.",
-    "closure": "More lengths than six: which six give the pose, and closure errors of the others.",
-    "export": "A calibrated geometry for other programs: genhexkins, URDF, JSON, CSV.",
-    "view": "One frame of a recording with markers, axes and residuals drawn in; or all of it in three dimensions, "
-    "as a page or for Rerun.",
-    "index": "One page of all pages below a folder, each with its verdict.",
-    "design": "A sensible rig.toml from a radius: cubes and cameras placed.",
-    "print": "The cubes of a rig.toml as nets to print, true to scale.",
-    "check-print": "A photograph of a printed sheet -> the true side of its markers.",
-    "effects": "The known unmodelled effects: place, parameters, experiment that exposes them, remedy.",
-    "catalogue": "The known unmodelled effects, as a document: model, parameters, experiment and remedy of each.",
-    "doctor": "Requirements of rig on this computer: packages, OpenGL, cameras, ports, space, threads.",
-    "completion": "The script that makes bash, zsh or fish complete rig's commands and options.",
-}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -92,11 +55,17 @@ def main(argv: list[str] | None = None) -> int:
 
 def _main(argv: list[str]) -> int:
     """See `main`."""
+    argv, earlier = join_command_words(argv)
     chosen = next((word for word in argv if not word.startswith("-")), None)
+    if earlier is not None and sys.stderr is not None and sys.stderr.isatty():
+        print(f"rig {earlier} is now `rig {chosen}`", file=sys.stderr)
     parser = command_line_parser([chosen] if chosen else [], tuple(argv))
     try:
+        if chosen in FAMILIES and chosen not in COMMANDS:
+            seconds = [name.split()[1] for name in COMMANDS if name.startswith(f"{chosen} ")]
+            parser.exit(2, f"rig {chosen}: error: name what to do: {', '.join(seconds)}\n")
         if chosen is not None and chosen not in COMMANDS:
-            parser.unknown(chosen, COMMANDS)
+            parser.unknown(chosen, [*COMMANDS, *FAMILIES, *EARLIER_NAMES])
         arguments = parser.parse_args(argv)
         if arguments.command is None:
             parser.print_help()
@@ -105,7 +74,7 @@ def _main(argv: list[str]) -> int:
         raise SystemExit(_flushed("rig", end.code)) from None
     except OSError as error:
         return _failed(f"rig: standard output: {error.strerror}")
-    arguments.argv, arguments.all_commands, arguments.call = argv, lambda: command_line_parser(COMMANDS), main
+    arguments.argv, arguments.all_commands, arguments.call = argv, nested_command_parser, main
     return _run(arguments)
 
 
@@ -113,22 +82,50 @@ def command_line_parser(expanded_commands: Collection[str], words: tuple[str, ..
     """Parser of the command line. expanded_commands : those with their own arguments; words : the words to parse"""
     parser = Parser(
         prog="rig",
-        description="Vision-measured calibration of robots that move a platform on struts, and of arms.",
-        epilog="A recording is a folder with rig.toml, frames.csv, commands.csv and images or corners.csv; "
-        "SI units and radians throughout.",
+        usage="rig [-h] [--version] COMMAND ...",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Vision-measured calibration of robots that move a platform on struts, and of arms.\n\n"
+        + grouped_command_text(get_terminal_size((80, 24)).columns),
+        epilog="`rig COMMAND --help` describes one. A recording is a folder with rig.toml, frames.csv,\n"
+        "commands.csv and images or corners.csv; SI units and radians throughout.\n\n"
+        "exit status: 0 done; 1 refused, with the reason; 2 wrong usage; 3 the verdict is bad\n"
+        "(certify, verify, watch); 130 interrupted; 128 + N ended by signal N.",
     )
     parser.words = words
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", prog="rig", help=argparse.SUPPRESS)
     for name, text in COMMANDS.items():
-        sub = commands.add_parser(name, help=text, description=text)
+        sub = commands.add_parser(name, description=text)
         if name in expanded_commands:  # the others' arguments do not matter, so their files stay shut
-            module = importlib.import_module(f"rig.cli.{name.replace('-', '_')}")
-            module.arguments(sub)
-            add_common_options(sub, name)
-            sub.set_defaults(run=module.run)
+            sub.set_defaults(run=_add_arguments(sub, name))
             parser.command, sub.words = sub, words
     return parser
+
+
+def nested_command_parser() -> Parser:
+    """Parser of all commands for completion: commands of two words are subcommands of the first."""
+    parser = Parser(prog="rig")
+    commands = parser.add_subparsers(dest="command")
+    families: dict[str, argparse._SubParsersAction[Parser]] = {}
+    for name, text in COMMANDS.items():
+        first, _, second = name.partition(" ")
+        if not second:
+            sub = commands.add_parser(name, help=text, description=text)
+            _add_arguments(sub, name)
+        else:
+            family = commands.choices.get(first) or commands.add_parser(first, help=f"{first} ..")
+            if first not in families:
+                families[first] = family.add_subparsers(dest="subcommand")
+            _add_arguments(families[first].add_parser(second, help=text, description=text), name)
+    return parser
+
+
+def _add_arguments(parser: Parser, name: str) -> object:
+    """Add a command's arguments to a parser; returns the function that runs it."""
+    module = importlib.import_module(f"rig.cli.{module_of_command(name)}")
+    module.arguments(parser)
+    add_common_options(parser, name)
+    return module.run
 
 
 def run_script() -> NoReturn:
@@ -239,7 +236,7 @@ def _workers(arguments: argparse.Namespace) -> AbstractContextManager[None]:
     """Within it those work for a command who were asked for."""
     if "workers" not in arguments:
         return nullcontext()
-    from rig.cli.shared.argument_parser_and_common_options import use_requested_workers
+    from rig.cli.shared.worker_options_and_pool import use_requested_workers
 
     return use_requested_workers(arguments)
 

@@ -15,6 +15,7 @@ from rig.cli.shared.argument_parser_and_common_options import (
     add_overwrite_option,
     file_or_stdout,
 )
+from rig.cli.shared.input_options_and_output_display import add_earlier_option
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
@@ -72,11 +73,13 @@ def arguments(parser: ArgumentParser) -> None:
         "--coupling (default [actuator] screw_lead of a rig.toml)",
     )
     parser.add_argument(
-        "--parts",
+        "--intervals",
+        dest="parts",
         type=parse_whole_number,
         metavar="Q",
-        help="of linuxcnc-comp and grid: parts of each actuator's interval (default 64, and 3)",
+        help="of linuxcnc-comp and grid: into how many intervals each actuator's range is divided (default 64, and 3)",
     )
+    add_earlier_option(parser, "--parts", "parts", parse_whole_number)
     add_overwrite_option(parser)
     add_json_result_option(parser)
 

@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> None:
     ):
         raise RigError("--recipe names all files; --set changes its entries")
     if arguments.recipe is None and arguments.rig is None:
-        raise RigError("--rig rig.toml states the rig of the files; `rig design` lays one out")
+        raise RigError("--rig rig.toml states the rig of the files; `rig new design` lays one out")
     settings = tuple(arguments.settings)
     recipe = (
         importers.load_recipe(arguments.recipe, settings)

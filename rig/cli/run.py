@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import SEED, add_controller_arguments
+from rig.cli.shared.argument_parser_and_common_options import SEED, add_controller_arguments, length_and_angle
 from rig.cli.shared.input_options_and_output_display import add_limb_options, limb_source
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
@@ -55,9 +55,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--calibration", metavar="FILE", type=Path, help="predicts the poses, which are tested for drift"
     )
-    parser.add_argument(
-        "--tolerance", nargs=2, type=parse_number, metavar=("M", "RAD"), help="reported drift from the calibration"
-    )
+    parser.add_argument("--tolerance", nargs=2, metavar=("20um", "50urad"), help="reported drift from the calibration")
     parser.add_argument(
         "--stop-on",
         default="",
@@ -113,15 +111,15 @@ def _options(arguments: Namespace) -> RunOptions:
     from calib.files import calibration_file
 
     exposure, known = arguments.exposure, arguments.calibration
-    if arguments.tolerance and (min(arguments.tolerance) <= 0 or not known):
-        raise RigError("--tolerance takes two positive numbers, and a --calibration to compare the poses with")
+    if arguments.tolerance and not known:
+        raise RigError("--tolerance takes a --calibration to compare the poses with")
     return RunOptions(
         arguments.seed,
         arguments.settle,
         exposure if exposure in (None, "keep") else _seconds(exposure),
         calibration_file.load(known) if known and not arguments.dry_run else None,
         str(known),
-        tuple(arguments.tolerance) if arguments.tolerance else None,
+        length_and_angle(arguments.tolerance) if arguments.tolerance else None,
         frozenset(filter(None, arguments.stop_on.split(","))),
         not arguments.no_measure,
         limb_source(arguments),

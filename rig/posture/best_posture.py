@@ -89,7 +89,7 @@ class PostureResult:
         return result_html(str(self))
 
     def tree(self) -> Json:
-        """What `rig posture --json` prints."""
+        """What `rig arm posture --json` prints."""
         exertion = self.options.exertion
         return self.figures | ({} if exertion is None else {"exert": exertion_dict(self.q, self.arm, exertion)})
 
@@ -116,7 +116,7 @@ class PostureResult:
 
 
 def best_posture(arm: Arm, options: PostureOptions) -> PostureResult:
-    """PostureResult of an arm, as `rig posture` makes it.
+    """PostureResult of an arm, as `rig arm posture` makes it.
 
     Raises RigError for a hand that is elsewhere than stated, and where nothing exceeds the measure that is wanted;
         Unreachable for a pose that no joint values give

@@ -94,7 +94,7 @@ class WrenchResult:
         return result_html(str(self))
 
     def tree(self) -> Json:
-        """What `rig wrench --json` prints."""
+        """What `rig arm wrench --json` prints."""
         return {
             "schema": "wrench/1",
             "order": "fx fy fz mx my mz, N and N m, axes of poses",
@@ -121,7 +121,7 @@ class WrenchResult:
 
 
 def measure_wrench(arm_path: Path, torques: Path, options: WrenchOptions = WrenchOptions()) -> WrenchResult:
-    """WrenchResult of a table of torques, as `rig wrench` makes it. arm_path : rig.toml of an arm with [dynamics]
+    """WrenchResult of a table of torques, as `rig arm wrench` makes it. arm_path : rig.toml of an arm with [dynamics]
 
     Raises FileError for a table that cannot be read, RigError for dynamics that are not stated
     """

@@ -16,7 +16,7 @@ from rig.planning.layout import hexapod_layout_and_camera_placement
 
 
 def mechanism_of_bench() -> Hexapod:
-    """The Hexapod of `rig design --radius 0.3`."""
+    """The Hexapod of `rig new design --radius 0.3`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3))

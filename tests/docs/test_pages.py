@@ -17,7 +17,7 @@ from typing import get_args
 import pytest
 
 from docs.make import commands, messages, rig_toml, tables
-from rig.cli.command_line import COMMANDS
+from rig.cli.command_list import COMMANDS, join_command_words, module_of_command
 from rig.cli.shared.argument_parser_and_common_options import add_common_options
 from rig.errors import FileError
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
@@ -113,8 +113,8 @@ def test_every_kind_of_error_and_every_mistake_is_told():
 
 
 def parsed(words: list[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(exit_on_error=False)
-    importlib.import_module(f"rig.cli.{words[0].replace('-', '_')}").arguments(parser)
+    words, parser = join_command_words(words)[0], argparse.ArgumentParser(exit_on_error=False)
+    importlib.import_module(f"rig.cli.{module_of_command(words[0])}").arguments(parser)
     add_common_options(parser, words[0])
     return parser.parse_args(words[1:])
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.cli import blind as command
 from rig.cli import command_line
+from rig.cli import simulate_blind as command
 from rig.cli.shared import blind_case_process
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
@@ -214,7 +214,7 @@ def test_a_campaign_is_blinded_scored_and_goes_on(tmp_path, monkeypatch, capfd):
     assert "case 1" in said and "is regenerated" in said and "case 2" in said and "is diagnosed anew" in said
     assert (tmp_path / "s" / "hashes" / "0001.sha256").read_text() == blinded
     page = (tmp_path / "s" / "score.html").read_text()
-    assert "://" not in page and "Confusion matrix" in page and 'content="rig blind"' in page
+    assert "://" not in page and "Confusion matrix" in page and 'content="rig simulate blind"' in page
     capfd.readouterr()
     assert (
         command_line.main([*call[:6], "12", *call[7:]]) == 1

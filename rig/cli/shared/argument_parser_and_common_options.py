@@ -6,20 +6,13 @@ With the nearest known word for a mistyped option or command; outputs, calibrati
 from __future__ import annotations
 
 import re
-import sys
-import time
 from argparse import ArgumentParser, ArgumentTypeError, Namespace, _SubParsersAction
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn, TypeVar
+from typing import TYPE_CHECKING, NoReturn
 
-from rig.cli.shared.input_options_and_output_display import Progress
-from rig.compute import parallel_map_and_dask_cluster
-from rig.compute.worker_processes import temporary_worker_limit, terminate_child_processes, worker_count
 from rig.errors import MissingLibrary, RigError
-from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
+from rig.formats.number_parsing_and_rounding import parse_number
 from rig.formats.output_files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
@@ -33,15 +26,15 @@ PROGRESS = ("auto", "lines", "none")
 PRINTED = ("completion", "doctor", "effects", "status")  # what they print is all they are for, so they cannot be quiet
 
 SHARED = (
-    "blind",
     "calibrate",
+    "calibrate online",
     "certify",
     "diagnose",
-    "insitu",
     "investigate",
+    "limbs test",
     "measure",
-    "online",
     "simulate",
+    "simulate blind",
     "verify",
     "watch",
 )  # work for many
@@ -133,6 +126,8 @@ def completion_script(parser: ArgumentParser, shell: str) -> str:
 def add_common_options(parser: ArgumentParser, command: str) -> None:
     """Add the common options of all commands (--quiet, --progress), and worker options where the command uses them."""
     if command in SHARED:
+        from rig.cli.shared.worker_options_and_pool import add_worker_options
+
         add_worker_options(parser)
     if command in PRINTED:
         return
@@ -222,6 +217,46 @@ def parse_length(text: str) -> float:
                 return value
             break
     raise ArgumentTypeError(f"expected a length above 0 with its unit, 20um, 0.02mm or 2e-5m, not {text!r}")
+
+
+TOLERANCE_UNITS = {
+    "um": ("position", 1e-6),
+    "mm": ("position", 1e-3),
+    "m": ("position", 1.0),
+    "urad": ("rotation", 1e-6),
+    "mrad": ("rotation", 1e-3),
+    "rad": ("rotation", 1.0),
+}
+
+
+def parse_tolerance(text: str) -> tuple[str, float]:
+    r"""Parse a tolerance such as 20um or 0.1mrad: (\"position\", m) or (\"rotation\", rad). Raises ArgumentTypeError"""
+    found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*([a-z]+)\s*", text)
+    if found is None or found[2] not in TOLERANCE_UNITS or not 0 < float(found[1]) < 1e9:
+        units = ", ".join(TOLERANCE_UNITS)
+        raise ArgumentTypeError(f"{text!r} is not a tolerance; write a number > 0 and {units}, as in 20um")
+    kind, scale = TOLERANCE_UNITS[found[2]]
+    return kind, float(found[1]) * scale
+
+
+def length_and_angle(texts: Sequence[str]) -> tuple[float, float]:
+    """Tolerances (m, rad) of an option that takes a length and an angle: 50um 0.2mrad, or two figures in m and rad.
+
+    Raises RigError for anything else
+    """
+    try:
+        plain = [parse_number(text) for text in texts]
+    except ValueError:
+        try:
+            found = dict(parse_tolerance(text) for text in texts)
+        except ArgumentTypeError as error:
+            raise RigError(f"--tolerance: {error}") from None
+        if len(found) != 2:
+            raise RigError(f"--tolerance takes a length and an angle, as 50um 0.2mrad, not {' '.join(texts)}") from None
+        return found["position"], found["rotation"]
+    if len(plain) != 2 or not all(0 < value < float("inf") for value in plain):
+        raise RigError(f"--tolerance takes a length and an angle, as 50um 0.2mrad, not {' '.join(texts)}")
+    return plain[0], plain[1]
 
 
 def parse_numbers(texts: list[str], count: int, option: str) -> list[float]:
@@ -325,83 +360,3 @@ def print_frames_without_pose(measurement: Measurement | None) -> None:
         print(f"  frame {frame}: {reason}")
     if len(measurement.unsolved) > 20:
         print(f"  and {len(measurement.unsolved) - 20} more")
-
-
-MOST = 1024  # processes
-R = TypeVar("R")
-
-
-def add_worker_options(parser: ArgumentParser) -> None:
-    """Add the worker options --workers and --scheduler."""
-    group = parser.add_argument_group("worker processes; results are identical to the last byte")
-    group.add_argument(
-        "--workers",
-        "--jobs",
-        dest="workers",
-        type=parse_whole_number,
-        metavar="N",
-        help="processes at a time on this computer (all cores)",
-    )
-    group.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="of a Dask cluster (tcp://HOST:PORT) whose workers have rig and see the same "
-        "folders: they read images, draw and diagnose; needs the extra rig[cluster]",
-    )
-
-
-@contextmanager
-def use_requested_workers(arguments: Namespace) -> Iterator[None]:
-    """Context manager: use the requested number of workers.
-
-    BLAS takes one thread, so that their number does not change how sums are rounded.
-    Raises RigError for a number of workers that cannot be, and what `use_cluster` raises
-    """
-    if arguments.workers is not None and not 1 <= arguments.workers <= MOST:
-        raise RigError(f"--workers takes 1 to {MOST}, not {arguments.workers}")
-
-    import scipy.linalg  # noqa: F401  libraries are limited once they are loaded
-    from threadpoolctl import threadpool_limits
-
-    with (
-        temporary_worker_limit(arguments.workers),
-        parallel_map_and_dask_cluster.use_cluster(arguments.scheduler),
-        threadpool_limits(1),
-    ):
-        yield
-
-
-@contextmanager
-def worker_pool() -> Iterator[Executor]:
-    """Context manager: pool of workers, threads that wait for processes, or the cluster.
-
-    Calls not begun are dropped at its end.
-    """
-    there = parallel_map_and_dask_cluster.current_cluster()
-    if there is not None:
-        yield there.executor()
-        return
-    threads = ThreadPoolExecutor(worker_count())
-    try:
-        yield threads
-    except BaseException:
-        threads.shutdown(wait=False, cancel_futures=True)
-        terminate_child_processes()
-        raise
-    else:
-        threads.shutdown(wait=False, cancel_futures=True)
-
-
-def results_with_progress(
-    pool: Executor, function: Callable[..., R], calls: Sequence[tuple[object, ...]], label: str
-) -> Iterator[R]:
-    """Results of calls as they complete, with progress on standard error. Raises what a call raises."""
-    progress, start = Progress(), time.monotonic()
-    waiting = [pool.submit(function, *call) for call in calls]
-    for count, future in enumerate(as_completed(waiting), 1):
-        result = future.result()
-        if sys.stderr.isatty() or progress.shown != "auto":
-            progress(label, count, len(calls))
-        else:
-            print(f"{label}: {count} of {len(calls)}, {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
-        yield result

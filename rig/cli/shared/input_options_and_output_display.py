@@ -6,7 +6,7 @@ import os
 import sys
 import threading
 import time
-from argparse import ArgumentParser, Namespace
+from argparse import SUPPRESS, ArgumentParser, Namespace
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from datetime import UTC, datetime
@@ -278,27 +278,34 @@ def notice_printer(progress: Progress) -> Callable[[str], None]:
     return notice
 
 
+def add_earlier_option(parser: ArgumentParser, name: str, dest: str, read: Callable[[str], object]) -> None:
+    """Add an option under its earlier name, which help does not list. dest : of the option; read : parses its value"""
+    parser.add_argument(name, dest=dest, type=read, default=SUPPRESS, help=SUPPRESS)
+
+
 def add_limb_options(parser: ArgumentParser) -> None:
     """Add the limb options to a parser: --limbs FILE as the source of poses, --check N for vision checks."""
     parser.add_argument(
         "--limbs",
         metavar="FILE",
         type=Path,
-        help="poses from measuring limbs that `rig insitu` accepted and saved here; "
+        help="poses from measuring limbs that `rig limbs test` accepted and saved here; "
         "vision checks some, and the acceptance is withdrawn where they no longer agree",
     )
     parser.add_argument(
-        "--check",
+        "--vision-every",
+        dest="check",
         type=parse_whole_number,
         metavar="N",
         help=f"with --limbs: vision measures every Nth pose at least (default {CHECK_EVERY})",
     )
+    add_earlier_option(parser, "--check", "check", parse_whole_number)
 
 
 def limb_source(arguments: Namespace) -> LimbSource | None:
     """Source of limb readings (--limbs) that replaces vision, None where the arguments name none. Raises RigError."""
     if arguments.check is not None and (arguments.limbs is None or arguments.check < 1):
-        raise RigError("--check takes a number of poses, at least 1, and --limbs")
+        raise RigError("--vision-every takes a number of poses, at least 1, and --limbs")
     if arguments.limbs is None:
         return None
     from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbSource

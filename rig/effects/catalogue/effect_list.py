@@ -204,8 +204,9 @@ STAGES = {
 }
 HEAD = """# The catalogue of unmodelled effects
 
-This page is made from the effects themselves (`rig catalogue`). An effect is one file in `rig/effects`: its model, its
-parameters, the places where it can sit, what is tried of it, what shows it, the experiment that would expose it and \
+This page is made from the effects themselves (`rig effects document`). An effect is one file in `rig/effects`: its
+model, its parameters, the places where it can sit, what is tried of it, what shows it, the \
+experiment that would expose it and \
 what to do about it.
 A value of `rig simulate --effect` reads `NAME:PLACE:PARAMETER=VALUE,..` in the parameter's unit, the numbers of a \
 vector parted by slashes. An

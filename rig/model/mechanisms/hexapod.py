@@ -134,7 +134,7 @@ def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, hexapod: Hexapod) 
 
 
 def link_points(lengths: Floats, hexapod: Hexapod) -> None:
-    """None: a hexapod has no arm links to draw."""
+    """None, for lengths (n, 6) m: a hexapod has no arm links to draw."""
     return None
 
 

@@ -183,7 +183,7 @@ def _cameras_in_hand(
 
 @dataclass(frozen=True, slots=True)
 class LayoutOptions:
-    """What a new rig.toml is laid out from: the options of `rig design`.
+    """What a new rig.toml is laid out from: the options of `rig new design`.
 
     mechanism : "hexapod", "planar2", "arm", or None: an arm where `arm` names one, else a hexapod
     arm : name of a shipped one; seen : None for an instrument, or "cubes" or "hand" as of `arm_layout_rig_toml`

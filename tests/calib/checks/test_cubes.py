@@ -1,4 +1,4 @@
-"""Cubes that are not even are told in figures; a rig that is laid out as `rig design` does it is left in peace."""
+"""Cubes that are not even are told in figures; a rig that is laid out as `rig new design` does it is left in peace."""
 
 import re
 import tomllib

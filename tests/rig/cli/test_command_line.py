@@ -6,6 +6,7 @@ import ast
 import json
 import os
 import pty
+import re
 import shutil
 import subprocess
 import sys
@@ -16,11 +17,13 @@ import numpy as np
 import pytest
 
 from rig.cli import command_line as cli
-from rig.cli.command_line import COMMANDS, command_line_parser, main
-from rig.cli.shared.argument_parser_and_common_options import join_negative_numbers, nearest_word
+from rig.cli.command_line import command_line_parser, main
+from rig.cli.command_list import COMMANDS, EARLIER_NAMES, GROUPS
+from rig.cli.shared.argument_parser_and_common_options import join_negative_numbers, length_and_angle, nearest_word
 from rig.cli.shared.input_options_and_output_display import Progress, progress_line
 from rig.compute import installation_inventory
 from rig.effects.catalogue.effect_list import ALL
+from rig.errors import RigError
 from rig.model.design import PROTOCOLS
 from tests.cli import RIG
 from tests.conftest import BENCH
@@ -72,6 +75,56 @@ def test_version(capsys):
     assert not end.value.code and capsys.readouterr().out == f"rig {metadata.version('rig')}\n"
 
 
+def test_help_lists_thirty_commands_in_seven_groups(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    said = capsys.readouterr().out
+    assert len(GROUPS) == 7 and len({name.split()[0] for name in COMMANDS}) <= 30
+    assert all(f"\n{group}:\n" in said for group in GROUPS) and "3 the verdict is bad" in said
+    assert all(re.search(rf"^ +{name.split()[-1]} ", said, re.MULTILINE) for name in COMMANDS)
+
+
+@pytest.mark.parametrize("earlier, name", EARLIER_NAMES.items())
+def test_an_earlier_name_of_a_command_answers_with_the_present_one(earlier, name, capsys, monkeypatch):
+    helps = []
+    for words in ([earlier], name.split()):
+        with pytest.raises(SystemExit) as end:
+            main([*words, "--help"])
+        helps.append(capsys.readouterr())
+        assert not end.value.code
+    assert helps[0] == helps[1] and helps[0].out.startswith(f"usage: rig {name} ")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    with pytest.raises(SystemExit):
+        main([earlier, "--help"])
+    assert capsys.readouterr().err == f"rig {earlier} is now `rig {name}`\n"
+
+
+def test_a_family_without_its_second_word_says_which_there_are(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["arm"])
+    assert end.value.code == 2
+    assert capsys.readouterr().err == "rig arm: error: name what to do: kinematics, posture, wrench\n"
+
+
+@pytest.mark.parametrize(
+    "words, found",
+    [
+        (("50um", "0.2mrad"), (5e-5, 2e-4)),
+        (("0.2mrad", "50um"), (5e-5, 2e-4)),
+        (("5e-5", "2e-4"), (5e-5, 2e-4)),
+        (("50um", "20um"), "a length and an angle"),
+        (("50um", "7"), "is not a tolerance"),
+        (("0", "2e-4"), "a length and an angle"),
+    ],
+)
+def test_a_tolerance_is_a_length_and_an_angle_in_any_order(words, found):
+    if isinstance(found, str):
+        with pytest.raises(RigError, match=found):
+            length_and_angle(words)
+    else:
+        assert length_and_angle(words) == pytest.approx(found)
+
+
 def test_every_command_has_a_file_and_help():
     chosen = next(action for action in command_line_parser(COMMANDS)._actions if action.dest == "command").choices
     assert set(chosen) == set(COMMANDS) and all(len(sub.format_help()) > 100 for sub in chosen.values())
@@ -98,7 +151,7 @@ def test_no_option_takes_a_name_that_the_command_line_sets():
 def test_completion_knows_commands_and_options(shell, capsys):
     assert main(["completion", shell]) == 0
     script = capsys.readouterr().out
-    assert all(name in script for name in COMMANDS) and "skip-unreadable" in script
+    assert all(word in script for name in COMMANDS for word in name.split()) and "skip-unreadable" in script
     program = shutil.which(shell)
     if program:
         assert subprocess.run([program, "-n"], input=script, text=True, capture_output=True).returncode == 0
@@ -304,7 +357,8 @@ def test_quiet_commands_keep_the_result_that_was_asked_for(tmp_path, capsys):
 
 def test_help_of_every_command_opens_no_library():
     code = (
-        "import sys; from rig.cli.command_line import COMMANDS, command_line_parser; command_line_parser(COMMANDS)\n"
+        "import sys; from rig.cli.command_line import command_line_parser\n"
+        "from rig.cli.command_list import COMMANDS; command_line_parser(COMMANDS)\n"
         "print(sorted({'scipy', 'cv2', 'numba', 'matplotlib', 'pyrender', 'serial', 'shtab'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"

@@ -1,4 +1,4 @@
-"""`rig kinematics`: poses of joint values, all joint values of poses, step by step; calibrated arms finished
+"""`rig arm kinematics`: poses of joint values, all joint values of poses, step by step; calibrated arms finished
 numerically.
 """
 

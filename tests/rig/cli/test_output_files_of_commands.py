@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from rig.cli import command_line
-from rig.cli import design as design_command
+from rig.cli import new_design as design_command
 from rig.recording import recording_folder
 from tests.cli import RIG
 from tests.conftest import ROOT, make_recording
@@ -172,7 +172,7 @@ def test_what_ends_a_command_is_said_in_a_line(error, status, says, monkeypatch,
 
 def test_a_signal_to_end_clears_away(tmp_path):
     code = (
-        "import os, signal, sys; from rig.cli import command_line as cli; from rig.cli import design\n"
+        "import os, signal, sys; from rig.cli import command_line as cli; from rig.cli import new_design as design\n"
         "def run(arguments):\n    arguments.outputs.file(arguments.out); os.kill(os.getpid(), "
         "signal.SIGTERM); signal.pause()\n"
         "design.run = run; sys.exit(cli.main(['design', '--radius', '1', '--out', 'x']))"

@@ -113,7 +113,7 @@ def test_one_that_the_rig_of_sketches_cannot_have_says_why():
 
 def test_the_document_of_the_catalogue_is_current(tmp_path):
     assert main(["catalogue", "--out", str(tmp_path / "effects.md")]) == 0
-    again = "make docs, or rig catalogue --force --out docs/effects.md"
+    again = "make docs, or rig effects document --force --out docs/effects.md"
     assert (DOCUMENTS / "effects.md").read_text(encoding="utf-8") == (tmp_path / "effects.md").read_text(
         encoding="utf-8"
     ), again

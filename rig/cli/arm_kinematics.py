@@ -1,4 +1,4 @@
-"""rig kinematics: forward and inverse kinematics of an arm, all solutions, step by step on request."""
+"""rig arm kinematics: forward and inverse kinematics of an arm, all solutions, step by step on request."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LEAVES = 1e-9  # m or rad of a pose, from which it is said
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of `rig kinematics` to a parser."""
+    """Add the arguments of `rig arm kinematics` to a parser."""
     parser.add_argument(
         "arm", metavar="ARM", help="a rig.toml with an arm, an arm's calibration.json, or the name of a shipped one"
     )
@@ -30,7 +30,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig kinematics`: print forward or inverse kinematics of an arm."""
+    """Run `rig arm kinematics`: print forward or inverse kinematics of an arm."""
     from calib.api.arm_kinematics import load_arm_kinematics
     from rig.formats import csv_and_parquet_tables_and_time_origin
     from rig.recording import recording_table_loading_and_writing

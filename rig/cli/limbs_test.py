@@ -1,4 +1,4 @@
-"""rig insitu: calibrate measuring limbs in place and check them against vision; accepted ones are saved.
+"""rig limbs test: calibrate measuring limbs in place and check them against vision; accepted ones are saved.
 
 Accepted limbs can replace vision as the source of poses.
 """
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from rig.cli.shared.argument_parser_and_common_options import (
     add_json_result_option,
     add_page_option,
+    length_and_angle,
     page_links,
     page_path,
     print_frames_without_pose,
@@ -22,7 +23,6 @@ from rig.cli.shared.input_options_and_output_display import (
     notice_printer,
     read_recording,
 )
-from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
     from calib.api.measuring_limb_acceptance_and_platform_poses import LimbAcceptance
@@ -30,15 +30,14 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of `rig insitu` to a parser."""
+    """Add the arguments of `rig limbs test` to a parser."""
     add_recording_argument(parser, "with columns m1..mn (m), six or more, in sensors.csv and [insitu] in rig.toml")
     parser.add_argument(
         "--tolerance",
         nargs=2,
-        type=parse_number,
-        default=(5e-5, 2e-4),
-        metavar=("M", "RAD"),
-        help="that each axis must agree with vision within (default 5e-5 m and 2e-4 rad)",
+        default=("50um", "200urad"),
+        metavar=("50um", "200urad"),
+        help="that each axis must agree with vision within (default 50um and 200urad)",
     )
     parser.add_argument(
         "--use",
@@ -64,13 +63,13 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig insitu`: test measuring limbs against vision, and save accepted ones."""
+    """Run `rig limbs test`: test measuring limbs against vision, and save accepted ones."""
     from calib.api.measuring_limb_acceptance_and_platform_poses import AcceptLimbsOptions, accept_limbs
     from calib.online.measuring_limbs_file import is_limbs_file
     from rig.cli.shared.measurement_and_calibration_summary import print_online_learning_result
 
     names = None if arguments.use is None else tuple(arguments.use.split(","))
-    options = AcceptLimbsOptions(tuple(arguments.tolerance), names, tuple(arguments.argv))
+    options = AcceptLimbsOptions(length_and_angle(arguments.tolerance), names, tuple(arguments.argv))
     recording = read_recording(arguments)
     renewed = arguments.out is not None and is_limbs_file(arguments.out)
     out = arguments.outputs.file(arguments.out, own=renewed) if arguments.out else None

@@ -1,4 +1,4 @@
-"""rig design: create a rig design (rig.toml) with cameras and cubes, from a radius or an arm's name."""
+"""rig new design: write the rig.toml of a new design from a radius or an arm name: cameras and cubes placed."""
 
 from argparse import ArgumentParser, Namespace
 
@@ -7,7 +7,7 @@ from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_nu
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of `rig design` to a parser."""
+    """Add the arguments of `rig new design` to a parser."""
     parser.add_argument(
         "--mechanism",
         choices=("hexapod", "planar2", "arm"),
@@ -50,7 +50,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig design`: write the rig.toml of a new design."""
+    """Run `rig new design`: write the rig.toml of a new design."""
     from rig.formats.output_files import write_text
     from rig.planning.layout.shipped_arm_layout import LayoutOptions, hexapod_two_strut_or_arm_rig_toml
 

@@ -1,4 +1,4 @@
-"""rig index: write the index page of all pages below a folder, each with its verdict."""
+"""rig view index: write the index page of all pages below a folder, each with its verdict."""
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
@@ -8,7 +8,7 @@ from rig.errors import RigError
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of `rig index` to a parser."""
+    """Add the arguments of `rig view index` to a parser."""
     parser.add_argument(
         "folder",
         metavar="DIR",
@@ -21,7 +21,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig index`: write the index page of all pages below a folder."""
+    """Run `rig view index`: write the index page of all pages below a folder."""
     from rig.report.pages.page_templates_and_elements import NAME, list_pages_below_folder, write_index_page
 
     if not arguments.folder.is_dir():

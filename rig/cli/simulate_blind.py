@@ -1,4 +1,4 @@
-"""rig blind: draw blind cases on simulated machines, diagnose each without the truth, and score the campaign."""
+"""rig simulate blind: diagnose blind cases on simulated rigs, and score the answers."""
 
 from __future__ import annotations
 
@@ -13,12 +13,8 @@ from subprocess import CompletedProcess
 
 from rig.array_and_json_types import Json
 from rig.cli.shared import blind_case_process
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_json_result_option,
-    add_overwrite_option,
-    results_with_progress,
-    worker_pool,
-)
+from rig.cli.shared.argument_parser_and_common_options import add_json_result_option, add_overwrite_option
+from rig.cli.shared.worker_options_and_pool import results_with_progress, worker_pool
 from rig.compute.worker_processes import run_child_process
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_whole_number
@@ -29,7 +25,7 @@ INTERRUPTED = (130, -2, -9, -15)  # exit statuses of a process that somebody sto
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of `rig blind` to a parser."""
+    """Add the arguments of `rig simulate blind` to a parser."""
     parser.add_argument("--season", type=parse_whole_number, required=True, metavar="N", help="how many cases")
     parser.add_argument(
         "--out",
@@ -82,7 +78,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig blind`: draw blind cases, diagnose each without its truth, and score the campaign."""
+    """Run `rig simulate blind`: draw blind cases, diagnose each without its truth, and score the campaign."""
     from synthetic.blind_campaign import Campaign, CampaignOptions, parse_case_numbers
 
     a = arguments

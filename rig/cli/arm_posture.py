@@ -1,4 +1,4 @@
-"""rig posture: optimal posture of a redundant arm at a fixed hand pose, for sensing or exerting a force."""
+"""rig arm posture: optimal posture of a redundant arm at a fixed hand pose, for sensing or exerting a force."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of `rig posture` to a parser."""
+    """Add the arguments of `rig arm posture` to a parser."""
     parser._negative_number_matcher = re.compile(
         r"^-[\d.]"
     )  # so that a value may begin with a minus: --pose -0.4,0.1,..
@@ -47,10 +47,17 @@ def arguments(parser: ArgumentParser) -> None:
         "there, and return to the best along the recorded path; by default with the hand as at its first exposure",
     )
     parser.add_argument(
-        "--force", nargs="+", action="extend", default=[], metavar="AXIS", help="x, y or z: force directions considered"
+        "--force-axes",
+        dest="force",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="AXIS",
+        help="x, y or z: force directions considered",
     )
     parser.add_argument(
-        "--moment",
+        "--moment-axes",
+        dest="moment",
         nargs="+",
         action="extend",
         default=[],
@@ -117,7 +124,7 @@ def _add_exertion_options(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig posture`: search the best posture of an arm and print it."""
+    """Run `rig arm posture`: search the best posture of an arm and print it."""
     from rig.formats.rig_toml import arm_dynamics_entries
     from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
     from rig.planning.layout import shipped_arm_layout

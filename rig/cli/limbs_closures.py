@@ -1,4 +1,4 @@
-"""rig closure: check redundant limbs by loop closure: which six give the pose, how far the others do not close."""
+"""rig limbs closures: find which six legs give the pose, and the closure errors of the others."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of `rig closure` to a parser."""
+    """Add the arguments of `rig limbs closures` to a parser."""
     add_recording_argument(
         parser, "with measuring limbs next to its struts (m1..mn in sensors.csv and [insitu] in rig.toml)"
     )
@@ -31,7 +31,10 @@ def arguments(parser: ArgumentParser) -> None:
         "--calibration", metavar="FILE", type=Path, help="struts as calibrated, not as rig.toml states them"
     )
     parser.add_argument(
-        "--limbs", metavar="FILE", type=Path, help="limbs as `rig insitu` estimated them, not as rig.toml states them"
+        "--limbs",
+        metavar="FILE",
+        type=Path,
+        help="limbs as `rig limbs test` estimated them, not as rig.toml states them",
     )
     parser.add_argument(
         "--out",
@@ -45,7 +48,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig closure`: choose six of redundant limbs and print the closure errors of the others.
+    """Run `rig limbs closures`: choose six of redundant limbs and print the closure errors of the others.
 
     Exit status 1 where one is worse than its errors and geometry allow.
     """

@@ -1,4 +1,4 @@
-"""rig wrench: external wrench on an arm's hand, estimated from joint torques or motor currents, with covariance."""
+"""rig arm wrench: external wrench on an arm's hand, estimated from joint torques or motor currents, with covariance."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of `rig wrench` to a parser."""
+    """Add the arguments of `rig arm wrench` to a parser."""
     parser.add_argument(
         "arm", metavar="ARM.toml", help="a rig.toml with an arm and [dynamics], or the name of a shipped one, as panda"
     )
@@ -51,7 +51,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig wrench`: estimate the wrench on an arm's hand from torques and print it.
+    """Run `rig arm wrench`: estimate the wrench on an arm's hand from torques and print it.
 
     By a momentum observer, and by the pseudo-inverse for comparison.
     """

@@ -1,4 +1,4 @@
-"""rig online: learn parameters online, pose by pose, from a recording; report sudden changes of the machine."""
+"""rig calibrate online: learn a recording's parameters pose by pose; report sudden changes of the machine."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SETTINGS = {"forgetting": "kept", "drifting": "drift", "first-order": "step"}
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of `rig online` to a parser."""
+    """Add the arguments of `rig calibrate online` to a parser."""
     add_recording_argument(parser)
     parser.add_argument(
         "--state",
@@ -83,7 +83,7 @@ def _add_learner_options(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig online`: learn parameters from a recording pose by pose, and print sudden changes."""
+    """Run `rig calibrate online`: learn parameters from a recording pose by pose, and print sudden changes."""
     progress = Progress()
     progress("reading the recording", 0, 1)
     limbs = limb_source(arguments)

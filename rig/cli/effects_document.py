@@ -1,4 +1,4 @@
-"""rig catalogue: write the catalogue of effects as a document: model, parameters, experiment, remedy, sketch."""
+"""rig effects document: write the catalogue of effects as a document: model, parameters, experiment, remedy, sketch."""
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of `rig catalogue` to a parser."""
+    """Add the arguments of `rig effects document` to a parser."""
     parser.add_argument(
         "--out",
         metavar="FILE.md",
@@ -28,7 +28,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig catalogue`: write the catalogue of effects as a document."""
+    """Run `rig effects document`: write the catalogue of effects as a document."""
     from rig.api import effect_catalogue
     from rig.errors import RigError
     from rig.formats.output_files import write_text

@@ -1,4 +1,4 @@
-"""rig check-print: check a printed marker sheet by a photograph: the true side of its markers."""
+"""rig print check: check a printed marker sheet by a photograph: the true side of its markers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MEASURED = 1e-4  # m, of a sheet that somebody measured
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of `rig check-print` to a parser."""
+    """Add the arguments of `rig print check` to a parser."""
     parser.add_argument(
         "photo", metavar="PHOTO", type=Path, help="of a printed sheet, flat, from above and not too near"
     )
@@ -44,7 +44,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig check-print`: check a printed marker sheet by a photograph and print the true side of its markers."""
+    """Run `rig print check`: check a printed marker sheet by a photograph and print the true side of its markers."""
     from rig.formats.rig_toml import design_file
     from vision.printed_marker_size import measure_printed_marker_scale
 

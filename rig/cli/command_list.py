@@ -1,0 +1,120 @@
+"""Commands of the command line: names, groups and one line on each; earlier names and what they are now."""
+
+GROUPS = {
+    "prepare": {
+        "new": "A rig.toml from four questions, or from options when not interactive.",
+        "new design": "A sensible rig.toml from a radius or an arm's name: cubes and cameras placed.",
+        "import": "A recording from existing files: folders of images, tables in any dialect, units and clocks; and a "
+        "recipe of it.",
+        "check": "All errors and implausible values of a recording, at once, with remedies.",
+        "lens": "Photographs of a board -> one camera's lens: models compared, a [[camera]] block.",
+        "print": "The cubes of a rig.toml as nets to print, true to scale.",
+        "print check": "A photograph of a printed sheet -> the true side of its markers.",
+        "plan": "Which configurations to visit so that the parameters are observable.",
+    },
+    "measure": {
+        "measure": "Images or corners of a recording -> platform poses with covariance, cameras adjusted.",
+        "view": "One frame of a recording with markers, axes and residuals drawn in; or all of it in three dimensions, "
+        "as a page or for Rerun.",
+        "view index": "One page of all pages below a folder, each with its verdict.",
+        "limbs test": "Measuring limbs tested against vision; once they pass, saved to replace it.",
+        "limbs closures": "More lengths than six: which six give the pose, and closure errors of the others.",
+    },
+    "calibrate": {
+        "calibrate": "A recording -> calibration.json: geometry and corrections, with held-out figures.",
+        "calibrate online": "A recording's poses learnt one at a time: the current estimate of the machine, and sudden "
+        "changes.",
+        "correct": "Wanted poses -> the strut lengths to command for them.",
+        "workspace": "What a calibration does to the workspace: lost, gained, room to limits, singularities, error "
+        "bounds.",
+    },
+    "trust": {
+        "verify": "A calibration verified by a recording not used for it: error before and after.",
+        "certify": "What a calibration promises of all poses in a volume, from recordings held out: a certificate.",
+        "watch": "Small visits compared with a calibration day by day: whether it still holds, what changed, what to "
+        "remeasure.",
+        "diagnose": "A recording -> its unmodelled effects: where, which, how large, and the evidence.",
+        "investigate": "Automatic investigation: plan, diagnosis, the most informative experiment, repeated, up to a "
+        "certificate.",
+        "effects": "The known unmodelled effects: place, parameters, experiment that exposes them, remedy.",
+        "effects document": "The known unmodelled effects, as a document: model, parameters, experiment and remedy of "
+        "each.",
+    },
+    "drive": {
+        "run": "A plan executed on the real machine: moved, settled, grabbed, journalled, measured during the run.",
+        "go": "The platform sent to one pose through a calibration: corrected lengths, checked.",
+        "jog": "Struts moved a little, checked as any move.",
+        "home": "All struts homed.",
+        "stop": "The struts stopped now, and any process that moves them.",
+        "status": "The status of the controller; nothing moves.",
+    },
+    "simulate": {
+        "simulate": "A simulated rig under a plan -> a recording, and its truth separately.",
+        "simulate blind": "Blind cases of the diagnosis on simulated rigs, and their score.",
+        "emulate": "An emulated controller, at a pseudo-terminal or over TCP, with faults on request.",
+    },
+    "tools": {
+        "arm kinematics": "An arm's poses of joint values, or all joint values of poses, step by step in one global "
+        "frame.",
+        "arm posture": "A redundant arm's posture for sensing or exerting force, with the hand fixed.",
+        "arm wrench": "The wrench on an arm's hand, from its joints' torques or motor currents: force and moment with "
+        "covariance.",
+        "export": "A calibrated geometry for other programs: genhexkins, URDF, JSON, CSV.",
+        "doctor": "Requirements of rig on this computer: packages, OpenGL, cameras, ports, space, threads.",
+        "completion": "The script that makes bash, zsh or fish complete rig's commands and options.",
+    },
+}
+COMMANDS = {name: text for group in GROUPS.values() for name, text in group.items()}
+FAMILIES = {name.split()[0] for name in COMMANDS if " " in name}  # first words of commands of two words
+EARLIER_NAMES = {
+    "blind": "simulate blind",
+    "catalogue": "effects document",
+    "check-print": "print check",
+    "closure": "limbs closures",
+    "design": "new design",
+    "index": "view index",
+    "insitu": "limbs test",
+    "kinematics": "arm kinematics",
+    "online": "calibrate online",
+    "posture": "arm posture",
+    "wrench": "arm wrench",
+}
+
+
+def module_of_command(name: str) -> str:
+    """Name of the module in rig.cli of a command."""
+    return name.replace("-", "_").replace(" ", "_")
+
+
+def join_command_words(words: list[str]) -> tuple[list[str], str | None]:
+    """Words of a command line with the command's name as one of them: (words, the earlier name if one was used).
+
+    `new design --radius 0.3` becomes `new design` and the rest, and so does `design --radius 0.3`. The second word is
+    the command's where the two together are one: a file of that name is written ./design.
+    """
+    at = next((i for i, word in enumerate(words) if not word.startswith("-")), None)
+    if at is None:
+        return words, None
+    if words[at] in EARLIER_NAMES:
+        return [*words[:at], EARLIER_NAMES[words[at]], *words[at + 1 :]], words[at]
+    both = " ".join(words[at : at + 2])
+    return ([*words[:at], both, *words[at + 2 :]] if both in COMMANDS else words), None
+
+
+def grouped_command_text(width: int) -> str:
+    """All commands by group, as the help of `rig` lists them; commands of two words below the first. width : columns"""
+    from textwrap import wrap
+
+    lines = []
+    for group, commands in GROUPS.items():
+        lines.append(f"{group}:")
+        family = ""
+        for name, text in commands.items():
+            first, _, second = name.partition(" ")
+            if second and first not in commands and first != family:
+                lines.append(f"  {first}")
+            family, shown = first, f"    {second}" if second else f"  {first}"
+            body = wrap(text, max(width - 18, 40))
+            lines += [f"{shown:<16}  {body[0]}", *(f"{'':18}{line}" for line in body[1:])]
+        lines.append("")
+    return "\n".join(lines)
