@@ -21,6 +21,7 @@ from rig.cli.command_list import (
     grouped_command_text,
     join_command_words,
     module_of_command,
+    name_in_manifests,
 )
 from rig.cli.shared.argument_parser_and_common_options import Parser, add_common_options, join_negative_numbers
 from rig.errors import RigError
@@ -169,7 +170,10 @@ def _run(arguments: argparse.Namespace) -> int:
         with (
             _signals(),
             CommandOutputs(
-                arguments.command, arguments.argv[1:], _read(arguments), getattr(arguments, "overwrite", False)
+                name_in_manifests(arguments.command),
+                arguments.argv[1:],
+                _read(arguments),
+                getattr(arguments, "overwrite", False),
             ) as outputs,
         ):
             arguments.outputs = outputs

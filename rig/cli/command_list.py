@@ -81,6 +81,11 @@ EARLIER_NAMES = {
 }
 
 
+def name_in_manifests(name: str) -> str:
+    """Name of a command in manifests of outputs: the earlier one if it has one, so that its earlier outputs are its."""
+    return next((earlier for earlier, present in EARLIER_NAMES.items() if present == name), name)
+
+
 def module_of_command(name: str) -> str:
     """Name of the module in rig.cli of a command."""
     return name.replace("-", "_").replace(" ", "_")

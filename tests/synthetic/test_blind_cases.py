@@ -214,7 +214,7 @@ def test_a_campaign_is_blinded_scored_and_goes_on(tmp_path, monkeypatch, capfd):
     assert "case 1" in said and "is regenerated" in said and "case 2" in said and "is diagnosed anew" in said
     assert (tmp_path / "s" / "hashes" / "0001.sha256").read_text() == blinded
     page = (tmp_path / "s" / "score.html").read_text()
-    assert "://" not in page and "Confusion matrix" in page and 'content="rig simulate blind"' in page
+    assert "://" not in page and "Confusion matrix" in page and 'content="rig blind"' in page
     capfd.readouterr()
     assert (
         command_line.main([*call[:6], "12", *call[7:]]) == 1

@@ -271,7 +271,7 @@ def test_accepted_limbs_stand_for_vision_until_one_slips(limbed, tmp_path, capsy
     "command, options, says",
     [
         ("online", ["--limbs", "typo.json"], "typo.json: no such file"),
-        ("online", ["--check", "3"], "--check takes"),
+        ("online", ["--check", "3"], "--vision-every takes"),
         ("calibrate", ["--limbs", "RIG", "--out", "c.json"], "not valid JSON"),
         ("online", ["--learner", "forgetting", "--step", "1e-3"], "--step is of"),
         ("measure", ["--limbs", "RIG", "--places", "free", "--out", "m"], "omit them with --limbs"),
