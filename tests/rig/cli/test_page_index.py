@@ -49,7 +49,7 @@ def test_an_index_is_refused_where_it_cannot_be(tmp_path, capsys):
     assert main(["index", str(tmp_path / "typo")]) == 1 and "no such folder" in capsys.readouterr().err
     (tmp_path / "index.html").write_text("mine")
     assert main(["index", str(tmp_path)]) == 1 and (tmp_path / "index.html").read_text() == "mine"
-    assert "was not made by `rig view index`" in capsys.readouterr().err
+    assert "was not made by `rig index`" in capsys.readouterr().err
 
 
 def staged(path):
