@@ -41,8 +41,11 @@ from rig.planning.layout import hexapod_layout_and_camera_placement, shipped_arm
 HEAD = """# rig.toml, table by table
 
 Made from what reads the file (`python -m docs.make.rig_toml`). Lengths are in metres, angles in radians, times in \
-seconds; a rotation is a
-rotation vector. A key that the reader does not know is an error, with its line and the nearest key that is
+seconds. A rotation is a
+rotation vector, `rotvec`. In its place a pose may state `look_at = [x, y, z]`, the point that its z axis points to with
+y down, as a camera's (`up = [..]` where that is not the base's z). Or it states `euler = "xyz"` with
+`degrees = [a, b, c]`: turns about fixed axes x, y, z in this order; in capitals about axes already turned.
+A key that the reader does not know is an error, with its line and the nearest key that is
 known; remarks are TOML comments. `rig new design` writes a file to begin with; [conventions](conventions.md) say how \
 frames, faces and corners are meant.
 
@@ -183,7 +186,7 @@ class Log(Entries):
         return super().array(key, shape, default, length_limit, nulls)
 
     def pose(self, key: Key) -> Any:
-        self._note(key, "{position = [x, y, z], rotvec = [rx, ry, rz]}, m and rad", REQUIRED)
+        self._note(key, "{position = [x, y, z], rotvec = [rx, ry, rz]}, m and rad; or look_at, or euler", REQUIRED)
         return Entries.pose(Entries(self.tree, self.path, self.file, self.places), key)
 
 

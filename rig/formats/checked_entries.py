@@ -7,11 +7,12 @@ import math
 import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NoReturn, TypedDict, Unpack, cast, overload
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.errors import FileError
@@ -328,11 +329,45 @@ class Entries:
         return self.name(key) + "".join(f"[{i + 1}]" for i in index)
 
     def pose(self, key: Key) -> RigidTransform:
-        """RigidTransform of a table with position (m) and rotvec (rad)."""
+        """RigidTransform of a table with position (m) and one of rotvec (rad), look_at (m), or euler with degrees.
+
+        look_at : point that the z axis points to, as a camera's; up : direction against the y axis, z if absent
+        euler : order of the turns, xyz about fixed axes, XYZ about those already turned; degrees : (3,), in that order
+        Raises FileError for a table that states none or several of these, or a look_at without a direction
+        """
         inner = self.table(key)
-        inner.refuse_misspelt(("position", "rotvec"))
+        inner.refuse_misspelt(("position", "rotvec", "look_at", "up", "euler", "degrees"))
         position = inner.array("position", (3,), length_limit=LARGEST_RIG)
+        stated = [name for name in ("rotvec", "look_at", "euler") if name in inner.tree]
+        if len(stated) > 1:
+            self.fail(f"{self.name(key)} states its rotation {len(stated)} times: {', '.join(stated)}", key)
+        for name, owner in (("up", "look_at"), ("degrees", "euler")):
+            if name in inner.tree and owner not in inner.tree:
+                inner.fail(f"{inner.name(name)} goes with {owner}, which is missing", name)
+        if "look_at" in inner.tree:
+            return RigidTransform.from_components(position, inner._facing(position))
+        if "euler" in inner.tree:
+            order = inner.text("euler")
+            if not re.fullmatch(r"[xyz]{3}|[XYZ]{3}", order) or any(a == b for a, b in pairwise(order)):
+                inner.refuse("euler", "three axes, as xyz (fixed) or ZYX (turned)", order)
+            return RigidTransform.from_components(
+                position, Rotation.from_euler(order, inner.array("degrees", (3,)), degrees=True)
+            )
         return pose(position, inner.turn("rotvec"))
+
+    def _facing(self, position: Floats) -> Rotation:
+        """Rotation whose z axis points from a position (3,) m to look_at, and whose y axis is down."""
+        up = self.array("up", (3,)) if "up" in self.tree else np.array([0.0, 0.0, 1.0])
+        z = self.array("look_at", (3,), length_limit=LARGEST_RIG) - position
+        x = np.cross(z, up)
+        if np.linalg.norm(x) < 1e-6 * np.linalg.norm(z) * np.linalg.norm(up) or not z.any() or not up.any():
+            self.fail(
+                f"{self.name('look_at')} gives no direction beside up = {up.tolist()}: it is the position itself, or "
+                "straight above or below it; state another up",
+                "look_at",
+            )
+        x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
+        return Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1))
 
     def turn(self, key: Key) -> Floats:
         """(3,) rad, a rotation vector."""
