@@ -12,6 +12,7 @@ from rig.driving.controller_status_and_operator_advice import ControllerStatus
 from rig.driving.serial_port import SerialPort, find_usb_port
 from rig.driving.strut_driver import Driver
 from rig.driving.urgent_stop import StoppedController
+from rig.driving.user_programs import require_own_rig_toml
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_file
 from rig.model.controller_port_names import port_problem
@@ -19,8 +20,12 @@ from rig.model.design import Design
 
 
 def design_with_controller_port(path: Path, port: str | None) -> Design:
-    """Design of a rig.toml with a controller, its port replaced where one is given. Raises RigError for one without."""
+    """Design of a rig.toml with a controller, its port replaced where one is given.
+
+    Raises RigError for one without, and for one that names programs and is not the operator's own
+    """
     design = design_file.load_design(path)
+    require_own_rig_toml(path, design)
     if design.controller is None:
         raise RigError(f"{path} has no [controller], so there is nothing to drive: state its protocol and port there")
     if port and (problem := port_problem(port)):
