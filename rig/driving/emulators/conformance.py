@@ -4,20 +4,25 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.driving.emulators.controller_faults import ALWAYS, KINDS
 from rig.driving.emulators.fault_trials import ARRIVED, LONGEST, bring_home, count_moves, emulated_bench, times_executed
+from rig.driving.user_programs import require_own_rig_toml
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stopped
+from rig.formats.json_toml_and_yaml_loading import toml_entries
+from rig.formats.rig_toml.design_file import design_of_entries, load_design
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
+from rig.planning.layout.shipped_arm_layout import LayoutOptions, layout_rig_toml
 
 RECOVERED = ("lost-ok", "two-ok", "resend", "resend-moving", "late", "half-line", "garbage", "early-stop", "unplug")
 ON_RESETS = ("stale-alarm",)  # faults of controllers that are reset, which lines of text need not have
 ONCE, EACH = 4, 12  # trials with a fault at the first move; moves with the fault at one in five
-STEP = 8e-3  # m
+STEP, RADIUS = 8e-3, 0.3  # m, of a move; of the hexapod where no rig.toml is given
 USUAL, FAST, SLOW = (0.01, 0.1), (0.1, 5.0), (2e-4, 0.1)  # m/s, m/s^2; many moves shall take little time, homing long
 
 
@@ -31,7 +36,7 @@ class ConformanceCheck:
 
 
 def check_conformance(design: Design, protocol: str, moves: int = 300, seed: int = 1) -> Iterator[ConformanceCheck]:
-    """Each ConformanceCheck of a protocol, as it is done.
+    """Each ConformanceCheck of a protocol, as it is done; only the first where that fails.
 
     design : a rig of struts with a controller; protocol : as rig.toml states it; moves : with all faults at 5 %
     Raises FileError or RigError for a program of the user's own that cannot be used
@@ -53,6 +58,21 @@ def check_conformance(design: Design, protocol: str, moves: int = 300, seed: int
             yield ConformanceCheck(name, "", check(design, protocol, seed))
         except RigError as error:
             yield ConformanceCheck(name, str(error) or type(error).__name__)
+            if check is _moves:
+                return  # what does not move at all is tried no further
+
+
+def conformance_design(path: Path | None) -> Design:
+    """The rig on which a protocol is tested: of a rig.toml, or a hexapod. Raises RigError for one without struts or
+    controller, and FileError.
+    """
+    if path is None:
+        text = layout_rig_toml(LayoutOptions(radius=RADIUS))
+        return design_of_entries(toml_entries(text, Path("hexapod.toml")))
+    design = load_design(path)
+    require_own_rig_toml(path, design)
+    design.driver()
+    return design
 
 
 def _require(holds: bool, problem: str) -> None:
