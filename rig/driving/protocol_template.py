@@ -31,7 +31,7 @@ class Acme(LineProtocol):
 class AcmeEmulator(LineEmulator):
     """The controller's side: each line is answered, and carried out by the emulated axes."""
 
-    protocol = Acme
+    protocol, stop_byte = Acme, b"!"
 
     def answer(self, text: str) -> str | None:
         number, word, *rest = f"{text} -".split()

@@ -20,16 +20,23 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
 ARRIVED = 2e-6  # m of the true struts; the wires' resolution
 LONGEST = 120.0  # s on the clock that a move may take, faults and all; more is a hang
 NEVER_ENDS = 3600.0  # s on the clock after which a move is broken off
+WAITS = 30_000  # of a move, after which it is broken off
+WRITING = 1e-5  # s
 RANGE = 2e-3  # m from home within which the moves go
 
 
 class TrialClock(SimulatedClock):
-    """A simulated clock that breaks off what waits beyond `deadline` (s), and calls `action` at `action_time` (s)."""
+    """A simulated clock that calls `action` at `action_time` (s), and breaks off what waits too long or too often."""
 
     def __init__(self, start: float = 1000.0) -> None:
         super().__init__(start)
-        self.deadline, self.action_time = np.inf, np.inf
+        self.action_time = np.inf
         self.action: Callable[[], None] = lambda: None
+        self.allow(NEVER_ENDS)
+
+    def allow(self, seconds: float) -> None:
+        """What waits longer than this from now on (s), or more than WAITS times, is broken off."""
+        self._allowed, self._deadline, self._waits = seconds, self.now() + seconds, WAITS
 
     def sleep(self, seconds: float) -> None:
         if self.now() + seconds >= self.action_time:
@@ -37,9 +44,18 @@ class TrialClock(SimulatedClock):
             seconds, self.action_time = max(self.action_time + seconds - self.now(), 0.0), np.inf
             self.action()
         super().sleep(seconds)
-        if self.now() > self.deadline:
-            self.deadline = np.inf
+        self._waits -= 1
+        if self.now() > self._deadline or self._waits < 0:
+            self.allow(self._allowed)  # for what stops the axes then
             raise RigError("it waits without an end")
+
+
+class TrialPort(EmulatorPort):
+    """An EmulatorPort whose writes take a moment, so that time passes for who only asks and is answered at once."""
+
+    def write(self, data: bytes) -> None:
+        self._clock.sleep(WRITING)
+        super().write(data)
 
 
 @dataclass(slots=True)
@@ -80,7 +96,7 @@ def emulated_bench(
     design = replace(design, controller=stated)
     faults = Faults(sum((parse_faults(order) for order in orders), ()), np.random.default_rng(seed))
     emulator = emulator_of_design(design, faults, clock, _home(design) + 1e-3)
-    return Driver(design, clock, lambda: EmulatorPort(emulator, clock)), emulator, clock
+    return Driver(design, clock, lambda: TrialPort(emulator, clock)), emulator, clock
 
 
 def count_moves(
@@ -97,7 +113,7 @@ def count_moves(
         target = np.round(home + rng.uniform(-RANGE, RANGE, len(home)), 6)
         before, begun = len(emulator.machine.executed), clock.now()
         struck = len(emulator.faults.struck)
-        clock.deadline = begun + NEVER_ENDS
+        clock.allow(NEVER_ENDS)
         try:
             note = driver.move(target).note
             counts.done += 1

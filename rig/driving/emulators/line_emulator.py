@@ -16,13 +16,14 @@ from rig.errors import RigError
 
 
 class LineEmulator(Emulator):
-    """See Emulator. A class of its own derives from it and states `protocol` and `answer`.
+    """See Emulator. A class of the user's derives from it and states `protocol` and `answer`.
 
-    A stop of one byte acts at once; a longer one comes as a line.
+    stop_byte : a byte that slows every axis down at once wherever it comes, b"" where a stop is a line
     """
 
     ends = b"\n"
     protocol: ClassVar[type[LineProtocol]]
+    stop_byte: ClassVar[bytes] = b""
     _guarded: ClassVar[bool]
 
     def __init__(self, machine: EmulatedMachine, faults: Faults, clock: Clock, limits: Floats) -> None:
@@ -38,7 +39,7 @@ class LineEmulator(Emulator):
         return f"{text}\n"
 
     def at_once(self, byte: int) -> bool:
-        if self.protocol.urgent_stop != bytes([byte]):
+        if self.stop_byte != bytes([byte]):
             return False
         self.machine.halt(self.now)
         return True
