@@ -88,20 +88,27 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Run `rig emulate`: emulate a controller until interrupted, test a protocol, or write one to begin with."""
-    from rig.driving.emulators.controller_faults import KINDS
-
     if arguments.new is not None:
-        _new(arguments)
-        return
+        return _new(arguments)
     if arguments.conform:
-        _conform(arguments)
-        return
+        return _conform(arguments)
     if arguments.fault == ["list"]:
-        for kind, text in KINDS.items():
-            print(f"{kind:17} {text}")
-        return
+        return _list_faults()
     if arguments.design is None:
         raise RigError("rig emulate takes a RIG.toml, whose struts it emulates")
+    _emulate(arguments)
+
+
+def _list_faults() -> None:
+    """Print the kinds of faults."""
+    from rig.driving.emulators.controller_faults import KINDS
+
+    for kind, text in KINDS.items():
+        print(f"{kind:17} {text}")
+
+
+def _emulate(arguments: Namespace) -> None:
+    """Emulate a controller until interrupted."""
     from rig.driving import emulators
     from rig.driving.clock import SystemClock
     from rig.driving.emulators import controller_emulator_opening_and_ports

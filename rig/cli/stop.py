@@ -27,8 +27,7 @@ def run(arguments: Namespace) -> None:
     clock = SystemClock()
     address = stated_address(arguments.design, arguments.port)
     if address is None:
-        from rig.driving.driver_opening_and_settled_status import design_with_controller_port
-        from rig.driving.urgent_stop import address_of_controller
+        from rig.driving.driver_opening_and_settled_status import address_of_controller, design_with_controller_port
 
         stated = design_with_controller_port(arguments.design, arguments.port)
         address = address_of_controller(stated.driver(), len(stated.mechanism.axes))

@@ -8,16 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rig.driving.clock import Clock
 from rig.driving.controller_lock import ControllerLock
 from rig.driving.serial_port import SerialPort, find_usb_port
-from rig.errors import FileError, RigError
+from rig.errors import FileError
 from rig.formats.user_python_file import class_literal, read_user_text
-
-if TYPE_CHECKING:
-    from rig.model.design import Controller
 
 CLIENT = "rig 1.0"  # who greets linuxcncrsh
 STOPS = {"grblhal": b"!", "gcs": b"\x18", "linuxcnc": b"SET ABORT\r\n", "struts": b"!"}
@@ -87,19 +83,6 @@ def _stop_bytes(protocol: str, path: Path) -> bytes | None:
     except FileError:
         return None
     return stop if isinstance(stop, bytes) else None
-
-
-def address_of_controller(controller: "Controller", axis_count: int) -> ControllerAddress:
-    """Address of the Controller of a design, for a rig.toml that is no local file. Raises RigError for no port, and for
-    a program of the user's own that cannot be used.
-    """
-    from rig.driving.protocols import protocol_of_controller
-
-    c = controller
-    if not (c.port or c.usb):
-        raise RigError("[controller] names no port")
-    stop = protocol_of_controller(c, axis_count).urgent_stop
-    return ControllerAddress(c.protocol, c.port, c.usb, c.baudrate, c.password, c.enable_password, stop)
 
 
 @contextmanager

@@ -5,11 +5,11 @@ Both are programs and are run: only by what drives the controller or opens the c
 
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from functools import lru_cache, wraps
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import ParamSpec, TypeVar, cast
 
 from rig.errors import FileError, RigError
 from rig.formats.local_and_remote_input_files import is_remote
@@ -17,6 +17,8 @@ from rig.formats.user_python_file import UserModule, line_of_class, line_within,
 from rig.model.controller_port_names import is_user_program
 from rig.model.design import Design
 
+P = ParamSpec("P")
+Steps = Generator[object, object, object]  # of a dialogue
 T = TypeVar("T")
 RECORDED = ("journal.jsonl", "frames.csv")  # files that make a folder a recording
 
@@ -59,47 +61,41 @@ def load_user_class(stated: str, base: type[T], group: str, what: str) -> tuple[
     return found[0], str(module.path)
 
 
-def missing_member(kind: type[Any], base: type[Any], members: tuple[str, ...]) -> str | None:
+def missing_member(kind: type[object], base: type[object], members: tuple[str, ...]) -> str | None:
     """The first of some members (methods or attributes) that a class does not have of its own; None for none."""
     return next((name for name in members if getattr(kind, name, None) is getattr(base, name, None)), None)
 
 
-def fail_at_class(path: str, kind: type[Any], message: str, field: str | None = None) -> FileError:
+def fail_at_class(path: str, kind: type[object], message: str, field: str | None = None) -> FileError:
     """FileError at the line of a class of a user's file, or of a name in its body."""
     text = Path(path).read_text(encoding="utf-8")
     return FileError(path, f"{kind.__name__} {message}", line_of_class(text, kind.__name__, field))
 
 
-def guard_call(call: Callable[..., T], path: str, error_kind: type[RigError], owner: str) -> Callable[..., T]:
+def guard_call(call: Callable[P, T], path: str, error_kind: type[RigError], owner: str) -> Callable[P, T]:
     """The same method, whose failures name the file and the line; of a dialogue each of its steps."""
 
     def failure(error: Exception) -> RigError:
         line = line_within(error, path) or call.__code__.co_firstlineno
         return error_kind(f"{path}:{line}: {owner}.{call.__name__} fails: {type(error).__name__}: {error}")
 
-    if inspect.isgeneratorfunction(call):
-
-        @wraps(call)
-        def dialogue(*given: Any) -> Any:
-            try:
-                return (yield from call(*given))
-            except RigError:
-                raise
-            except Exception as error:
-                raise failure(error) from error
-
-        return dialogue
-
-    @wraps(call)
-    def guarded(*given: Any) -> T:
+    def dialogue(*given: P.args, **named: P.kwargs) -> Steps:
         try:
-            return call(*given)
+            return (yield from cast(Steps, call(*given, **named)))
         except RigError:
             raise
         except Exception as error:
             raise failure(error) from error
 
-    return guarded
+    def guarded(*given: P.args, **named: P.kwargs) -> T:
+        try:
+            return call(*given, **named)
+        except RigError:
+            raise
+        except Exception as error:
+            raise failure(error) from error
+
+    return wraps(call)(cast(Callable[P, T], dialogue) if inspect.isgeneratorfunction(call) else guarded)
 
 
 @lru_cache(16)

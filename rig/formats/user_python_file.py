@@ -10,11 +10,12 @@ from hashlib import sha256
 from pathlib import Path
 from traceback import extract_tb
 from types import ModuleType
-from typing import Any
+from typing import TypeVar
 
 from rig.errors import FileError
 from rig.formats.local_and_remote_input_files import is_remote
 
+T = TypeVar("T")
 SMALL = 1 << 20  # bytes of such a file
 
 
@@ -27,7 +28,7 @@ class UserModule:
     sha256: str
     module: ModuleType
 
-    def classes(self, base: type[Any]) -> list[type[Any]]:
+    def classes(self, base: type[T]) -> list[type[T]]:
         """Classes derived from a base that the file itself defines."""
         return [
             kind
@@ -35,7 +36,7 @@ class UserModule:
             if isinstance(kind, type) and issubclass(kind, base) and kind.__module__ == self.module.__name__
         ]
 
-    def line(self, kind: type[Any], field: str | None = None) -> int | None:
+    def line(self, kind: type[object], field: str | None = None) -> int | None:
         """Line that defines a class, or a name in its body; None where that is not at the file's top level."""
         return line_of_class(self.text, kind.__name__, field)
 

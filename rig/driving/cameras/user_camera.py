@@ -2,8 +2,9 @@
 
 import shlex
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from rig.errors import FileError
 from rig.model.design import Camera
 from rig.recording.image_file_check_and_reading import decode_image
 
+T = TypeVar("T")
 GROUP = "rig.cameras"  # of entry points
 WAIT = 30.0  # s that a program may take for an image
 SHOWN = 300  # characters of what a program printed, in messages
@@ -35,7 +37,7 @@ class UserCamera:
         raise NotImplementedError
 
     def set_exposure(self, seconds: float) -> float:
-        """Expose for so long from now on; returns what the camera made of it, s."""
+        """Expose for so long from now on; returns what the camera made of it, s. Raises CameraError where it cannot."""
         raise CameraError(f"camera {self.camera.name!r} does not set its exposure; state --exposure keep")
 
     def close(self) -> None:
@@ -52,9 +54,9 @@ class UserSource:
             raise fail_at_class(path, kind, "lacks grab, which returns an image")
         self.name, self.can_set_exposure, self._camera, self._clock = camera.name, kind.can_set_exposure, camera, clock
         self._owner, self._path = kind, path
-        self._user: Any = self._guarded(kind)(camera)
+        self._user = self._guarded(kind)(camera)
 
-    def _guarded(self, call: Any) -> Any:
+    def _guarded(self, call: Callable[..., T]) -> Callable[..., T]:
         return guard_call(call, self._path, CameraError, self._owner.__name__)
 
     def grab(self) -> Frame:

@@ -85,22 +85,22 @@ class MoveCounts:
 
 
 def emulated_bench(
-    design: Design, protocol: str, orders: Sequence[str] = (), seed: int = 1, **controller: Any
+    design: Design, protocol: str, orders: Sequence[str] = (), seed: int = 1, **controller: object
 ) -> tuple[Driver, Emulator, TrialClock]:
     """(driver, emulator, clock) of a design's controller on a simulated clock, the struts 1 mm from home.
 
     protocol : as rig.toml states it; orders : faults, KIND or KIND:RATE; controller : other entries of [controller]
     """
     clock = TrialClock()
-    stated = replace(design.driver(), protocol=protocol, **controller)
-    design = replace(design, controller=stated)
+    stated: dict[str, Any] = {"protocol": protocol, **controller}
+    design = replace(design, controller=replace(design.driver(), **stated))
     faults = Faults(sum((parse_faults(order) for order in orders), ()), np.random.default_rng(seed))
     emulator = emulator_of_design(design, faults, clock, _home(design) + 1e-3)
     return Driver(design, clock, lambda: TrialPort(emulator, clock)), emulator, clock
 
 
 def count_moves(
-    design: Design, protocol: str, orders: Sequence[str], moves: int, seed: int, **controller: Any
+    design: Design, protocol: str, orders: Sequence[str], moves: int, seed: int, **controller: object
 ) -> MoveCounts:
     """MoveCounts of moves to places that are all different, with an operator who homes, unlocks and switches off and on
     where a move was stopped. Raises ControllerFault for a controller that cannot be brought home again.

@@ -10,6 +10,7 @@ import numpy as np
 
 from rig.driving.controller_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface import (
+    ACTIVITIES,
     POLL,
     REST,
     TRIES,
@@ -160,6 +161,8 @@ def state_problem(state: object, count: int) -> str | None:
     """What is wrong with a State that a user's protocol gave, for `count` axes; None where nothing is."""
     if not isinstance(state, State):
         return f"gave {type(state).__name__}, not a State"
+    if state.activity not in ACTIVITIES:
+        return f"gave the activity {state.activity!r}; there are {', '.join(ACTIVITIES)}"
     positions = np.asarray(state.positions)
     if positions.shape != (count,) or positions.dtype.kind != "f" or not np.isfinite(positions).all():
         return f"gave positions {state.positions!r}, not {count} finite numbers in m"

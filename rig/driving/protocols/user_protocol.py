@@ -4,17 +4,18 @@ import inspect
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import ParamSpec, cast
 
 from rig.driving.protocols.line_protocol import LineProtocol, state_problem
-from rig.driving.protocols.protocol_interface import ACTIVITIES, State, Verdict
+from rig.driving.protocols.protocol_interface import Dialogue, State, Verdict
 from rig.driving.user_programs import fail_at_class, guard_call, load_user_class, missing_member
 from rig.errors import ControllerFault, FileError
 from rig.formats.user_python_file import class_literal, read_user_text
 from rig.model.design import Controller
 
+P = ParamSpec("P")
 GROUP = "rig.protocols"  # of entry points
-RESULTS: dict[str, type[Any]] = {
+RESULTS: dict[str, type[object]] = {
     "identity": tuple,
     "hello": str,
     "fence": bool,
@@ -70,17 +71,17 @@ def _guard(kind: type[LineProtocol], path: str) -> None:
     kind._guarded = True
 
 
-def _checked(dialogue: Callable[..., Any], path: str, owner: str, expected: type[Any]) -> Callable[..., Any]:
+def _checked(
+    dialogue: Callable[P, Dialogue[object]], path: str, owner: str, expected: type[object]
+) -> Callable[P, Dialogue[object]]:
     """A dialogue whose result is of the type that the driver needs. Raises ControllerFault otherwise."""
 
     @wraps(dialogue)
-    def checked(protocol: LineProtocol, *given: Any) -> Any:
-        found = yield from dialogue(protocol, *given)
+    def checked(*given: P.args, **named: P.kwargs) -> Dialogue[object]:
+        found = yield from dialogue(*given, **named)
         problem = None if isinstance(found, expected) else f"gave {type(found).__name__}, not {expected.__name__}"
         if isinstance(found, State) and expected is State:
-            problem = state_problem(found, protocol.count)
-            if found.activity not in ACTIVITIES:
-                problem = f"gave the activity {found.activity!r}; there are {', '.join(ACTIVITIES)}"
+            problem = state_problem(found, cast(LineProtocol, given[0]).count)
         if problem:
             line = inspect.unwrap(dialogue).__code__.co_firstlineno
             raise ControllerFault(f"{path}:{line}: {owner}.{dialogue.__name__} {problem}")
