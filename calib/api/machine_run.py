@@ -38,6 +38,7 @@ from rig.driving.run_steps_and_progress import (
     steps_of_plan,
 )
 from rig.driving.strut_driver import Driver
+from rig.driving.user_programs import require_own_rig_toml
 from rig.errors import ControllerFault, PositionLost, RigError, Unreachable
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes
@@ -213,8 +214,10 @@ def plan_run(design: Design, path: Path, plan: str, options: RunOptions = STANDA
     """PlannedRun of a design, as `rig run` begins one.
 
     path : of its rig.toml; plan : as "sobol:40,ladder,repeat:20"
-    Raises RigError for a plan of a cube put back turned, and for options that do not suit the design
+    Raises RigError for a plan of a cube put back turned, for options that do not suit the design, and for a rig.toml
+    that names programs and is part of a recording
     """
+    require_own_rig_toml(path, design)
     found = build_plan(design, plan, options.seed)
     steps = steps_of_plan(found)
     todo = turning_instructions(dict(found.turned), quarter_turns_of_cubes(design))

@@ -19,8 +19,26 @@ PROTOCOLS = ("grblhal", "gcs", "linuxcnc", "struts")  # of rig.model.design, whi
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the arguments of `rig emulate` to a parser."""
-    parser.add_argument("design", metavar="RIG.toml", type=Path)
-    parser.add_argument("--protocol", choices=PROTOCOLS, help="by default as stated in [controller] of the rig.toml")
+    parser.add_argument(
+        "design", metavar="RIG.toml", type=Path, nargs="?", help="the rig; with --conform by default a hexapod"
+    )
+    parser.add_argument(
+        "--protocol",
+        metavar="NAME",
+        help=f"{', '.join(PROTOCOLS)}, or a file of your own, mine.py; by default as stated in [controller] of the "
+        "rig.toml",
+    )
+    parser.add_argument(
+        "--conform",
+        action="store_true",
+        help="test the protocol: its driver against its emulator, through every fault, stops, restarts and cut lines",
+    )
+    parser.add_argument(
+        "--moves", type=parse_whole_number, default=300, metavar="N", help="of --conform, with all faults at 5 %%"
+    )
+    parser.add_argument(
+        "--new", metavar="NAME", help="write NAME.py, a protocol of your own with its emulator, to begin with"
+    )
     parser.add_argument(
         "--fault",
         action="append",
@@ -69,13 +87,28 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig emulate`: emulate a controller until interrupted."""
+    """Run `rig emulate`: emulate a controller until interrupted, test a protocol, or write one to begin with."""
+    if arguments.new is not None:
+        return _new(arguments)
+    if arguments.conform:
+        return _conform(arguments)
+    if arguments.fault == ["list"]:
+        return _list_faults()
+    if arguments.design is None:
+        raise RigError("rig emulate takes a RIG.toml, whose struts it emulates")
+    _emulate(arguments)
+
+
+def _list_faults() -> None:
+    """Print the kinds of faults."""
     from rig.driving.emulators.controller_faults import KINDS
 
-    if arguments.fault == ["list"]:
-        for kind, text in KINDS.items():
-            print(f"{kind:17} {text}")
-        return
+    for kind, text in KINDS.items():
+        print(f"{kind:17} {text}")
+
+
+def _emulate(arguments: Namespace) -> None:
+    """Emulate a controller until interrupted."""
     from rig.driving import emulators
     from rig.driving.clock import SystemClock
     from rig.driving.emulators import controller_emulator_opening_and_ports
@@ -85,7 +118,7 @@ def run(arguments: Namespace) -> None:
     if arguments.truth and not arguments.cameras:
         raise RigError("--truth is for --cameras, which show the true machine")
     options = controller_emulator_opening_and_ports.EmulatorOptions(
-        arguments.protocol, tuple(arguments.fault), arguments.seed, arguments.start, arguments.speed
+        _protocol(arguments), tuple(arguments.fault), arguments.seed, arguments.start, arguments.speed
     )
     emulator = load_emulator(arguments.design, options, clock)
     wire = (
@@ -112,6 +145,50 @@ def run(arguments: Namespace) -> None:
         if history:
             history.close()
         kept.cleanup()
+
+
+def _protocol(arguments: Namespace) -> str | None:
+    """The protocol that is asked for, as a rig.toml would state it; None for the rig.toml's own. Raises RigError."""
+    stated: str | None = arguments.protocol
+    if stated is None or stated in PROTOCOLS or stated.startswith("package:"):
+        return stated
+    path = Path(stated.removeprefix("file:"))
+    if path.suffix != ".py":
+        raise RigError(f"--protocol takes {', '.join(PROTOCOLS)}, FILE.py or package:NAME, not {stated!r}")
+    return f"file:{path}"
+
+
+def _conform(arguments: Namespace) -> None:
+    """Print each check of a protocol. Raises RigError where one is not passed."""
+    from rig.driving.emulators.conformance import check_conformance, conformance_design
+
+    design = conformance_design(arguments.design)
+    protocol = _protocol(arguments) or (design.driver().protocol if arguments.design else None)
+    if protocol is None:
+        raise RigError("--conform takes a RIG.toml, or --protocol mine.py")
+    failed = count = 0
+    for check in check_conformance(design, protocol, arguments.moves, arguments.seed):
+        failed, count = failed + bool(check.problem), count + 1
+        print(f"{'FAILED' if check.problem else 'passed'}  {check.name}: {check.problem or check.found}", flush=True)
+    if failed:
+        raise RigError(f"{failed} of {count} checks failed: this protocol is not safe to drive a machine with")
+    print(f"all {count} checks passed")
+
+
+def _new(arguments: Namespace) -> None:
+    """Write a protocol with its emulator."""
+    from importlib.resources import files
+
+    from rig.formats.output_files import write_text
+
+    if not arguments.new.isidentifier():
+        raise RigError(f"--new takes a name of letters, digits and underscores, not {arguments.new!r}")
+    text, path = (
+        files("rig.driving").joinpath("protocol_template.py").read_text(encoding="utf-8"),
+        arguments.new + ".py",
+    )
+    write_text(arguments.outputs.file(Path(path)), text)
+    print(f"written: {path}; rig emulate --conform --protocol {path} tests it")
 
 
 def _cameras(arguments: Namespace, followed: Path) -> EmulatedCameraProcess:

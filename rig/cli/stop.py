@@ -27,10 +27,10 @@ def run(arguments: Namespace) -> None:
     clock = SystemClock()
     address = controller_address_in_rig_toml(arguments.design, arguments.port)
     if address is None:
-        from rig.driving.driver_opening_and_settled_status import design_with_controller_port
-        from rig.driving.urgent_stop import address_of_controller
+        from rig.driving.driver_opening_and_settled_status import address_of_controller, design_with_controller_port
 
-        address = address_of_controller(design_with_controller_port(arguments.design, arguments.port).driver())
+        stated = design_with_controller_port(arguments.design, arguments.port)
+        address = address_of_controller(stated.driver(), len(stated.mechanism.axes))
     other = stop_lock_holder(address.port, clock, PATIENCE, address.usb)
     if other is not None:
         print(f"process {other}, which drove them, was stopped")

@@ -8,24 +8,41 @@ from pathlib import Path
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_lock import ControllerLock
 from rig.driving.controller_status_and_operator_advice import ControllerStatus
+from rig.driving.protocols import protocol_of_controller
 from rig.driving.request_and_answer_exchange_with_controller import Port
 from rig.driving.serial_port import SerialPort, find_usb_port
 from rig.driving.strut_driver import Driver
-from rig.driving.urgent_stop import StoppedController
+from rig.driving.urgent_stop import ControllerAddress, StoppedController
+from rig.driving.user_programs import require_own_rig_toml
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_file
 from rig.model.controller_protocol_list_and_port_name_check import port_problem
-from rig.model.design import Design
+from rig.model.design import Controller, Design
 
 
 def design_with_controller_port(path: Path, port: str | None) -> Design:
-    """Design of a rig.toml with a controller, its port replaced where one is given. Raises RigError for one without."""
+    """Design of a rig.toml with a controller, its port replaced where one is given.
+
+    Raises RigError for one without, and for one that names programs and is not the operator's own
+    """
     design = design_file.load_design(path)
+    require_own_rig_toml(path, design)
     if design.controller is None:
         raise RigError(f"{path} has no [controller], so there is nothing to drive: state its protocol and port there")
     if port and (problem := port_problem(port)):
         raise RigError(f"--port {problem}")
     return replace(design, controller=replace(design.controller, port=port, usb="")) if port else design
+
+
+def address_of_controller(controller: Controller, axis_count: int) -> ControllerAddress:
+    """Address of the Controller of a design, for a rig.toml that is no local file. Raises RigError for no port, and for
+    a program of the user's own that cannot be used.
+    """
+    c = controller
+    if not (c.port or c.usb):
+        raise RigError("[controller] names no port")
+    stop = protocol_of_controller(c, axis_count).urgent_stop
+    return ControllerAddress(c.protocol, c.port, c.usb, c.baudrate, c.password, c.enable_password, stop)
 
 
 @contextmanager

@@ -8,16 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rig.driving.clock import Clock
 from rig.driving.controller_lock import ControllerLock
 from rig.driving.serial_port import SerialPort, find_usb_port
-from rig.errors import RigError
-from rig.model.controller_protocol_list_and_port_name_check import PROTOCOLS
-
-if TYPE_CHECKING:
-    from rig.model.design import Controller
+from rig.errors import FileError
+from rig.formats.user_python_file import class_literal, read_user_text
 
 CLIENT = "rig 1.0"  # who greets linuxcncrsh
 STOPS = {"grblhal": b"!", "gcs": b"\x18", "linuxcnc": b"SET ABORT\r\n", "struts": b"!"}
@@ -26,7 +22,7 @@ STOPS = {"grblhal": b"!", "gcs": b"\x18", "linuxcnc": b"SET ABORT\r\n", "struts"
 @dataclass(frozen=True, slots=True)
 class ControllerAddress:
     """Where a controller is, and how it is spoken to. port, usb, baudrate, protocol, password, enable_password : as
-    [controller] states them
+    [controller] states them; stop : its protocol's bytes that stop it
     """
 
     protocol: str
@@ -35,10 +31,11 @@ class ControllerAddress:
     baudrate: int
     password: str
     enable_password: str
+    stop: bytes
 
     def urgent_stop(self) -> bytes:
         """Bytes that stop it though nothing was sent to it before."""
-        stop = STOPS[self.protocol]
+        stop = self.stop
         if self.protocol != "linuxcnc":
             return stop
         return f"HELLO {self.password} {CLIENT}\r\nSET ENABLE {self.enable_password}\r\n".encode() + stop
@@ -69,19 +66,26 @@ def controller_address_in_rig_toml(path: Path, port: str | None) -> ControllerAd
     words |= {"port": port, "usb": ""} if port else {}
     baudrate, protocol = table.get("baudrate", 115200), table.get("protocol")
     texts = [words[name] for name in ("port", "usb", "password", "enable_password")]
-    if protocol not in PROTOCOLS or not all(isinstance(text, str) for text in texts) or type(baudrate) is not int:
+    stop = _stop_bytes(protocol, path) if isinstance(protocol, str) else None
+    if stop is None or not all(isinstance(text, str) for text in texts) or type(baudrate) is not int:
         return None
     if not (texts[0] or texts[1]):
         return None
-    return ControllerAddress(protocol, texts[0], texts[1], baudrate, texts[2], texts[3])
+    return ControllerAddress(str(protocol), texts[0], texts[1], baudrate, texts[2], texts[3], stop)
 
 
-def address_of_controller(controller: "Controller") -> ControllerAddress:
-    """Address of the Controller of a design, for a rig.toml that is no local file. Raises RigError for no port."""
-    c = controller
-    if not (c.port or c.usb):
-        raise RigError("[controller] names no port")
-    return ControllerAddress(c.protocol, c.port, c.usb, c.baudrate, c.password, c.enable_password)
+def _stop_bytes(protocol: str, path: Path) -> bytes | None:
+    """Bytes that stop a controller, None where they cannot be read as text alone. Of a user's file they are a literal
+    that is read; the file is not run. path : of rig.toml
+    """
+    kind, _, place = protocol.partition(":")
+    if kind != "file":
+        return STOPS.get(protocol)
+    try:
+        stop = class_literal(read_user_text(path.parent / place)[0], "urgent_stop")
+    except FileError:
+        return None
+    return stop if isinstance(stop, bytes) else None
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """List of controller protocols, and check of a port's name; imports nothing that takes time."""
 
 PROTOCOLS = ("grblhal", "gcs", "linuxcnc", "struts")
+USER_PROGRAMS = ("file", "package")  # KIND:PLACE of a protocol or camera of the user's own
 SHOWN = 80  # characters of a port's name that a message repeats
 SCHEMES = (
     "socket",
@@ -19,3 +20,8 @@ def port_problem(port: str) -> str | None:
             f"{name}://.." for name in SCHEMES
         )
     return None
+
+
+def is_user_program(stated: str) -> bool:
+    """Whether a protocol or camera source is of the user's own: "file:mine.py" or "package:NAME"."""
+    return stated.partition(":")[0] in USER_PROGRAMS

@@ -17,7 +17,8 @@ from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Plan
 class Controller:
     """What drives the axes.
 
-    protocol : one of PROTOCOLS; baudrate : bits per second; port : device, or URL socket://, rfc2217://, loop://
+    protocol : one of PROTOCOLS, or "file:PATH" or "package:NAME" of a user's own; baudrate : bits per second
+    port : device, or URL socket://, rfc2217://, loop://
     usb : serial number or hardware id by which to find the port again, or ""
     axes : the controller's names of the axes, in the mechanism's order, () for the protocol's own
     homing : whether the controller can home; without, the position that it reads at the start is believed
@@ -56,7 +57,6 @@ DISTORTION_TERMS = (4, 5, 8, 12, 14)
 FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 PERMITTED = ("payload", "wait")  # what an owner may allow experiments, besides TURN and the name of a cube
 TURN = "turn cube "  # before the name of a cube that may be taken off and put back turned
-SOURCES = ("uvc", "gstreamer", "genicam", "folder", "emulator")  # kinds of cameras that a run can open
 DICTIONARIES = {  # how many identities each dictionary of OpenCV holds
     **{f"DICT_{bits}X{bits}_{count}": count for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
     "DICT_ARUCO_ORIGINAL": 1024,
@@ -178,12 +178,10 @@ AS_IT_IS = CaptureSettings()  # of a camera of which nothing is to be set
 class Camera:
     """A camera with an OpenCV lens.
 
-    name : as frames.csv has it; width, height : px; matrix : (3, 3) px, no skew; distortion : (4, 5, 8, 12 or 14,)
-        OpenCV order
-    pose : T_base_camera, OpenCV axes; shutter : "global" or "rolling"; row_time : s, from one row of the image to the
-        next, for a rolling one
-    mount : "fixed", "moving" with a pose of its own in every frame, or "hand": the platform carries it, and pose is
-        T_platform_camera
+    name : as frames.csv has it; width, height : px; matrix : (3, 3) px, no skew
+    distortion : (4, 5, 8, 12 or 14,) OpenCV order; pose : T_base_camera, OpenCV axes
+    shutter : "global" or "rolling"; row_time : s, from one row of the image to the next, for a rolling one
+    mount : "fixed", "moving" (a pose in every frame) or "hand": the platform carries it, and pose is T_platform_camera
     source : what a run opens it by, for example "uvc:0", or None; see rig.driving.cameras.KINDS
     capture : how it is set
     """

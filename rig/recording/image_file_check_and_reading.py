@@ -178,9 +178,16 @@ def read_image(path: Path, max_pixels: int = MOST_PIXELS) -> Pixels:
 
     Raises FileError for one that cannot be decoded
     """
+    return decode_image(read_bytes(path, LARGEST_IMAGE_FILE, "no such image"), path, max_pixels)
+
+
+def decode_image(data: bytes, path: Path, max_pixels: int = MOST_PIXELS) -> Pixels:
+    """Decode the bytes of an image file to (rows, columns) or (rows, columns, 3). path : its name in errors.
+
+    Raises FileError for one that has more than `max_pixels` or cannot be decoded
+    """
     import cv2
 
-    data = read_bytes(path, LARGEST_IMAGE_FILE, "no such image")
     problem = open_image_file_problem(BytesIO(data), max_pixels=max_pixels)
     if problem:
         raise FileError(path, problem)

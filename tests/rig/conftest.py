@@ -6,6 +6,10 @@ import numpy as np
 import pytest
 
 from rig.model.design import PROTOCOLS, Controller
+from tests.conftest import ROOT
+
+OWN_PROTOCOL = f"file:{ROOT / 'rig' / 'driving' / 'protocol_template.py'}"
+EVERY_PROTOCOL = (*PROTOCOLS, OWN_PROTOCOL)
 
 
 @pytest.fixture(scope="module")
@@ -61,8 +65,9 @@ def driven_design(design):
     return replace(design, controller=controller)
 
 
-@pytest.fixture(params=PROTOCOLS)
+@pytest.fixture(params=EVERY_PROTOCOL, ids=[name.rpartition("/")[2] for name in EVERY_PROTOCOL])
 def protocol(request):
+    """Each protocol that is shipped, and the one in a file of its own that the documents show."""
     return request.param
 
 
@@ -70,9 +75,9 @@ def protocol(request):
 def ready(driven_design, protocol):
     """(driver, emulator, clock, home lengths) of a rig that is homed."""
     from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
-    from tests.rig.moves_with_faults import bench
+    from rig.driving.emulators.fault_trials import emulated_bench
 
-    driver, emulator, clock = bench(driven_design, protocol, (), 1)
+    driver, emulator, clock = emulated_bench(driven_design, protocol, (), 1)
     driver.open()
     driver.home()
     return driver, emulator, clock, home_lengths(driven_design.mechanism)

@@ -16,9 +16,11 @@ import numpy as np
 from rig.array_and_json_types import Pixels
 from rig.driving.cameras.camera_interface_and_grabbing import UNIFORM, CameraError, Frame, Source
 from rig.driving.cameras.genicam_camera import open_genicam_camera
-from rig.driving.cameras.opencv_camera import open_opencv_camera
+from rig.driving.cameras.opencv_camera import open_network_camera, open_opencv_camera
+from rig.driving.cameras.user_camera import CommandSource, UserSource
 from rig.driving.clock import Clock
 from rig.errors import FileError
+from rig.model.controller_protocol_list_and_port_name_check import is_user_program
 from rig.model.design import Camera
 from rig.recording.image_file_check_and_reading import JPEG, PNG, image_file_problem, image_size_from_header, read_image
 
@@ -187,6 +189,12 @@ KINDS = {
     "genicam": "genicam:SERIAL",
     "folder": "folder:/path",
     "emulator": "emulator:HOST:PORT",
+    "command": "command:PROGRAM WORDS",
+    "http": "http://HOST/STREAM",
+    "https": "https://HOST/STREAM",
+    "rtsp": "rtsp://HOST/STREAM",
+    "file": "file:NAME.py",
+    "package": "package:NAME",
 }
 
 
@@ -200,6 +208,12 @@ def open_camera(camera: Camera, clock: Clock) -> Source:
     size = (camera.width, camera.height)
     if kind in ("uvc", "gstreamer"):
         return open_opencv_camera(camera.name, kind, place, clock, size, camera.capture)
+    if kind in ("http", "https", "rtsp"):
+        return open_network_camera(camera.name, camera.source, clock, size)
+    if kind == "command":
+        return CommandSource(camera, place, clock)
+    if is_user_program(camera.source):
+        return UserSource(camera, clock)
     if kind == "genicam":
         return open_genicam_camera(camera.name, place, clock, size, camera.capture)
     if kind == "folder":

@@ -72,15 +72,17 @@ class VideoSource:
         size: tuple[int, int],
         uvc: bool = True,
         settings: CaptureSettings = AS_IT_IS,
+        stamped: bool = True,
     ) -> None:
         """capture : an open cv2.VideoCapture; size : (width, height) px that its images must have; uvc : whether it
-        takes UVC's controls; settings : of those. Raises CameraError where the camera does not take one.
+        takes UVC's controls; settings : of those; stamped : whether its times, where it has any, are of a clock that
+        stamps exposures. Raises CameraError where the camera does not take a setting.
         """
         import cv2
 
         self.name, self.can_set_exposure = name, uvc
         self._cv2, self._capture, self._clock, self._size, self._offset = cv2, capture, clock, size, ClockOffset()
-        self._exposure = 0.0
+        self._exposure, self._stamped = 0.0, stamped
         if settings.focus is not None:
             self._set("focus", cv2.CAP_PROP_FOCUS, settings.focus, cv2.CAP_PROP_AUTOFOCUS)
         if settings.white_balance is not None:
@@ -125,7 +127,7 @@ class VideoSource:
             there.
         """
         blocked, stamp = after - before >= BLOCKED, float(self._capture.get(self._cv2.CAP_PROP_POS_MSEC)) / 1e3
-        if stamp <= 0:  # this driver stamps nothing: exposed between the arrival of the frame before it and its own
+        if stamp <= 0 or not self._stamped:  # exposed between the arrival of the frame before it and its own
             return (
                 (last, (last + after) / 2, (after - last) / UNIFORM)
                 if blocked and last is not None
@@ -209,3 +211,26 @@ def open_opencv_camera(
     except CameraError:
         capture.release()
         raise
+
+
+OPENING, READING_TIME = 10_000, 5_000  # ms that a network camera may take to answer and to send a frame
+
+
+def open_network_camera(name: str, url: str, clock: Clock, size: tuple[int, int]) -> VideoSource:
+    """Open a network camera by its URL: http, https (a stream of JPEG images) or rtsp.
+
+    size : (width, height) px, as rig.toml has them. Raises CameraError where it does not answer.
+    """
+    import cv2
+
+    limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, OPENING, cv2.CAP_PROP_READ_TIMEOUT_MSEC, READING_TIME]
+    capture = cv2.VideoCapture(url, cv2.CAP_FFMPEG, limits)
+    if not capture.isOpened():
+        capture.release()
+        raise CameraError(f"camera {name!r}: {_without_password(url)} sends no video; is the address right?")
+    return VideoSource(name, capture, clock, size, uvc=False, stamped=False)
+
+
+def _without_password(url: str) -> str:
+    """A URL as messages show it."""
+    return re.sub(r"//[^/@]*@", "//..@", url)

@@ -18,11 +18,14 @@ from rig.driving.emulators.controller_faults import Faults, parse_faults
 from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine, MovingAxes
 from rig.driving.emulators.gcs import GCS
 from rig.driving.emulators.grblhal import GrblHAL
+from rig.driving.emulators.line_emulator import load_user_emulator
 from rig.driving.emulators.linuxcnc import LinuxCNC
 from rig.driving.emulators.own_strut_protocol import Struts
+from rig.driving.user_programs import require_own_rig_toml
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
 from rig.formats.rig_toml import design_file
+from rig.model.controller_protocol_list_and_port_name_check import is_user_program
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod, require_struts
@@ -62,6 +65,7 @@ def load_emulator(path: Path, options: EmulatorOptions, clock: Clock) -> Emulato
     design = design_file.load_design(path)
     if design.controller is None:
         raise RigError(f"{path} has no [controller]; an emulator needs its speeds and zeros")
+    require_own_rig_toml(path, design)
     if options.protocol:
         design = replace(design, controller=replace(design.controller, protocol=options.protocol))
     faults = Faults(sum((parse_faults(text) for text in options.faults), ()), np.random.default_rng(options.seed))
@@ -93,6 +97,8 @@ def emulator_of_design(
     axes = MovingAxes(clock.now(), start_lengths, speed_factor * c.max_speed, speed_factor**2 * acceleration)
     machine = EmulatedMachine(axes, c.zero, home, faults, known=not c.homing)
     limits = m.strut_range - c.zero[:, None]
+    if is_user_program(c.protocol):
+        return load_user_emulator(c.protocol)(machine, faults, clock, limits)
     if c.protocol == "grblhal":
         return GrblHAL(
             machine, faults, clock, "".join(c.axes) or "XYZABC"[: len(home)], limits, None if c.homing else {22: 0}

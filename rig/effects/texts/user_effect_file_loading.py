@@ -4,17 +4,12 @@ The file is run: it is a program, to be trusted as one. What is wrong with it, w
 computed, is reported with file and line.
 """
 
-import ast
 import inspect
 import keyword
-import sys
 from collections.abc import Callable, Iterable
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import wraps
-from hashlib import sha256
 from pathlib import Path
-from traceback import extract_tb
-from types import ModuleType
 from typing import TypeVar
 
 import numpy as np
@@ -25,6 +20,7 @@ from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.framework.effect_parameters_and_covariates import Context, Parameter
 from rig.errors import FileError, RigError
+from rig.formats.user_python_file import UserModule, line_of_class, line_within, read_user_text, run_user_text
 from rig.model.effect_places_and_part_tolerances import AXES
 
 KINDS = ("axis", *AXES, "rig", "clock", "camera", "cameras", "marker", "markers", "target")  # of place
@@ -55,14 +51,8 @@ class Plugin:
 
 def load_effect_file(path: Path) -> Plugin:
     """Load a user's effect file as a Plugin. Raises FileError, with the line, where it cannot be read, run or used."""
-    try:
-        raw = path.read_bytes()
-        text = raw.decode("utf-8")
-    except OSError as error:
-        raise FileError(path, f"cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise FileError(path, f"is not text in UTF-8: {error.reason}", raw[: error.start].count(b"\n") + 1) from None
-    return Plugin(path, sha256(raw).hexdigest(), effects_of_source(text, path))
+    text, digest = read_user_text(path)
+    return Plugin(path, digest, effects_of_source(text, path))
 
 
 def catalogue_with_files(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
@@ -75,7 +65,7 @@ def catalogue_with_files(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
                 raise FileError(
                     plugin.path,
                     f"there is an effect {kind.name!r} already, in {where[kind.name]}",
-                    _line(plugin.path.read_text(encoding="utf-8"), kind),
+                    line_of_class(plugin.path.read_text(encoding="utf-8"), kind.__name__),
                 )
             out[kind.name], where[kind.name] = kind, plugin.path
     return out
@@ -83,20 +73,7 @@ def catalogue_with_files(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
 
 def effects_of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
     """Effect classes defined by a source text. path : its name in errors. Raises FileError."""
-    module = ModuleType(f"effects_of_{sha256(text.encode()).hexdigest()[:16]}")
-    module.__file__ = str(path)
-    sys.modules[module.__name__] = module  # dataclasses look their module up by its name
-    try:
-        exec(compile(text, str(path), "exec"), vars(module))
-    except SyntaxError as error:
-        raise FileError(path, f"is no Python: {error.msg}", error.lineno, error.offset) from None
-    except Exception as error:
-        raise FileError(path, f"cannot be run: {type(error).__name__}: {error}", _within(error, path)) from None
-    found = [
-        kind
-        for kind in vars(module).values()
-        if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == module.__name__
-    ]
+    found: list[type[Effect]] = UserModule(path, text, "", run_user_text(text, path)).classes(Effect)
     if not found:
         raise FileError(path, "defines no effect: a dataclass derived from rig.effects.base.Effect")
     for kind in found:
@@ -106,13 +83,13 @@ def effects_of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
                 path,
                 f"{kind.__name__} has a parameter {taken!r}, which every effect has as a hook or an attribute: "
                 "take another name",
-                _line(text, kind, taken),
+                line_of_class(text, kind.__name__, taken),
             )
         problem = _problem(kind)
         if problem:
-            raise FileError(path, f"{kind.__name__} {problem}", _line(text, kind))
+            raise FileError(path, f"{kind.__name__} {problem}", line_of_class(text, kind.__name__))
     for kind in found:
-        _guard(kind, path, _line(text, kind))
+        _guard(kind, path, line_of_class(text, kind.__name__))
     return tuple(found)
 
 
@@ -216,7 +193,7 @@ def _guarded(hook: Callable[..., T], name: str, path: Path) -> Callable[..., T]:
             raise
         except Exception as error:
             raise FileError(
-                path, f"{effect.name}.{name} fails: {type(error).__name__}: {error}", _within(error, path)
+                path, f"{effect.name}.{name} fails: {type(error).__name__}: {error}", line_within(error, path)
             ) from None
         if name in ARRAYS:
             expected = np.shape(getattr(Effect, name)(effect, *given))
@@ -230,19 +207,3 @@ def _guarded(hook: Callable[..., T], name: str, path: Path) -> Callable[..., T]:
         return found
 
     return guarded
-
-
-def _within(error: Exception, path: Path) -> int | None:
-    """The last line of a file that an error came through."""
-    lines = [frame.lineno for frame in extract_tb(error.__traceback__) if frame.filename == str(path)]
-    return lines[-1] if lines else None
-
-
-def _line(text: str, kind: type[Effect], field: str | None = None) -> int | None:
-    """Where a source text defines a class, or a field of it; None where that is not at its top level."""
-    for node in ast.parse(text).body:
-        if isinstance(node, ast.ClassDef) and node.name == kind.__name__:
-            own = (part for part in node.body if isinstance(part, ast.AnnAssign) and isinstance(part.target, ast.Name))
-            lines = [part.lineno for part in own if isinstance(part.target, ast.Name) and part.target.id == field]
-            return lines[0] if lines else node.lineno
-    return None

@@ -7,10 +7,11 @@ from dataclasses import fields, replace
 import numpy as np
 
 from rig.formats.checked_entries import Entries
+from rig.formats.rig_toml.user_program_entries import user_program_text
+from rig.model.controller_protocol_list_and_port_name_check import USER_PROGRAMS, is_user_program
 from rig.model.design import (
     DISTORTION_TERMS,
     PERMITTED,
-    SOURCES,
     TURN,
     Camera,
     CaptureSettings,
@@ -24,6 +25,8 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 from rig.model.pose import pose_to_vector
 
 LARGEST_IMAGE = 100_000  # px along a side
+NETWORK = ("http", "https", "rtsp")  # of cameras that a URL names
+SOURCES = ("uvc", "gstreamer", "genicam", "folder", "emulator", "command", *NETWORK, *USER_PROGRAMS)  # of cameras
 
 
 def cameras_of_tables(tables: list[Entries]) -> tuple[Camera, ...]:
@@ -172,16 +175,19 @@ def refuse_stage_targets_of_moving_cameras(
 
 
 def _source(table: Entries) -> str | None:
-    """What a camera is opened by, "KIND:PLACE", or None."""
+    """What a run opens a camera by. Raises FileError for a kind that there is not."""
     source = table.text("source", default=None)
-    if source is not None and (source.partition(":")[0] not in SOURCES or not source.partition(":")[2]):
+    if source is None:
+        return None
+    kind, _, place = source.partition(":")
+    if kind not in SOURCES or not place:
         table.fail(
             f'{table.name("source")} must be written as "KIND:PLACE" with a kind out of '
             f"{', '.join(SOURCES)}, not {source!r}",
             "source",
             value=source,
         )
-    return source
+    return user_program_text(table, "source", source) if is_user_program(source) else source
 
 
 INSTRUMENT_KINDS = ("pose", "orientation", "distance")

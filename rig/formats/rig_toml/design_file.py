@@ -9,7 +9,8 @@ from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import camera_instrument_and_cube_entries
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_table
-from rig.model.controller_protocol_list_and_port_name_check import port_problem
+from rig.formats.rig_toml.user_program_entries import user_program_text
+from rig.model.controller_protocol_list_and_port_name_check import is_user_program, port_problem
 from rig.model.design import (
     DICTIONARIES,
     FACES,
@@ -129,7 +130,7 @@ def _controller(table: Entries, mechanism: Hexapod | Planar2 | Arm | Chain | Fre
     step = table.number("max_step", None, above=0, most=LARGEST_RIG, unit="m")
     home = table.each("home", n, None, above=0, most=LARGEST_RIG, unit="m (joint centre to joint centre)")
     return Controller(
-        table.text("protocol", PROTOCOLS),
+        _protocol(table),
         _port(table, default=""),
         table.whole("baudrate", 1, default=115200),
         table.text("usb", default=""),
@@ -150,6 +151,15 @@ def _controller(table: Entries, mechanism: Hexapod | Planar2 | Arm | Chain | Fre
         table.text("enable_password", default="EMCTOO"),
         table.text("ini", default=""),
     )
+
+
+def _protocol(table: Entries) -> str:
+    stated = table.text("protocol")
+    if is_user_program(stated):
+        return user_program_text(table, "protocol", stated)
+    if stated not in PROTOCOLS:
+        table.refuse("protocol", f"one of {', '.join(map(repr, PROTOCOLS))}, file:NAME.py or package:NAME", stated)
+    return stated
 
 
 def _port(table: Entries, default: str | Required = REQUIRED) -> str:

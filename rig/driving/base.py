@@ -1,0 +1,19 @@
+"""Base classes for a file of the user's own: a protocol with its emulator, or a camera."""
+
+from rig.driving.cameras.camera_interface_and_grabbing import CameraError, Frame
+from rig.driving.cameras.user_camera import UserCamera
+from rig.driving.emulators.line_emulator import LineEmulator
+from rig.driving.protocols.line_protocol import LineProtocol
+from rig.driving.protocols.protocol_interface import Dialogue, Segment, State, Verdict
+
+__all__ = [
+    "CameraError",
+    "Dialogue",
+    "Frame",
+    "LineEmulator",
+    "LineProtocol",
+    "Segment",
+    "State",
+    "UserCamera",
+    "Verdict",
+]

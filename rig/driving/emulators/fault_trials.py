@@ -1,0 +1,165 @@
+"""Many moves through an emulator with faults; the emulator, which counts what it carried out, is the judge."""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from rig.array_and_json_types import Floats
+from rig.driving.clock import SimulatedClock
+from rig.driving.emulators.controller_emulator import Emulator
+from rig.driving.emulators.controller_emulator_opening_and_ports import EmulatorPort, emulator_of_design, home_lengths
+from rig.driving.emulators.controller_faults import Faults, parse_faults
+from rig.driving.strut_driver import Driver
+from rig.errors import ControllerFault, MotionError, RigError
+from rig.model.design import Design
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
+
+ARRIVED = 2e-6  # m of the true struts; the wires' resolution
+LONGEST = 120.0  # s on the clock that a move may take, faults and all; more is a hang
+NEVER_ENDS = 3600.0  # s on the clock after which a move is broken off
+WAITS = 30_000  # of a move, after which it is broken off
+WRITING = 1e-5  # s
+RANGE = 2e-3  # m from home within which the moves go
+
+
+class TrialClock(SimulatedClock):
+    """A simulated clock that calls `action` at `action_time` (s), and breaks off what waits too long or too often."""
+
+    def __init__(self, start: float = 1000.0) -> None:
+        super().__init__(start)
+        self.action_time = np.inf
+        self.action: Callable[[], None] = lambda: None
+        self.allow(NEVER_ENDS)
+
+    def allow(self, seconds: float) -> None:
+        """What waits longer than this from now on (s), or more than WAITS times, is broken off."""
+        self._allowed, self._deadline, self._waits = seconds, self.now() + seconds, WAITS
+
+    def sleep(self, seconds: float) -> None:
+        if self.now() + seconds >= self.action_time:
+            super().sleep(self.action_time - self.now())
+            seconds, self.action_time = max(self.action_time + seconds - self.now(), 0.0), np.inf
+            self.action()
+        super().sleep(seconds)
+        self._waits -= 1
+        if self.now() > self._deadline or self._waits < 0:
+            self.allow(self._allowed)  # for what stops the axes then
+            raise RigError("it waits without an end")
+
+
+class TrialPort(EmulatorPort):
+    """An EmulatorPort whose writes take a moment, so that time passes for who only asks and is answered at once."""
+
+    def write(self, data: bytes) -> None:
+        self._clock.sleep(WRITING)
+        super().write(data)
+
+
+@dataclass(slots=True)
+class MoveCounts:
+    """What became of moves. done : arrived; recovered : of these, after something was noticed; stopped : {error: how
+    many}; struck : {fault: how many}. Failures of the driver: twice (carried out more than once), unacknowledged
+    (reported as done and not so), hangs, reasonless (an error without a reason), unsafe (still on its way after it was
+    stopped); cases : of unacknowledged (number, note, times carried out, m from the goal, faults)
+    """
+
+    done: int = 0
+    recovered: int = 0
+    stopped: Counter[str] = field(default_factory=Counter)
+    struck: Counter[str] = field(default_factory=Counter)
+    twice: int = 0
+    unacknowledged: int = 0
+    hangs: int = 0
+    reasonless: int = 0
+    unsafe: int = 0
+    cases: list[tuple[int, str, int, float, tuple[str, ...]]] = field(default_factory=list)
+
+    @property
+    def failures(self) -> dict[str, int]:
+        """{failure: how many} of those that happened."""
+        names = ("twice", "unacknowledged", "hangs", "reasonless", "unsafe")
+        return {name: getattr(self, name) for name in names if getattr(self, name)}
+
+
+def emulated_bench(
+    design: Design, protocol: str, orders: Sequence[str] = (), seed: int = 1, **controller: object
+) -> tuple[Driver, Emulator, TrialClock]:
+    """(driver, emulator, clock) of a design's controller on a simulated clock, the struts 1 mm from home.
+
+    protocol : as rig.toml states it; orders : faults, KIND or KIND:RATE; controller : other entries of [controller]
+    """
+    clock = TrialClock()
+    stated: dict[str, Any] = {"protocol": protocol, **controller}
+    design = replace(design, controller=replace(design.driver(), **stated))
+    faults = Faults(sum((parse_faults(order) for order in orders), ()), np.random.default_rng(seed))
+    emulator = emulator_of_design(design, faults, clock, _home(design) + 1e-3)
+    return Driver(design, clock, lambda: TrialPort(emulator, clock)), emulator, clock
+
+
+def count_moves(
+    design: Design, protocol: str, orders: Sequence[str], moves: int, seed: int, **controller: object
+) -> MoveCounts:
+    """MoveCounts of moves to places that are all different, with an operator who homes, unlocks and switches off and on
+    where a move was stopped. Raises ControllerFault for a controller that cannot be brought home again.
+    """
+    driver, emulator, clock = emulated_bench(design, protocol, orders, seed, **controller)
+    home, rng, counts = _home(design), np.random.default_rng(seed + 1), MoveCounts()
+    driver.open()
+    bring_home(driver, emulator)
+    for k in range(moves):
+        target = np.round(home + rng.uniform(-RANGE, RANGE, len(home)), 6)
+        before, begun = len(emulator.machine.executed), clock.now()
+        struck = len(emulator.faults.struck)
+        clock.allow(NEVER_ENDS)
+        try:
+            note = driver.move(target).note
+            counts.done += 1
+            counts.recovered += bool(note)
+            times, off = times_executed(emulator, before, target), _off(emulator, clock, target)
+            if times != 1 or off > ARRIVED:
+                counts.unacknowledged += 1
+                counts.cases.append((k, note, times, off, tuple(emulator.faults.struck[struck:])))
+        except MotionError as error:
+            counts.stopped[type(error).__name__] += 1
+            counts.reasonless += len(str(error)) < 15
+            still_moving = emulator.machine.axes.until > clock.now() + 1.0
+            counts.unsafe += still_moving  # after all that the driver did
+            bring_home(driver, emulator)
+        counts.twice += int(times_executed(emulator, before, target) > 1)
+        counts.hangs += int(clock.now() - begun > LONGEST)
+        counts.struck.update(emulator.faults.struck[struck:])
+    return counts
+
+
+def times_executed(emulator: Emulator, before: int, target: Floats) -> int:
+    """How often a move to target (axes,) m was carried out, after the first `before` moves."""
+    return sum(bool(np.abs(one.target - target).max() < 1e-5) for one in emulator.machine.executed[before:])
+
+
+def bring_home(driver: Driver, emulator: Emulator) -> None:
+    """What an operator does until the rig is at home again: home; where that fails, clear the alarm; at last switch off
+    and on. Raises ControllerFault where nothing helps.
+    """
+    for attempt in range(12):
+        try:
+            if attempt % 3 == 1:
+                driver.unlock()
+            elif attempt % 3 == 2:
+                emulator.power_cycle()
+                driver.unlock()
+            driver.home()
+            return
+        except MotionError as error:
+            last = error
+    raise ControllerFault(f"it cannot be brought home again: {last}") from last
+
+
+def _home(design: Design) -> Floats:
+    return home_lengths(require_struts(design.mechanism))
+
+
+def _off(emulator: Emulator, clock: TrialClock, target: Floats) -> float:
+    return float(np.abs(emulator.machine.axes.at(clock.now()) - target).max())

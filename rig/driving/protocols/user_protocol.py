@@ -1,0 +1,90 @@
+"""A protocol of the user's own: loaded, checked, and guarded so that what fails names the file and the line."""
+
+import inspect
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import ParamSpec, cast
+
+from rig.driving.protocols.line_protocol import LineProtocol, state_problem
+from rig.driving.protocols.protocol_interface import Dialogue, State, Verdict
+from rig.driving.user_programs import fail_at_class, guard_call, load_user_class, missing_member
+from rig.errors import ControllerFault, FileError
+from rig.formats.user_python_file import class_literal, read_user_text
+from rig.model.design import Controller
+
+P = ParamSpec("P")
+GROUP = "rig.protocols"  # of entry points
+RESULTS: dict[str, type[object]] = {
+    "identity": tuple,
+    "hello": str,
+    "fence": bool,
+    "state": State,
+    **dict.fromkeys(("move", "home", "stop", "unlock"), Verdict),
+}
+PLAIN = ("move_line", "encode", "decode", "event")  # methods that ask nothing
+TEXTS = ("name", "accepted", "refused", "stop_line")  # that a class must state
+
+
+def load_user_protocol(controller: Controller, count: int) -> LineProtocol:
+    """The protocol of `[controller] protocol = "file:.."` or "package:..". Raises FileError with the line."""
+    kind, path = load_user_class(controller.protocol, LineProtocol, GROUP, "protocol")
+    if "_guarded" not in vars(kind):
+        _check(kind, path)
+        _guard(kind, path)
+    try:
+        return kind(controller, count)
+    except TypeError as error:
+        raise fail_at_class(path, kind, f"cannot be made with (controller, count): {error}", "__init__") from None
+
+
+def _check(kind: type[LineProtocol], path: str) -> None:
+    """Raise FileError for a class that lacks something, or has what no driver can use."""
+    for name in TEXTS:
+        if not isinstance(getattr(kind, name, None), str) or not getattr(kind, name):
+            raise fail_at_class(path, kind, f"lacks {name}, a text", name)
+    if not isinstance(class_literal(read_user_text(Path(path))[0], "urgent_stop"), bytes):
+        raise fail_at_class(
+            path,
+            kind,
+            'lacks urgent_stop, bytes as a literal (urgent_stop = b"!"), sent before all else',
+            "urgent_stop",
+        )
+    move = "move_line" if missing_member(kind, LineProtocol, ("move",)) else "move"
+    missing = missing_member(kind, LineProtocol, ("identity", "state", move))
+    if missing:
+        raise fail_at_class(path, kind, f"lacks {missing}: {(getattr(LineProtocol, missing).__doc__ or '').strip()}")
+    for name in (*RESULTS, "confirm", "limits"):
+        call = vars(kind).get(name)
+        if call is not None and not inspect.isgeneratorfunction(call):
+            line = getattr(getattr(call, "__code__", None), "co_firstlineno", None)
+            raise FileError(path, f"{kind.__name__}.{name} asks nothing: expected `yield from self.ask(..)`", line)
+
+
+def _guard(kind: type[LineProtocol], path: str) -> None:
+    for name in (*RESULTS, *PLAIN):
+        call = vars(kind).get(name)
+        if call is not None:
+            guarded = guard_call(call, path, ControllerFault, kind.__name__)
+            expected = RESULTS.get(name)
+            setattr(kind, name, guarded if expected is None else _checked(guarded, path, kind.__name__, expected))
+    kind._guarded = True
+
+
+def _checked(
+    dialogue: Callable[P, Dialogue[object]], path: str, owner: str, expected: type[object]
+) -> Callable[P, Dialogue[object]]:
+    """A dialogue whose result is of the type that the driver needs. Raises ControllerFault otherwise."""
+
+    @wraps(dialogue)
+    def checked(*given: P.args, **named: P.kwargs) -> Dialogue[object]:
+        found = yield from dialogue(*given, **named)
+        problem = None if isinstance(found, expected) else f"gave {type(found).__name__}, not {expected.__name__}"
+        if isinstance(found, State) and expected is State:
+            problem = state_problem(found, cast(LineProtocol, given[0]).count)
+        if problem:
+            line = inspect.unwrap(dialogue).__code__.co_firstlineno
+            raise ControllerFault(f"{path}:{line}: {owner}.{dialogue.__name__} {problem}")
+        return found
+
+    return checked

@@ -1,0 +1,73 @@
+"""Conformance: every protocol passes; one that is unsafe fails at what is unsafe in it."""
+
+import pytest
+
+from rig.cli.command_line import main
+from rig.driving.emulators.conformance import check_conformance, conformance_design
+from tests.rig.driving.protocols.test_user_protocol import TEMPLATE, written
+
+UNSAFE = {  # what stands in place of what, which check fails
+    "its stop bytes do nothing": ('urgent_stop = b"!"', 'urgent_stop = b"?"', "stops while it moves"),
+    "it hides an axis in error": ('"" if found[3] == "ok" else found[3]', '""', "done-in-error"),
+    "its stop is another line": ('"# STOP", ', '"# WHO", ', "homes-on"),
+    "it asks again by a move": (
+        "    def move_line(self",
+        "    def move(self, segment):\n        found = yield from self.ask(self.move_line(segment), self.accepted)\n"
+        "        return Verdict(bool(found))\n\n    def move_line(self",
+        "runs-after-error",
+    ),
+    "its positions are in another unit": ("float) / 1e9", "float) / 1e6", "greets, homes and moves"),
+    "it waits without an end": (
+        "    def move_line(self",
+        "    def stop(self):\n        while True:\n            yield from self.ask(self.stop_line, self.accepted)\n\n"
+        "    def move_line(self",
+        "stops while it moves",
+    ),
+    "its emulator begins moves itself": (
+        "return self.move(1e-9 * np.array(target), milliseconds / 1e3, yes, no)",
+        "self.machine.go(self.now, 1e-9 * np.array(target), milliseconds / 1e3)\n            return yes",
+        "lost-ok",
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def hexapod():
+    return conformance_design(None)
+
+
+def test_every_protocol_passes(hexapod, protocol):
+    checks = list(check_conformance(hexapod, protocol, 100))
+    assert len(checks) == 26 and [(check.name, check.problem) for check in checks if check.problem] == []
+
+
+@pytest.mark.parametrize("name", UNSAFE)
+def test_an_unsafe_protocol_fails_where_it_is_unsafe(tmp_path, hexapod, name):
+    old, new, check = UNSAFE[name]
+    stated = written(tmp_path, old, new)
+    if "Verdict" in new:
+        path = tmp_path / "mine.py"
+        path.write_text(path.read_text().replace("Segment, State", "Segment, State, Verdict"))
+    tried = {}
+    for found in check_conformance(hexapod, stated, 100):
+        tried[found.name.partition(":")[0]] = found.problem
+        if check in tried:
+            break
+    assert tried[check], tried
+
+
+def test_a_new_protocol_is_written_and_tested(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["emulate", "--new", "mine"]) == 0
+    assert (tmp_path / "mine.py").read_text() == TEMPLATE and len(TEMPLATE.splitlines()) <= 60
+    assert main(["emulate", "--conform", "--protocol", "mine.py", "--moves", "20"]) == 0
+    assert "all 26 checks passed" in capsys.readouterr().out
+    (tmp_path / "bad.py").write_text(TEMPLATE.replace('urgent_stop = b"!"', 'urgent_stop = b"?"'))
+    assert main(["emulate", "--conform", "--protocol", "bad.py", "--moves", "20"]) == 1
+    told = capsys.readouterr()
+    assert "FAILED  stops while it moves: urgent_stop did not slow" in told.out and "checks failed" in told.err
+
+
+@pytest.mark.parametrize("words", [["--conform"], [], ["--new", "a b"], ["--conform", "--protocol", "grbhal"]])
+def test_what_cannot_be_meant_is_refused(words, capsys):
+    assert main(["emulate", *words]) == 1 and "rig emulate: " in capsys.readouterr().err

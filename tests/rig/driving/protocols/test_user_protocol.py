@@ -1,0 +1,102 @@
+"""A protocol of the user's own: what is wrong with its file is told with file and line, before and while it drives."""
+
+import sys
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rig.driving import user_programs
+from rig.driving.emulators.fault_trials import emulated_bench
+from rig.driving.protocols.protocol_selection import protocol_of_controller
+from rig.errors import ControllerFault, FileError, RigError
+from tests.conftest import ROOT
+
+TEMPLATE = (ROOT / "rig" / "driving" / "protocol_template.py").read_text()
+LACKS = [  # what stands in place of what, what is said of it
+    ("import numpy as np", "import numpy as np oh", r"mine.py:3:\d+: is no Python"),
+    ("import numpy as np", "import nothing_of_the_kind", "mine.py:3: cannot be run: ModuleNotFoundError"),
+    ("class Acme(LineProtocol)", "class Acme", r"defines no protocol: class Mine\(LineProtocol\)"),
+    ('    name = "acme"\n', "", "mine.py:8: Acme lacks name"),
+    ('urgent_stop = b"!"', 'urgent_stop = "!"', "mine.py:12: Acme lacks urgent_stop, bytes as a literal"),
+    ('urgent_stop = b"!"', "urgent_stop = bytes([33])", "mine.py:12: Acme lacks urgent_stop, bytes as a literal"),
+    ('accepted, refused = r"# OK", ', "refused = ", "mine.py:8: Acme lacks accepted"),
+    ("def identity(", "def who(", r"mine.py:8: Acme lacks identity: \(its name, what is another"),
+    ("def state(", "def status(", "mine.py:8: Acme lacks state: Its activity"),
+    ("def move_line(", "def go(", "mine.py:8: Acme lacks move_line: The line that begins a move"),
+    ("def state(self)", "def state(self):\n        return None\n\n    def other(self)", "mine.py:21: .*asks nothing"),
+    ("class AcmeEmulator", "class Other(Acme):\n    pass\n\n\nclass AcmeEmulator", "several: Acme, Other"),
+]
+FAILS = [  # what stands in place of what, what is said of it once it drives
+    ("found[4].split(), float) / 1e9", 'found[4].split(), float) / ""', r"mine.py:24: Acme.state fails: \w*TypeError"),
+    ("np.array(found[4].split(), float) / 1e9", "None", "mine.py:21: Acme.state gave positions None, not 6 finite"),
+    ("State(found[1]", 'State("resting"', "mine.py:21: Acme.state gave the activity 'resting'; there are idle"),
+    ("return found[1], found[2]", "return found[7], found[2]", "mine.py:19: Acme.identity fails: IndexError"),
+    ("return found[1], found[2]", "return found[1]", "mine.py:17: Acme.identity gave str, not tuple"),
+    ("1e9 * segment.target", "1e9 * segment.goal", "mine.py:27: Acme.move_line fails: AttributeError"),
+    ("longest = 96", "longest = 20", "takes lines of 20 bytes, too few for b'\\d+ GO"),
+]
+
+
+def written(folder, old="", new=""):
+    assert old in TEMPLATE
+    (folder / "mine.py").write_text(TEMPLATE.replace(old, new, 1) if old else TEMPLATE)
+    return f"file:{folder / 'mine.py'}"
+
+
+@pytest.mark.parametrize("old, new, said", LACKS, ids=[row[2] for row in LACKS])
+def test_a_file_that_lacks_something_is_refused_with_its_line(tmp_path, driven_design, old, new, said):
+    controller = replace(driven_design.controller, protocol=written(tmp_path, old, new))
+    with pytest.raises(FileError, match=said):
+        protocol_of_controller(controller, 6)
+
+
+@pytest.mark.parametrize("old, new, said", FAILS, ids=[row[2] for row in FAILS])
+def test_a_protocol_that_fails_names_its_file_and_line(tmp_path, driven_design, old, new, said):
+    driver, emulator, _ = emulated_bench(driven_design, written(tmp_path, old, new))
+    with pytest.raises(ControllerFault, match=said):
+        driver.open()
+        driver.home()
+        driver.move(driver.lengths() + 1e-3)
+    assert not emulator.machine.executed
+
+
+def test_a_file_that_is_not_there_or_behind_a_url_is_not_run(tmp_path, driven_design):
+    for place, said in ((tmp_path / "none.py", "cannot be read"), ("https://host/mine.py", "behind a URL")):
+        with pytest.raises(FileError, match=said):
+            protocol_of_controller(replace(driven_design.controller, protocol=f"file:{place}"), 6)
+
+
+def test_an_entry_point_of_a_package_is_a_protocol(tmp_path, driven_design, monkeypatch):
+    (tmp_path / "acme_rig.py").write_text(TEMPLATE)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def load():
+        __import__("acme_rig")
+        return sys.modules["acme_rig"].Acme
+
+    point = SimpleNamespace(name="acme", value="acme_rig:Acme", load=load)
+    monkeypatch.setattr(user_programs, "entry_points", lambda group: [point] if group == "rig.protocols" else [])
+    driver, emulator, clock = emulated_bench(driven_design, "package:acme")
+    driver.open()
+    driver.home()
+    goal = driver.lengths() + 1e-3
+    driver.move(goal)
+    np.testing.assert_allclose(emulator.machine.axes.at(clock.now()), goal, atol=1e-9)
+    with pytest.raises(RigError, match=r"no installed package has 'acmee' among .* rig.protocols; there are acme"):
+        emulated_bench(driven_design, "package:acmee")
+
+
+def test_a_move_is_sent_once_and_a_question_again(tmp_path, driven_design):
+    driver, emulator, _ = emulated_bench(driven_design, written(tmp_path))
+    driver.open()
+    driver.home()
+    lines, line = [], emulator.line
+    emulator.line = lambda text: (lines.append(text.split(b" ")[1]), line(text))
+    emulator.faults.armed["lost-ok"] = 0
+    answer = emulator.answer
+    silent = iter([True, True])
+    emulator.answer = lambda text: None if b"POS" in text.encode() and next(silent, False) else answer(text)
+    driver.move(driver.lengths() + 1e-3)
+    assert lines.count(b"GO") == 1 and lines.count(b"POS") > 3 and len(emulator.machine.executed) == 1
