@@ -18,7 +18,7 @@ from rig.model.design import Design
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import result_html
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 
 if TYPE_CHECKING:
     from rig.effects.framework.effect import Effect
@@ -88,8 +88,8 @@ def save(recording: Recording, folder: Path | str, overwrite: bool = False) -> N
                 write_poses(out / name, poses)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlannedConfigurations:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class PlannedConfigurations(OneLineRepr):
     """Configurations that the parts of a plan visit. design; parts : their text; values : (n, axes) m or rad, in the
     order of visits; span : (2, 6) m and rad, least and greatest of the platform's move from home, None but of a hexapod
     """
@@ -139,8 +139,8 @@ def plan(design: Design, parts: str = "standard", seed: int = 0) -> PlannedConfi
     return PlannedConfigurations(design, parts, goals, span)
 
 
-@dataclass(frozen=True, slots=True)
-class CheckResult:
+@dataclass(frozen=True, slots=True, repr=False)
+class CheckResult(OneLineRepr):
     """What is wrong or unlikely with a recording. found : most likely cause first; remarks : what could be better"""
 
     found: tuple[Mistake, ...]

@@ -19,7 +19,7 @@ from rig.formats.rig_toml import design_file
 from rig.model.design import Design, Sensor
 from rig.planning.plan import build_plan
 from rig.recording.recording_folder import load_sensors
-from rig.report.pages.page_templates_and_elements import result_html
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from synthetic import recording_simulation, secret_machine
 from synthetic.image_simulation import simulations_with_and_without_effects_found
 from synthetic.recording_simulation import Simulation
@@ -95,8 +95,8 @@ class SimulateOptions:
         return Images(found, self.drawing.background, self.drawing.compression)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SimulationResult:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SimulationResult(OneLineRepr):
     """A simulated recording before it is written. simulation : what the machine did; text : the owner's rig.toml;
     options; pictures : how they are drawn, None where corners are written; rng : the generator from which the noise is
     drawn, the same whenever it is written

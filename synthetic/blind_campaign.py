@@ -14,7 +14,7 @@ from rig.formats import json_toml_and_yaml_loading
 from rig.formats.local_and_remote_input_files import read_bytes, short_repr
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 from rig.formats.output_files import write_text
-from rig.report.pages.page_templates_and_elements import result_html
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations_by_later_recordings import Verdict
 from synthetic import blind_arm_cases, blind_cases, blind_image_settings
 from synthetic.blind_campaign_page import campaign_dict, campaign_verdict, write_campaign_page
@@ -81,8 +81,8 @@ class CampaignOptions:
         return lists
 
 
-@dataclass(frozen=True, slots=True)
-class CampaignResult:
+@dataclass(frozen=True, slots=True, repr=False)
+class CampaignResult(OneLineRepr):
     """The score of a campaign. settings : of CampaignOptions; cases : those drawn and diagnosed"""
 
     settings: Json

@@ -15,7 +15,7 @@ from rig.model.pose import pose_to_vector, rms_uncertainty
 from rig.recording import recording_table_loading_and_writing
 from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
 from rig.recording.recording_table_loading_and_writing import Poses
-from rig.report.pages.page_templates_and_elements import result_html
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations_by_later_recordings import (
     AGREES,
     Evidence,
@@ -36,8 +36,8 @@ TWICE = 2.0  # of the squares that the covariance predicts, from which it is not
 NAMED = 5  # frames without a pose that a notebook shows
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MeasurementResult:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class MeasurementResult(OneLineRepr):
     """What there is to say of a measurement. collected : what its images gave, or None; held : of frames held out;
     places : vision Places where markers' stated places were adjusted, else None; statement : lines on what the
     recording determines; suspects : markers that are not as in rig.toml

@@ -23,7 +23,7 @@ from rig.model.design import Camera, Design
 from rig.model.pose import adjoint
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners
-from rig.report.pages.page_templates_and_elements import result_html
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.printing_error_variance_estimation import adjust_with_estimated_printing_errors
 from vision.bundle.robust_adjustment import adjust_robustly, inflate_repeated_corner_covariance
@@ -48,8 +48,8 @@ NEGLIGIBLE = 1e-2
 UNSURE = 3.0  # px; where places are free, what stated ones may be off by before a frame that they hold is doubted
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Measurement:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Measurement(OneLineRepr):
     """What a recording's images say.
 
     design : Design with cameras as adjusted; frames : (f,) numbers of the solved frames
@@ -81,16 +81,18 @@ class Measurement:
     adjustment: Adjustment
     stages: dict[int, Measurement] = field(default_factory=dict)
 
+    def __str__(self) -> str:
+        return f"{len(self.frames)} of {len(self.frames) + len(self.unsolved)} frames solved"
+
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
-        total = len(self.frames) + len(self.unsolved)
         position, rotation = (
             np.sqrt(np.mean(np.trace(self.covariance[:, part, part], axis1=1, axis2=2))) * 1e3
             for part in (slice(0, 3), slice(3, 6))
         )
         missed = [f"frame {frame} has no pose: {reason}" for frame, reason in list(self.unsolved.items())[:5]]
         return result_html(
-            f"{len(self.frames)} of {total} frames solved",
+            str(self),
             [
                 f"poses to {position:.4f} mm and {rotation:.4f} mrad (standard uncertainty, RMS)",
                 f"corners scatter by {self.noise:.4f} px; {self.inliers.sum()} of {len(self.inliers)} used",

@@ -52,7 +52,8 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 )
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import write_table
-from rig.report.pages.page_templates_and_elements import Link, result_html
+from rig.report.pages.page_templates_and_elements import Link
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations_by_later_recordings import Verdict
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
 
@@ -122,8 +123,8 @@ SEARCHED = CalibrateOptions()  # the geometry and its remainder, and what they l
 Known = tuple[Physics, Floats] | None  # physics fitted with the geometry, and the covariance of both, m^2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CalibrationResult:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class CalibrationResult(OneLineRepr):
     """A calibration with what it was made from. recording : one, of all; sampled : its poses; samples : Samples that
     were fitted, with what physics says of their commands; done : what was fitted; extended : the extension, or None
     """

@@ -42,14 +42,15 @@ from rig.recording.frame_selection_and_content_hashes import (
 )
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import Link
+from rig.report.result_in_console_and_notebook import OneLineRepr
 from rig.report.verdict_and_refutations_by_later_recordings import Evidence, Refutation, Verdict
 
 UNSTATED, STANDARD = Issuer(), CertifyOptions()  # nobody is named; 95 % of poses with 95 %
 KINDS = (".json", ".html", ".pdf", ".xml")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CertificationResult:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class CertificationResult(OneLineRepr):
     """A certificate and what it rests on. certificate; held_out : (Recording, Sampled) of each recording; refutations :
     (recording's name, sentence) of each that refutes the calibration's claim
     """

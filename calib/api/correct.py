@@ -19,7 +19,7 @@ from rig.model import mechanisms
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Sensors, WantedPoses
 from rig.recording.recording_table_loading_and_writing import Poses, write_table
-from rig.report.pages.page_templates_and_elements import result_html
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 
 APPROACHES = ("auto", "always", "never")
 
@@ -46,8 +46,8 @@ class CorrectOptions:
             raise ValueError(f"approach takes {APPROACHES}, got {self.approach!r}")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CorrectionResult:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class CorrectionResult(OneLineRepr):
     """Commands for wanted poses. calibration; wanted : Wanted; index : (n,) which of them are commanded; commanded :
     Commanded of these; out_of_reach : (frame, why) of the others; single_step : whether these are the method's first
     step; uncorrected : whether they are by the nominal model

@@ -39,7 +39,8 @@ from rig.model.design import PERMITTED, TURN, Design, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import parse_cube_turn_permission
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import Link, result_html
+from rig.report.pages.page_templates_and_elements import Link
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations_by_later_recordings import State, Verdict
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice, recorded_or_sampled_corners
 
@@ -166,8 +167,8 @@ class DiagnoseOptions:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DiagnosisResult:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class DiagnosisResult(OneLineRepr):
     """A diagnosis. recording : one, of all; report : Report of it; found : the diagnosis itself; against : what it says
     against calibrations made from the recording
     """

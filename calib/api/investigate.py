@@ -35,7 +35,7 @@ from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan
 from rig.planning.plan_construction_and_table import write_plan_table
 from rig.recording.recording_table_loading_and_writing import Poses, write_poses
-from rig.report.pages.page_templates_and_elements import result_html
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations_by_later_recordings import Verdict
 
 REACH = 0.7  # of the strokes, over which new poses lie: what is corrected has to be reached as well
@@ -116,8 +116,8 @@ STATE = "investigation.json"
 AUTOMATIC = InvestigateOptions()
 
 
-@dataclass(frozen=True, slots=True)
-class InvestigationResult:
+@dataclass(frozen=True, slots=True, repr=False)
+class InvestigationResult(OneLineRepr):
     """What an investigation found. looks : after each recording; ended : why, "" while it goes on; after : what was
     made at the end, in lines; waiting : for whom and what, None where for nobody
     """

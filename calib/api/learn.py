@@ -27,7 +27,8 @@ from rig.formats.local_and_remote_input_files import list_json_files_in_same_fol
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import Link, result_html
+from rig.report.pages.page_templates_and_elements import Link
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations_by_later_recordings import Refutation, Verdict
 from vision.api import Progress
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
@@ -54,8 +55,8 @@ class LearnOptions:
     anyway: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LearningResult:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class LearningResult(OneLineRepr):
     """What a recording's poses taught. recording; found : Learning; online : the same with what it rests on."""
 
     recording: Recording

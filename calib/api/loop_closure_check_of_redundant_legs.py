@@ -25,7 +25,7 @@ from rig.model.mechanisms.best_six_legs_and_closures_of_others import (
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import write_table
-from rig.report.pages.page_templates_and_elements import result_html
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 
 EXACT = 1e-7  # m, of a commanded length: controllers resolve steps, and a calibration's scatter may be none
 STRANGE = 5.0  # standard deviations, RMS over the poses, beyond which a closure is not what is expected
@@ -42,8 +42,8 @@ class LoopClosureOptions:
     limbs: Accepted | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LoopClosureResult:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class LoopClosureResult(OneLineRepr):
     """legs; closures : of those that do not give the pose; frames : (n,) of the poses; chosen : (6,) indices of the
     legs that give it; requested : whether these were named
     """

@@ -33,7 +33,8 @@ from rig.model.pose import rms_uncertainty
 from rig.recording import recording_table_loading_and_writing
 from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
 from rig.recording.recording_table_loading_and_writing import Poses, write_poses
-from rig.report.pages.page_templates_and_elements import Link, result_html
+from rig.report.pages.page_templates_and_elements import Link
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations_by_later_recordings import Verdict
 from vision.api import Progress
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
@@ -56,8 +57,8 @@ class AcceptLimbsOptions:
             raise RigError("--tolerance takes two positive numbers, m and rad")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LimbAcceptance:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class LimbAcceptance(OneLineRepr):
     """Measuring limbs compared with vision. recording; by_vision : its poses; accepted : limbs, agreement and verdict;
     channels : names of all limbs; check_error, check_sigma : (n, checks) m, of the limbs beyond six, held out
     """
@@ -203,8 +204,8 @@ def _limb_numbers(names: Sequence[str], channels: tuple[str, ...]) -> Integers:
     return np.sort([channels.index(name) for name in plain])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MeasuredLimbPoses:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class MeasuredLimbPoses(OneLineRepr):
     """Poses by measuring limbs. recording; poses : LimbPoses; accepted : the limbs they are from."""
 
     recording: Recording
@@ -247,8 +248,8 @@ def measure_poses_by_limbs(
 BEYOND = 0.05  # of an axis' range, by which a reading may lie beyond it
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PosesOfReadings:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class PosesOfReadings(OneLineRepr):
     """Poses that a measuring machine's readings stand for. poses : Poses, corrected, with covariance; moved : m, RMS
     from what the nominal model reads; physics : whether the calibration knows physics, which is not taken off readings
     """

@@ -22,7 +22,7 @@ from rig.model.design_comparison_and_cube_turning_instructions import turning_in
 from rig.planning import plan_construction_and_table
 from rig.planning.plan import build_plan
 from rig.planning.plan_construction_and_table import Plan
-from rig.report.pages.page_templates_and_elements import result_html
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 
 PARTS = ("sobol:12", "ladder:1", "axes:3", "repeat:12", "sobol:30", "sobol:90")  # at whose exposures the struts rest
 CHOSEN = (8, 16, 32, 64)  # configurations where the likeliest names come apart, see `discriminating_configurations`
@@ -187,8 +187,8 @@ def _worth(question: Question[object], plan: Plan) -> Information:
 SHOWN = 4  # plans that are compared in words
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class NextExperiment:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class NextExperiment(OneLineRepr):
     """questions : what is alike; experiments : that would tell it apart, the best first; refused : {plan: why it is
     none}; cameras : {camera: share of what the first experiment shows in images}; axes : of the machine
     """

@@ -17,7 +17,8 @@ from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_table_loading_and_writing import write_configurations, write_table
-from rig.report.pages.page_templates_and_elements import Link, result_html
+from rig.report.pages.page_templates_and_elements import Link
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
 
 SEED = 0
@@ -76,8 +77,8 @@ class PlanOptions:
 FOR_PARAMETERS = PlanOptions()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlanResult:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class PlanResult(OneLineRepr):
     """A plan. design; values : (n, axes) m or rad in their order; seen : whether all that is asked becomes visible; why
     : in a line; said : lines on what it makes visible; confounds : of its configurations, None where it is in time
     t : (n,) s of a plan in time, else None

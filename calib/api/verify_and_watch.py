@@ -48,12 +48,13 @@ from rig.errors import RigError
 from rig.model.pose import rms_uncertainty
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Poses
-from rig.report.pages.page_templates_and_elements import Link, result_html
+from rig.report.pages.page_templates_and_elements import Link
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations_by_later_recordings import Refutation, State, Verdict
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class VerificationResult:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class VerificationResult(OneLineRepr):
     """A verification. recording; sampled : its poses; figures : Verified, all that was found."""
 
     recording: Recording
@@ -187,8 +188,8 @@ def _side(figures: Figures) -> Json:
 MEASURING = ("camera", "target", "instrument")  # kinds of changes of what measures: the calibration itself stands
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WatchResult:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class WatchResult(OneLineRepr):
     """What visits say. history : with these visits; visits : Visit of each; confounds : of each; entries : of each, as
     JSON has them; verdict : on the calibration by the last
     """

@@ -26,13 +26,14 @@ from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.recording.recording_table_loading_and_writing import write_table
-from rig.report.pages.page_templates_and_elements import Link, result_html
+from rig.report.pages.page_templates_and_elements import Link
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations_by_later_recordings import Verdict
 from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WorkspaceResult:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class WorkspaceResult(OneLineRepr):
     """What a calibration does to the workspace. calibration; name : of its file; workspace : in cells; certified :
     (c, 2) m and rad that a certificate promises in them, or None
     """

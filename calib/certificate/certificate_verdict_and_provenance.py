@@ -48,18 +48,21 @@ from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, hashes_of_frames
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import result_html
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Certificate(Contents):
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Certificate(OneLineRepr, Contents):
     """A certificate that a notebook shows in its own sentences; see Contents."""
+
+    def __str__(self) -> str:
+        return certificate_sentences.promise_line(self)
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
         return result_html(
-            certificate_sentences.promise_line(self),
+            str(self),
             [
                 certificate_sentences.length_scale_line(self),
                 certificate_sentences.measured_volume_line(self),

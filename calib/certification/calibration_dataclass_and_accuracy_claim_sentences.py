@@ -15,7 +15,7 @@ from calib.workspace.workspace_map_and_lost_poses import Workspace
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import result_html
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 
 WHERE = {"base": "base, or the instrument,", "platform": "target on the platform"}
 
@@ -148,8 +148,8 @@ def _size(value: float, name: str) -> str:
     return f"{value * 1e6:.3g} {'um' if name == 'position' else 'urad'}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Calibration(OneLineRepr):
     """correction : Correction, of an arm an ArmCorrection; covariance : (42, 42) m^2 of the fitted parameters, of an
     arm (12 + 5 n, 12 + 5 n) in the order of calib.models.arm.error_model_and_observations; scatter : (6,) m of each
     strut beyond the
@@ -181,6 +181,9 @@ class Calibration:
             names = tuple(f"{effect.label()} at {effect.place}" for effect in self.physics.compensable_effects())
             object.__setattr__(self, "correction", replace(self.correction, physics=names))
 
+    def __str__(self) -> str:
+        return claim_lines(self.claim)[0] if self.claim is not None else "a calibration from before claims existed"
+
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
         held = self.held_out
@@ -195,8 +198,7 @@ class Calibration:
                 ),
             ]
         )
-        first, *rest = ["a calibration from before claims existed"] if self.claim is None else claim_lines(self.claim)
-        return result_html(first, rest, rows)
+        return result_html(str(self), [] if self.claim is None else claim_lines(self.claim)[1:], rows)
 
     def with_physics(self, recording: Recording, samples: Samples) -> Samples:
         """The samples of a recording with what physics says of their commands, under the recording's own sensors and

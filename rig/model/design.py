@@ -300,7 +300,7 @@ class Target:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Design:
     """The whole rig.toml. name : of the rig; gravity : (3,) m/s^2 in the base frame
 
@@ -320,6 +320,10 @@ class Design:
     controller: Controller | None = None
     sensors: SensorPort | None = None
     experiment: Permission = Permission()
+
+    def __repr__(self) -> str:
+        counts = f"{len(self.cameras)} cameras, {len(self.targets)} targets"
+        return f"<Design: {self.name}, {self.mechanism.kind}, {counts}>"
 
     def camera(self, name: str) -> Camera:
         """The camera of that name. Raises ValueError with the names there are."""

@@ -23,7 +23,7 @@ from rig.posture.arm_force_transmission_and_exertable_wrench import (
 from rig.posture.null_space_search import SearchResult
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import write_table
-from rig.report.pages.page_templates_and_elements import result_html
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 
 STARTS = 24  # joint solutions of the pose from which self-motions are searched for
 SEED = 0
@@ -69,8 +69,8 @@ class PostureOptions:
         return self.exertion if self.exertion is not None and not self.objective.directions else self.objective
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PostureResult:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class PostureResult(OneLineRepr):
     """A posture. arm; options; q : (n,) rad and m; motion : (k, n) of the joints into it; figures : of it and of the
     search, as JSON has them
     """

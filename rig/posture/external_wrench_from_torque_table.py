@@ -26,7 +26,7 @@ from rig.posture.wrench_estimation_from_torques import (
     observe_wrench,
 )
 from rig.recording.recording_table_loading_and_writing import COVARIANCE_COLUMNS, write_table
-from rig.report.pages.page_templates_and_elements import result_html
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 
 SETTLED = 0.1  # of a record, after which figures are given: a filter begins with knowing nothing
 
@@ -48,8 +48,8 @@ class WrenchOptions:
             raise RigError(f"--rate takes two positive numbers, not {' '.join(map(str, self.rate))}")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WrenchResult:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class WrenchResult(OneLineRepr):
     """An external wrench in time. record; observed : by the momentum observer; plain : (value (k, 6), covariance
     (k, 6, 6), remainder (k,)) by the pseudo-inverse, NaN where the posture does not feel every wrench; rates : (6,) N
     and N m by which it changes in a second; likeliest : whether these are as is likeliest

@@ -28,7 +28,7 @@ from rig.recording.recording_table_loading_and_writing import (
     load_instrument_poses,
     load_poses,
 )
-from rig.report.pages.page_templates_and_elements import result_html
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 
 LIMB = re.compile(r"m[1-9]\d*")  # a channel of a measuring limb, m, read only where there are rows about an exposure
 PAYLOAD = "payload_mass_kg"  # channel of sensors.csv, column of a plan in time: what the platform carries
@@ -77,8 +77,8 @@ class Sensors:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Recording:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Recording(OneLineRepr):
     """A whole recording; parts that the folder lacks are None. All times are s from the recording's start: its first
     command, or where nothing was commanded its first exposure; origin : of the owner's clock, to write them
     skipped : images that cannot be used and were excluded, as requested
@@ -108,9 +108,12 @@ class Recording:
         """The recordings that it consists of: itself, where it is one."""
         return self.parts or (RecordingPart(self, 0, 0.0),)
 
+    def __str__(self) -> str:
+        frames, t = self.exposures.times()
+        return f"{self.name}: {len(frames)} frames over {np.ptp(t):.4g} s"
+
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
-        frames, t = self.exposures.times()
         parts = [
             name
             for name, part in (
@@ -123,7 +126,7 @@ class Recording:
         ] + (["images"] if self.has_images else [])
         cameras = ", ".join(f"{c.name} ({c.width} x {c.height})" for c in self.design.cameras) or "none"
         return result_html(
-            f"{self.folder.name}: {len(frames)} frames over {np.ptp(t):.4g} s",
+            str(self),
             [
                 f"a {self.design.mechanism.kind}; cameras: {cameras}; {len(self.design.targets)} targets",
                 f"it has {', '.join(parts) or 'nothing'}",

@@ -17,7 +17,7 @@ import vision
 from docs.make import api
 from rig.errors import FileError
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
-from rig.report.pages.page_templates_and_elements import result_html
+from rig.report.result_in_console_and_notebook import result_html
 from tests.docs.told import ROOT
 
 PACKAGES = (rig, synthetic, vision, calib)

@@ -65,27 +65,26 @@ from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import result_html
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
 
 ROWS = "Examine the excluded rows below: record those configurations again"
 TAKE_IN = "Include it in the calibration: `rig calibrate REC --diagnosis DIR --out calibration.json`"
 
 
-@dataclass(frozen=True, slots=True)
-class Report:
-    """Of one recording, or of several. start_s : s, the recording's start by the owner's clock; noise : {corner_px,
-    pose_m, pose_rad, strut_m}
+@dataclass(frozen=True, slots=True, repr=False)
+class Report(OneLineRepr):
+    """Of one recording, or of several. start_s : s, by the owner's clock; noise : corner_px, pose_m, pose_rad, strut_m
+
     findings : biggest first; unexplained : the largest of what has no name; not_asked : what the recording cannot show
-    fits : {"corners" | "closures" | "poses": FitEntry}; fit : that of the first finding; remarks : what is there and is
-        nobody's fault
-    covariates : what is left goes with, the one that explained most before first; said : what the operator said
-        beforehand, as options
-    recordings : where it is several, which; own_effects : files of effects that were asked for besides the catalogue
-    suggestions : formulas for what has no name
-    more : what one kind of machine has to say besides; confounds : of the recording, None where nothing was commanded
-    left_out : rows that agree with no others, left out before anything was searched; crowd : what is far off in too
-        many to be left out, or None
+    fits : {"corners" | "closures" | "poses": FitEntry}; fit : that of the first finding
+    remarks : what is there and is no fault; said : what the operator stated beforehand, as options
+    covariates : what the remainder goes with, the one that explained most before first
+    recordings : of several, which; own_effects : files of effects that were requested besides the catalogue
+    suggestions : formulas for what has no name; more : what one kind of machine has besides
+    confounds : of the recording, None where nothing was commanded
+    left_out : rows that agree with no others, left out before the search
+    crowd : what is far off in too many to be left out, or None
     noise_from : "stated"; "residuals" where nobody states a corner's noise and the residuals determine it; "assumed"
     where nobody states the poses' noise
     calibrations : OfCalibrations, of those made from the recording that are beside it
@@ -113,10 +112,13 @@ class Report:
     calibrations: OfCalibrations = ALONE
     asked: int = 0
 
+    def __str__(self) -> str:
+        return summary_sentence(self)
+
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
         rows = [(finding_title(f), finding_size_text(f).removeprefix(", "), f.action or "") for f in self.findings]
-        return result_html(summary_sentence(self), [], [("what", "size", "what to do"), *rows] if rows else [])
+        return result_html(str(self), [], [("what", "size", "what to do"), *rows] if rows else [])
 
     @property
     def named(self) -> list[FindingEntry]:

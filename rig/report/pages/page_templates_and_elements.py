@@ -6,7 +6,6 @@ import os
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from html import escape
 from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
@@ -103,19 +102,6 @@ def round_ticks(low: float, high: float, most: int = 5) -> list[float]:
         step * k for k in (1, 2, 5, 10, 20) if math.floor(high / (step * k)) - math.ceil(low / (step * k)) < most
     )
     return [round(k * step, 12) for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
-
-
-def result_html(heading: str, lines: Iterable[str] = (), table: Sequence[Sequence[str]] = ()) -> str:
-    """HTML of a result for notebooks: heading, sentences, a table whose first row is its header; text is escaped."""
-    parts = [f"<strong>{escape(heading)}</strong>", *(f"<p style='margin:.2em 0'>{escape(line)}</p>" for line in lines)]
-    if table:
-        head, *rows = table
-        body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
-        top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
-        parts.append(
-            f"<div style='overflow-x:auto'><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>"
-        )
-    return f"<div>{''.join(parts)}</div>"
 
 
 LONG = 30  # letters, beyond which a cell breaks its lines
