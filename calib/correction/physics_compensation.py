@@ -32,13 +32,17 @@ ANOTHER_DAY = 2.0  # K, standard deviation by which a room and its struts differ
 @dataclass(frozen=True, slots=True)
 class Unknown:
     """What no catalogued effect explains. place; magnitude, in unit; depends_on : covariates; corrected : whether a
-    smooth function over the configuration space takes it out."""
+    smooth function over the configuration space takes it out
+    by : covariates of the smooth curves that undo some of it, none without; held_out : its RMS on held-out poses
+    without these curves and with them, m or rad, noise taken off."""
 
     place: str
     magnitude: float
     unit: str
     depends_on: tuple[str, ...]
     corrected: bool
+    by: tuple[str, ...] = ()
+    held_out: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
