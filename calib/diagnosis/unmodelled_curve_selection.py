@@ -18,6 +18,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Candidate, Effect
 
 SIZES = np.geomspace(1e-7, 1e-2, 26)  # prior standard deviations of a curve, in the axis' unit
+TRANSIENT = 3.0  # log of how much likelier a curve over time, which may not come again, must be than another
 LIKELIER = 5.0  # log of how much likelier a curve must be than none
 GAIN = 2.0  # standard errors by which held-out stretches must gain
 
@@ -93,8 +94,8 @@ def choose_curve(
     theta = _coefficients(trained, parts[number], size) / size
     chosen = candidates[number]
     effect = chosen.effect({**chosen.grid[0], "size": float(size)}, np.asarray(theta))
-    levels = [float(np.sqrt(max(np.mean(rows.in_units(part) ** 2) - rows.noise**2, 0.0))) for part in (before, after)]
-    return ChosenCurve(effect, levels[0], levels[1], gain)
+    squares = [float(np.mean(rows.in_units(part) ** 2)) - rows.noise**2 for part in (before, after)]
+    return ChosenCurve(effect, math.sqrt(max(squares[0], 0.0)), math.sqrt(max(squares[1], 0.0)), gain)
 
 
 def _products(rows: AxisRows, C: Floats, some: Floats) -> tuple[Floats, ...]:
@@ -122,7 +123,8 @@ def _best(trained: _Training, candidates: Sequence[Candidate], parts: Sequence[s
         values, z = np.maximum(values, 0.0), vectors.T @ trained.b[part]
         gained = 0.5 * (z**2 / (SIZES[:, None] ** -2.0 + values) - np.log1p(SIZES[:, None] ** 2 * values)).sum(axis=1)
         alike = sum(other.kind is candidate.kind for other in candidates)
-        found.append((float(gained.max() - math.log(alike)), float(SIZES[gained.argmax()])))
+        rarer = TRANSIENT if candidate.kind.sudden else 0.0
+        found.append((float(gained.max()) - math.log(alike) - rarer, float(SIZES[gained.argmax()])))
     number = int(np.argmax([likelier for likelier, _ in found]))
     return number, found[number][1], found[number][0]
 

@@ -169,8 +169,7 @@ class Effect:
 
     def mount(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
         """(n, 6) tangent by which a camera's mount has moved at t (n,) s, on the right; channel(name) -> (n,) sensor
-        values.
-        """
+        values."""
         return np.zeros((len(t), 6))
 
     def focal(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
@@ -192,9 +191,12 @@ class Effect:
     @classmethod
     def bending(cls, camera: Camera, quads: Floats, columns: Sequence[Linear]) -> Floats | None:
         """(..., 4, 2, q) px that `print_` moves corners (..., 4, 2) px by, per unit of each column, where it is linear
-        in them and says so.
-        """
+        in them and says so."""
         return None
+
+    def uncovered(self, motion: Motion) -> Floats:
+        """(n, axes) m or rad by which axes may stand elsewhere (1 sigma) at exposures unlike all it was learnt from."""
+        return np.zeros(motion.lengths.shape)
 
     def covariate(self, motion: Motion) -> Covariate:
         """What the residuals of the axes show it against; by default the prediction of the model."""

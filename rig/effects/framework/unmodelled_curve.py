@@ -18,6 +18,8 @@ from rig.effects.framework.machine_motion_and_play import Motion, exponentially_
 
 TIME, TRAVEL, HISTORY = "time", "recent_travel", "history"
 PREFIX = "unmodelled_over_"
+FINER = 1.5  # power of its number by which a function is smaller than the first
+ROOM = 0.05  # of the recorded span, by which a covariate may lie beyond it
 TERMS = 8  # functions of a curve
 PLAYS = 8  # of a loop, each half as wide as the next
 REACHES = (0.02, 0.1, 0.5)  # shares of the recorded travel that the widest play takes
@@ -77,16 +79,23 @@ class UnmodelledCurve(Effect):
             return np.concatenate([loops, loops * motion.stroke[:, [axis]] * (2 / reach)], axis=1)
         u = np.clip((self._covariate(motion, axis) - self.low) / (self.high - self.low), 0.0, 1.0)
         order = np.arange(1, TERMS + 1)
-        out = np.cos(np.pi * u[:, None] * order) / order**1.5
-        out[self.uncorrected(motion)] = 0.0
+        out = np.cos(np.pi * u[:, None] * order) / order**FINER
+        if self.over == TIME:  # what it does at other times, nobody knows; elsewhere it stays as at its end
+            out[self._beyond(motion, axis)] = 0.0
         return out
 
-    def uncorrected(self, motion: Motion) -> Booleans:
-        """(n,) bool, exposures at times that no recording covers: the same time does not come again."""
-        if self.over != TIME:
-            return np.zeros(len(motion.t), bool)
-        elapsed = motion.t - motion.path.began
-        return (elapsed < self.low) | (elapsed > self.high)
+    def uncovered(self, motion: Motion) -> Floats:
+        out = np.zeros(motion.lengths.shape)
+        order = np.arange(1, len(self.coefficients) + 1)
+        usual = self.size * float(np.linalg.norm(np.asarray(self.coefficients) / order**FINER)) / np.sqrt(2)
+        for i in np.flatnonzero(self.axes(motion.places)).tolist() if self.over != HISTORY else ():
+            out[self._beyond(motion, i), i] = usual
+        return out
+
+    def _beyond(self, motion: Motion, axis: int) -> Booleans:
+        """(n,) bool, exposures where the covariate is beyond what was recorded."""
+        x, room = self._covariate(motion, axis), ROOM * (self.high - self.low)
+        return (x < self.low - room) | (x > self.high + room)
 
     def _covariate(self, motion: Motion, axis: int) -> Floats:
         if self.over == TIME:
@@ -159,7 +168,7 @@ def _restored(over: str, place: str, values: Mapping[str, object]) -> Unmodelled
 @cache
 def unmodelled_curve(over: str) -> type[UnmodelledCurve]:
     """The class of curves over a covariate: TIME, TRAVEL, HISTORY, one of POSE or a sensor channel."""
-    own = {"__slots__": (), "over": over, "name": PREFIX + over, "on_pose": over in POSE}
+    own = {"__slots__": (), "over": over, "name": PREFIX + over, "on_pose": over in POSE, "sudden": over == TIME}
     return type("UnmodelledCurve", (UnmodelledCurve,), own)
 
 
