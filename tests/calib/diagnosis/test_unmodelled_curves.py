@@ -1,19 +1,26 @@
 """What has no name is undone by a curve: on machines of the independent truth, measured where they really go."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from calib.api import calibrate as calibrating
-from calib.api.calibrate import CalibrateOptions
+from calib.api.calibrate import CalibrateOptions, calibrate
+from calib.api.correct import CorrectOptions, correct
+from calib.certification.calibration_evidence import calibration_evidence
 from calib.correction.physics_compensation import Unknown
 from calib.diagnosis.findings_refit import Findings
 from calib.files import calibration_file
 from calib.samples.pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import BY_NAME
+from rig.recording.recording_folder import WantedPoses, load_recording
+from rig.recording.recording_tables import Poses
 from tests.calib.odd_machines import OddMachine, odd_laws, without_remainder
-from tests.truth import draw
+from tests.truth import case as cases
+from tests.truth import draw, record, wanted
 
 WANTED = 0.7  # share of the error that is to be undone
 NAMES = list(odd_laws(draw(1, "thermal_expansion"), np.eye(6)[0]))
@@ -58,3 +65,46 @@ def test_a_curve_over_time_is_left_out_beyond_the_recorded_time(tmp_path):
     found = calibrated(machine, unknown_at(machine.place, "time"))
     (unknown,) = found.physics.unknown
     assert "time" in unknown.by and "within the recorded time only" in unknown.sentence()
+    assert unknown.sentence() in calibration_evidence(found).unexplained
+    T = RigidTransform.from_matrix(wanted(machine.case, 3))
+    ends = float(machine.case.way.t[-1])
+    told = []
+    for t in (np.array([60.0, 120.0, 180.0]), np.array([60.0, 120.0, 2 * ends])):
+        poses = WantedPoses(Poses(np.arange(3), T, None), t)
+        told.append(correct(found, poses, CorrectOptions(approach="never")).commanded)
+    assert not told[0].uncovered and told[1].uncovered == ((f"a curve over time at {machine.place}", 1),)
+    sure, unsure = (np.trace(done.covariance[2, :3, :3]) for done in told)
+    assert unsure > 2 * sure and np.allclose(told[0].values[:2], told[1].values[:2], atol=1e-8)
+
+
+def test_noise_has_no_curve(tmp_path):
+    machine = OddMachine.of("dent in the screw", 1, tmp_path, 60)
+    case = replace(machine.case, laws=())
+    case = replace(case, seen=cases._seen(case, np.random.default_rng(3)))
+    plain = OddMachine(case, tmp_path, load_recording(record(case, tmp_path / "plain")))
+    found = calibrated(plain, *(unknown_at(f"strut {i}", "time") for i in range(1, 7)))
+    assert not found.physics.effects and not any(u.by or u.undone for u in found.physics.unknown)
+    assert all("not corrected, as no smooth function" in u.sentence() for u in found.physics.unknown)
+
+
+def test_why_nothing_is_undone_is_stated():
+    reasons = {
+        "camera c1": "changes what cameras see",
+        "rig": "belongs to no single axis",
+        "strut 2": "no smooth function of configuration, time, travel, history or a sensor",
+    }
+    for place, reason in reasons.items():
+        assert reason in unknown_at(place, "time").sentence()
+    assert "scatter that follows nothing recorded" in Unknown("strut 2", 1e-5, "m", (), False).sentence()
+    assert Unknown("strut 2", 1e-5, "m", ("pose",), True).undone
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("law", NAMES)
+def test_most_of_an_odd_law_is_undone(tmp_path, law, seed):
+    machine = OddMachine.of(law, seed, tmp_path)
+    plain = calibrate(machine.recording, CalibrateOptions(quick=True)).calibration
+    before, _ = machine.driven(without_remainder(plain))
+    after, _ = machine.driven(calibrate(machine.recording, CalibrateOptions(find=True)).calibration)
+    assert after < (1 - WANTED) * before
