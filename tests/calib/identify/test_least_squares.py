@@ -94,9 +94,7 @@ def test_steps_that_do_not_settle_are_refused():
         fit_least_squares(uphill, [0.5], [0.0], [np.inf])
 
 
-def test_a_step_that_a_sum_and_a_bound_leave_no_room_for_is_none():
-    bounds = np.array([[0.0, 1.0], [0.0, 1.0]])
-    step, _ = bounded_least_squares_step(
-        np.array([3.0, -3.0]), np.eye(2), np.array([1.0, 0.0]), bounds, np.ones((1, 2))
-    )
+def test_a_step_that_a_bound_and_a_sum_leave_no_room_for_is_none():
+    bounds, values = np.array([[0.0, 1.0], [0.0, 1.0]]), np.array([1.0, 0.5])
+    step, _ = bounded_least_squares_step(np.array([0.3, -0.3]), np.eye(2), values, bounds, np.ones((1, 2)))
     assert step.tolist() == [0.0, 0.0]
