@@ -7,6 +7,7 @@ import numpy as np
 
 from calib.api.correct import CorrectionResult, CorrectOptions, correct
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from rig.model.mechanisms import axis_place_texts
 from rig.recording.recording_folder import Recording, load_recording, load_sensors, load_wanted_poses
 from tests.truth import Case, draw, drive_in_time, errors, oddities, record, rms, wanted, write_sensors, write_wanted
 from tests.truth import case as cases
@@ -17,22 +18,23 @@ EVERY = 62.0  # s between wanted poses, about as in the recording
 
 
 def odd_laws(case: Case, axes: np.ndarray) -> dict[str, Law]:
-    """Laws by name, each some 10 to 100 um large, at axes (axes,)."""
+    """Laws by name, each some 10 to 100 um large (an arm's joints: 0.1 to 1 mrad), at axes (axes,)."""
     warm = case.day.axes_at(case.way.looked)[:, int(axes.argmax())]
     middle, half, span = float(warm.mean()), float(np.ptp(warm)) / 2, float(case.way.t[-1])
+    um, cm = (1e-6, 0.01) if case.kind == "hexapod" else (6e-6, 0.3)
     return {
-        "friction heat": oddities.FrictionHeat(axes, 2e-4, span / 15, 0.02, 0.5, 1.0),
-        "friction heat that saturates": oddities.FrictionHeat(axes, 2e-4, span / 6, 1.0, 0.4, 0.7),
-        "gap that widens along the screw": oddities.SlopingGap(axes, 2e-5, 2e-4),
-        "one-sided loop, short": oddities.OneSidedLoop(axes, 6e-5, 0.01, 0.4),
-        "one-sided loop, long": oddities.OneSidedLoop(axes, 6e-5, 0.03, 1.0),
-        "heat with a knee": oddities.HeatCurve(axes, 8e-5, middle, half, "knee"),
-        "heat that turns": oddities.HeatCurve(axes, 8e-5, middle, half, "turn"),
-        "heat that snaps": oddities.HeatCurve(axes, 5e-5, middle, half, "snap"),
-        "dent in the screw": oddities.Dent(axes, 8e-5, 0.05, 0.1),
-        "bent frame": oddities.Bent(axes, 8e-5, 0.03),
-        "swing after switching on": oddities.Course(axes, 1e-4, span, "swing"),
-        "soak after switching on": oddities.Course(axes, 1e-4, span, "root"),
+        "friction heat": oddities.FrictionHeat(axes, 200 * um, span / 15, 2 * cm, 50 * cm, 1.0),
+        "friction heat that saturates": oddities.FrictionHeat(axes, 200 * um, span / 6, 100 * cm, 40 * cm, 0.7),
+        "gap that widens along the screw": oddities.SlopingGap(axes, 20 * um, 200 * um),
+        "one-sided loop, short": oddities.OneSidedLoop(axes, 60 * um, cm, 0.4),
+        "one-sided loop, long": oddities.OneSidedLoop(axes, 60 * um, 3 * cm, 1.0),
+        "heat with a knee": oddities.HeatCurve(axes, 80 * um, middle, half, "knee"),
+        "heat that turns": oddities.HeatCurve(axes, 80 * um, middle, half, "turn"),
+        "heat that snaps": oddities.HeatCurve(axes, 50 * um, middle, half, "snap"),
+        "dent in the screw": oddities.Dent(axes, 80 * um, 0.05, 0.1),
+        "bent frame": oddities.Bent(axes, 80 * um, 3 * cm),
+        "swing after switching on": oddities.Course(axes, 100 * um, span, "swing"),
+        "soak after switching on": oddities.Course(axes, 100 * um, span, "root"),
     }
 
 
@@ -45,10 +47,10 @@ class OddMachine:
     recording: Recording
 
     @staticmethod
-    def of(law: str, seed: int, folder: Path, count: int = 120) -> "OddMachine":
-        """The machine of a seed with a law at one strut, which the seed chooses; its thermometers are logged."""
-        case = draw(seed, "thermal_expansion", "strong", "shuffled", "hexapod", count=count)
-        axes = np.eye(6)[seed % 6]
+    def of(law: str, seed: int, folder: Path, count: int = 120, kind: str = "hexapod") -> "OddMachine":
+        """The machine of a seed with a law at one axis, which the seed chooses; its thermometers are logged."""
+        case = draw(seed, "thermal_expansion", "strong", "shuffled", kind, count=count)
+        axes = np.eye(case.owner.width)[seed % case.owner.width]
         case = replace(case, laws=(odd_laws(case, axes)[law],), sigma=NOISE)
         case = replace(case, seen=cases._seen(case, np.random.default_rng(seed)))
         return OddMachine(case, folder, load_recording(record(case, folder / "recording")))
@@ -56,7 +58,7 @@ class OddMachine:
     @property
     def place(self) -> str:
         """Where the law is."""
-        return f"strut {int(self.case.laws[0].axes.argmax()) + 1}"
+        return axis_place_texts(self.recording.design.mechanism)[int(self.case.laws[0].axes.argmax())]
 
     def driven(self, calibration: Calibration) -> tuple[float, CorrectionResult]:
         """(RMS position error in m at fresh poses, the correction) where the machine goes by a calibration's commands,

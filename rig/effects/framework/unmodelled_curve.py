@@ -17,6 +17,7 @@ from rig.effects.framework.formula_quantities import POSE
 from rig.effects.framework.machine_motion_and_play import Motion, exponentially_fading_travel, play_deviation
 
 TIME, TRAVEL, HISTORY = "time", "recent_travel", "history"
+OWN = (TIME, TRAVEL, HISTORY, *POSE)  # covariates that are no sensor's
 PREFIX = "unmodelled_over_"
 FINER = 1.5  # power of its number by which a function is smaller than the first
 ROOM = 0.05  # of the recorded span, by which a covariate may lie beyond it
@@ -58,7 +59,7 @@ class UnmodelledCurve(Effect):
         return _restored, (self.over, self.place, self.values())
 
     def needs(self, motion: Motion) -> str | None:
-        return None if self.over in (TIME, TRAVEL, HISTORY, *POSE) else motion.no_channel(self.over)
+        return None if self.over in OWN else motion.no_channel(self.over)
 
     def forgets(self) -> float:
         return 2 * self.high if self.over == HISTORY and self.size else 0.0
@@ -173,5 +174,7 @@ def unmodelled_curve(over: str) -> type[UnmodelledCurve]:
 
 
 def unmodelled_curves(channels: tuple[str, ...]) -> dict[str, type[UnmodelledCurve]]:
-    """{name: class} of the curves that sensor channels allow, those over time and motion among them."""
-    return {kind.name: kind for kind in map(unmodelled_curve, (TIME, TRAVEL, HISTORY, *POSE, *channels))}
+    """{name: class} of the curves that sensor channels allow, those over time and motion among them; a channel that is
+    called like one of these has none.
+    """
+    return {kind.name: kind for kind in map(unmodelled_curve, dict.fromkeys((*OWN, *channels)))}

@@ -23,13 +23,14 @@ from tests.truth import case as cases
 from tests.truth import draw, record, wanted
 
 WANTED = 0.7  # share of the error that is to be undone
+OF_ARMS = ("gap that widens along the screw", "one-sided loop, long", "heat with a knee", "swing after switching on")
 NAMES = list(odd_laws(draw(1, "thermal_expansion"), np.eye(6)[0]))
 
 
-def calibrated(machine, *unknown):
-    """Calibration of a machine as if a diagnosis had found nothing but these Unknowns."""
+def calibrated(machine, *unknown, sigma=None):
+    """Calibration of a machine as if a diagnosis had found nothing but these Unknowns; sigma : as of Findings"""
     sampled = sample_recording(machine.recording)
-    findings = Findings((), None, unknown)
+    findings = Findings((), sigma, unknown)
     options = CalibrateOptions(diagnosis=Path("unused"))
     done = calibrating._calibrated(machine.recording, sampled, findings, BY_NAME, options, lambda *_: None)
     return done.calibration
@@ -40,14 +41,14 @@ def unknown_at(place, depends_on):
 
 
 @pytest.mark.parametrize(
-    "law, depends_on, covariate",
+    "kind, law, depends_on, covariate",
     [
-        ("heat with a knee", "strut2_temperature_C", "temperature"),
-        ("gap that widens along the screw", "history", "history"),
+        ("hexapod", "heat with a knee", "strut2_temperature_C", "temperature"),
+        ("arm", "gap that widens along the screw", "history", "history"),
     ],
 )
-def test_an_unknown_is_undone_by_a_curve(tmp_path, law, depends_on, covariate):
-    machine = OddMachine.of(law, 1, tmp_path, 60)
+def test_an_unknown_is_undone_by_a_curve(tmp_path, kind, law, depends_on, covariate):
+    machine = OddMachine.of(law, 1, tmp_path, 60, kind)
     with_curve = calibrated(machine, unknown_at(machine.place, depends_on))
     (unknown,) = with_curve.physics.unknown
     assert covariate in unknown.by[0] and unknown.undone
@@ -87,6 +88,14 @@ def test_noise_has_no_curve(tmp_path):
     assert all("not corrected, as no smooth function" in u.sentence() for u in found.physics.unknown)
 
 
+@pytest.mark.parametrize("kind", ["hexapod", "arm"])
+def test_a_curve_stands_beside_what_another_recording_told(tmp_path, kind):
+    machine = OddMachine.of("gap that widens along the screw", 1, tmp_path, 60, kind)
+    own, other = (calibrated(machine, unknown_at(machine.place, "history"), sigma=s) for s in (None, np.zeros(0)))
+    assert own.physics.effects == other.physics.effects != ()
+    assert np.allclose(own.physics.own, other.physics.own, rtol=1e-3, atol=1e-6)
+
+
 def test_why_nothing_is_undone_is_stated():
     reasons = {
         "camera c1": "changes what cameras see",
@@ -100,10 +109,12 @@ def test_why_nothing_is_undone_is_stated():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("law", NAMES)
-def test_most_of_an_odd_law_is_undone(tmp_path, law, seed):
-    machine = OddMachine.of(law, seed, tmp_path)
+@pytest.mark.parametrize(
+    "kind, law, seed",
+    [*(("hexapod", law, seed) for law in NAMES for seed in (1, 2)), *(("arm", law, 1) for law in OF_ARMS)],
+)
+def test_most_of_an_odd_law_is_undone(tmp_path, kind, law, seed):
+    machine = OddMachine.of(law, seed, tmp_path, kind=kind)
     plain = calibrate(machine.recording, CalibrateOptions(quick=True)).calibration
     before, _ = machine.driven(without_remainder(plain))
     after, _ = machine.driven(calibrate(machine.recording, CalibrateOptions(find=True)).calibration)
