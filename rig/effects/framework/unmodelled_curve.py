@@ -24,7 +24,7 @@ ROOM = 0.05  # of the recorded span, by which a covariate may lie beyond it
 TERMS = 8  # functions of a curve
 PLAYS = 8  # of a loop, each half as wide as the next
 REACHES = (0.02, 0.1, 0.5)  # shares of the recorded travel that the widest play takes
-FADES = (0.01, 0.03, 0.1, 0.3, 1.0, 10.0)  # shares of the recorded time that travel is remembered for
+FADES = (0.01, 0.03, 0.1, 0.3)  # shares of the recorded time that travel is remembered for; longer, and it is the time
 LAGS = (0.0, 0.01, 0.03, 0.1, 0.3)  # shares of the recorded time by which the metal follows a sensor
 LEAST = 1e-9  # of a covariate's greatest value, by which it must vary
 
