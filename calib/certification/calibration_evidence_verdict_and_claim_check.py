@@ -22,6 +22,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
 )
 from calib.samples.confounded_conditions import Confounds, confound_sentences
 from calib.samples.pose_samples import Samples
+from rig.effects.framework.unmodelled_curve import TIME
 from rig.report.verdict_and_refutations_by_later_recordings import (
     LOOK,
     Evidence,
@@ -84,8 +85,10 @@ def calibration_evidence_verdict_and_claim_check(
             missing.append(MissingEvidence("it is not shown to be better than the nominal model", MORE))
     unexplained = () if claim is None else claim.unexplained
     if calibration.physics is not None:
-        nameless = [u.place for u in calibration.physics.unknown if not u.corrected]
-        unexplained = (*unexplained, *(f"no catalogued effect explains the residual at {place}" for place in nameless))
+        left = calibration.physics.unknown
+        nameless = [f"no catalogued effect explains the residual at {u.place}" for u in left if not u.undone]
+        passing = [u.sentence() for u in left if u.undone and TIME in u.by]  # the same time does not come again
+        unexplained = (*unexplained, *nameless, *passing)
     doubted = tuple(one.line for one in refutations if one.state != State.BAD)
     return Evidence(
         said if statement is None else statement,

@@ -17,28 +17,65 @@ from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
+from rig.effects.framework.unmodelled_curve import TIME
 from rig.errors import NotConverged, RigError
+from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model import mechanisms, motion_simulation
 from rig.model import motion_simulation as machine
 from rig.model.design import Actuator, Design, Platform
+from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, has_struts
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Sensors
 
+MOST_LEFT = 0.5  # share of what has no name that curves may leave of it
 ANOTHER_DAY = 2.0  # K, standard deviation by which a room and its struts differ from one day to another
 
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
     """What no catalogued effect explains. place; magnitude, in unit; depends_on : covariates; corrected : whether a
-    smooth function over the configuration space takes it out."""
+    smooth function over the configuration space takes it out
+    by : covariates of the smooth curves that undo some of it, none without; held_out : its RMS on held-out poses
+    without these curves and with them, m or rad, noise taken off."""
 
     place: str
     magnitude: float
     unit: str
     depends_on: tuple[str, ...]
     corrected: bool
+    by: tuple[str, ...] = ()
+    held_out: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def undone(self) -> bool:
+        """Whether corrections take most of it out."""
+        return self.corrected or (bool(self.by) and self.held_out[1] <= MOST_LEFT * self.held_out[0])
+
+    def sentence(self) -> str:
+        """What is undone of it, or why nothing is."""
+        at = Place.parse(self.place)
+        if self.by:
+            before, after = self.held_out
+            gained, whole = quantity_text(max(before - after, 0.0), "m"), quantity_text(before, "m")
+            said = f"a smooth curve undoes {gained} of {whole} (held out)"
+            said += "; over time it holds within the recorded time only" if TIME in self.by else ""
+            return f"unknown at {self.place}, by {' and '.join(self.by)}: {said}"
+        if self.corrected:
+            reason = "corrected as a smooth function of the configuration"
+        elif at.kind in ("camera", "cameras", "marker", "markers", "target"):
+            reason = "not corrected, as it changes what cameras see and no command undoes it"
+        elif not at.is_axis:
+            reason = "not corrected, as it belongs to no single axis"
+        elif not self.depends_on:
+            reason = "not corrected, as it is scatter that follows nothing recorded"
+        else:
+            reason = (
+                "not corrected, as no smooth function of configuration, time, travel, history or a sensor reduces the "
+                "held-out error"
+            )
+        return f"unknown at {self.place}: {reason}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,6 +1,6 @@
 """Findings of a diagnosis refitted with the geometry for a calibration, on platforms and arms."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
@@ -22,6 +22,7 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import smooth_temperatures
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
+from calib.diagnosis.unmodelled_curves import arm_fit_with_curves, refinement_with_curves
 from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm_of_fit
 from calib.models.arm.error_model_and_observations import parameter_names, sample_observations
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, JointFit, Prior, fit_geometry_and_effects
@@ -118,7 +119,18 @@ def findings_of_diagnosis(diagnosis: Diagnosis) -> Findings:
 
 def unexplained_findings(lacks_of_fit: Iterable[LackOfFit]) -> tuple[Unknown, ...]:
     """Findings that stay unexplained: what is left over and has no name."""
-    return tuple(Unknown(str(u.place), u.magnitude, u.unit, tuple(u.depends_on), False) for u in lacks_of_fit)
+    return _one_of_each_place(
+        [Unknown(str(u.place), u.magnitude, u.unit, tuple(u.depends_on), False) for u in lacks_of_fit]
+    )
+
+
+def _one_of_each_place(found: Sequence[Unknown]) -> tuple[Unknown, ...]:
+    """The first Unknown of each place, with all that those of its place depend on."""
+    places = {u.place: [v for v in found if v.place == u.place] for u in found}
+    return tuple(
+        replace(own[0], depends_on=tuple(dict.fromkeys(name for u in own for name in u.depends_on)))
+        for own in places.values()
+    )
 
 
 def load_findings(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) -> Findings:
@@ -136,7 +148,7 @@ def load_findings(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) ->
         )
     _, effects = machine_json.load_machine(folder / "machine.json", recording.design, kinds)
     entries = tree.tables("findings")
-    unknown = tuple(_unknown(entry) for entry in entries if entry.text("effect") == UNKNOWN)
+    unknown = _one_of_each_place([_unknown(entry) for entry in entries if entry.text("effect") == UNKNOWN])
     origin = manifest(folder).origin
     known = [line.partition(" ")[2] for line in origin.data] if origin is not None else []
     another = known and not frames_with_known_hashes(content_hashes_of_frames(recording), known)
@@ -192,6 +204,7 @@ def refit_platform_with_findings(
     refined = refine_operating_point(
         point.with_effects(e for e in findings.effects if not e.discrete), Sensitivities(point)
     )
+    refined, unknown = refinement_with_curves(refined, findings.unknown)
     effects, own = _combined(refined, findings)
     said("refining physics and geometry jointly", 1, 1)
     k, samples = refined.point.with_effects(_motion(effects)), sampled.samples
@@ -207,7 +220,7 @@ def refit_platform_with_findings(
         design.actuator,
         design.platform,
         sensor_medians_and_standard_deviations(recording, samples.t),
-        findings.unknown,
+        unknown,
     )
     return PlatformRefit(replace(samples, known=known), physics, refined)
 
@@ -220,9 +233,11 @@ def _combined(refined: Refinement, findings: Findings) -> tuple[tuple[Effect, ..
     coordinates: list[Coordinate] = refined.coordinates
     if findings.sigma is not None and refined.column is not None:
         kept = [e for e in findings.effects if not e.discrete]
-        before = np.array([c.read(kept[c.effect]) for c in coordinates])
-        weight = np.diag(1 / np.maximum(findings.sigma, 1e-300) ** 2)
-        own = cast(Floats, np.linalg.inv(refined.model.linear.project(refined.column).gram + weight))
+        told = len(findings.sigma)  # curves for what has no name stand behind these, and are of this recording alone
+        before = np.r_[[c.read(kept[c.effect]) for c in coordinates[:told]], refined.values[told:]]
+        weight = np.diag(np.r_[1 / np.maximum(findings.sigma, 1e-300) ** 2, np.zeros(len(coordinates) - told)])
+        loose = np.diag(np.r_[np.zeros(told), [c.loose**2 for c in coordinates[told:]]])
+        own = cast(Floats, np.linalg.inv(refined.model.linear.project(refined.column).gram + weight + loose))
         for c, value in zip(coordinates, refined.values + own @ (weight @ (before - refined.values))):
             effects[c.effect] = c.written(effects[c.effect], value)
     return (*(e for e in findings.effects if e.discrete), *effects), own
@@ -292,6 +307,7 @@ def refit_arm_with_findings(
     found = fit_geometry_and_effects(
         samples, History(design, commands, smooth_temperatures(recording.sensors)[0]), start, findings.effects, before
     )
+    found, unknown = arm_fit_with_curves(found, findings.unknown)
     said("refining physics and geometry jointly", 1, 1)
     physics = Physics(
         found.effects,
@@ -301,6 +317,6 @@ def refit_arm_with_findings(
         design.actuator,
         design.platform,
         sensor_medians_and_standard_deviations(recording, samples.t),
-        findings.unknown,
+        unknown,
     )
     return ArmRefit(found, physics)

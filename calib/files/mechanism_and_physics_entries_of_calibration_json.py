@@ -4,6 +4,7 @@ Pose space maps included.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,6 +13,7 @@ from calib.correction.physics_compensation import Physics, Unknown
 from rig.array_and_json_types import Booleans, Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.unmodelled_curve import unmodelled_curves
 from rig.effects.texts.effect_text_parsing import Kinds
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
@@ -261,21 +263,29 @@ def physics_from_entries(
         ),
         {},
     )
-    effects = effects_from_entries(table, held.machine(mechanism), kinds, lambda entry: not _seen(entry))
-    own = len(coordinates_of_effects(effects))
-    covariance, cross = table.array("covariance", (own, own)), table.array("cross_covariance", (parameter_count, own))
-    if (np.diag(covariance) < 0).any() or not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-300):
-        table.fail("physics.covariance is not a covariance", "covariance")
     channels = table.table("channels")
     logged = {
         name: (channels.table(name).number("median"), channels.table(name).number("sigma", least=0))
         for name in channels.tree
     }
-    unknown = tuple(
-        Unknown(u.text("place"), u.number("magnitude"), u.text("unit"), u.texts("depends_on"), u.flag("corrected"))
-        for u in table.tables("unknown")
-    )
+    known = {**kinds, **unmodelled_curves(tuple(logged))}
+    effects = effects_from_entries(table, held.machine(mechanism), known, lambda entry: not _seen(entry))
+    own = len(coordinates_of_effects(effects))
+    covariance, cross = table.array("covariance", (own, own)), table.array("cross_covariance", (parameter_count, own))
+    if (np.diag(covariance) < 0).any() or not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-300):
+        table.fail("physics.covariance is not a covariance", "covariance")
+    unknown = tuple(_unknown(entry) for entry in table.tables("unknown"))
     return Physics(effects, covariance, cross, held.gravity, held.actuator, held.platform, logged, unknown)
+
+
+def _unknown(entry: Entries) -> Unknown:
+    """An Unknown from its entries; curves that undo some of it may be absent."""
+    size, unit, names = entry.number("magnitude"), entry.text("unit"), entry.texts("depends_on")
+    found = Unknown(entry.text("place"), size, unit, names, entry.flag("corrected"))
+    if "by" not in entry.tree:
+        return found
+    before, after = entry.array("held_out", (2,)).tolist()
+    return replace(found, by=entry.texts("by"), held_out=(before, after))
 
 
 def _seen(entry: Entries) -> bool:

@@ -59,7 +59,7 @@ def _solved(b: Floats, G: Floats, kept: Floats) -> tuple[Floats, Floats]:
     kept = kept[kept.any(axis=1)]
     along = null_space(kept / scale) if len(kept) else None
     values, vectors = np.linalg.eigh(scaled if along is None else along.T @ scaled @ along)
-    there = values > NULL * max(values[-1], 1e-300)
+    there = values > NULL * max(values.max(initial=0.0), 1e-300)  # none where every direction changes a sum
     half = vectors[:, there] / np.sqrt(values[there])
     half = (half if along is None else along @ half) / scale[:, None]
     return half @ (half.T @ b), half @ half.T

@@ -1,7 +1,7 @@
 """Commands for wanted poses through a calibration, with approaches and the covariance of each pose."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -22,6 +22,7 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.effects.framework.effect import Effect
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms
+from rig.model.motion_simulation import motion_of_commands
 from rig.planning.plan import SPEED, UNSTATED_SPEED
 from rig.recording.recording_folder import Sensors
 
@@ -34,24 +35,27 @@ class RouteCommands:
     """values : (n, axes) m or rad to command at the wanted poses; route : Route; T_base_platform : (n,) poses that come
     of them by the calibration, those wanted but for an arm of too few joints; covariance : (n, 6, 6) of these (m, rad,
     on the right), None for commands that were given;
-    missing : sensor channels that nobody logged, whose spread is in it."""
+    missing : sensor channels that nobody logged, whose spread is in it; uncovered : (what, number of poses) of what was
+    learnt where these are not, whose usual size is in it."""
 
     values: Floats
     route: Route
     T_base_platform: RigidTransform
     covariance: Floats | None
     missing: tuple[str, ...]
+    uncovered: tuple[tuple[str, int], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Spread:
     """covariance : (n, 6, 6) of poses; responses : Responses there; missing : channels that nobody logged and that
-    change something.
+    change something; uncovered : as of RouteCommands
     """
 
     covariance: Floats
     responses: Responses
     missing: tuple[str, ...]
+    uncovered: tuple[tuple[str, int], ...]
 
 
 def pace_that_holds_poses_at_times(calibration: Calibration, hold_times: Floats, sensors: Sensors | None) -> Pace:
@@ -101,7 +105,7 @@ def commands_along_route(
         unknown_history_uncertainty(of, T, route, values) ** 2 / 3
     )  # anywhere between the two, as likely here as there
     forgotten = np.einsum("nij,nj,nkj->nik", base.responses.axes, doubt, base.responses.axes)
-    return RouteCommands(values, route, T, base.covariance + forgotten, base.missing)
+    return RouteCommands(values, route, T, base.covariance + forgotten, base.missing, base.uncovered)
 
 
 def _approached(of: Machine, T: RigidTransform, route: Route, values: Floats, pace: Pace, sure: Floats | None) -> Route:
@@ -158,7 +162,7 @@ def _covariance(
 
     at : (Route, values (n, axes) at its poses)
     """
-    (route, values), parts, missing = at, [], []
+    (route, values), parts, missing, uncovered = at, [], [], []
     commands, t = route.commands(values), route.times
     lengths = of.effective(commands, t, T)
     responses = calibration.correction.responses(T, lengths)
@@ -181,6 +185,13 @@ def _covariance(
     any_time = t + ANY_TIME * (
         np.arange(len(t)) * GOLDEN % 1
     )  # not the poses' own times, which may all meet a sinusoid alike
+    design = physics.machine(calibration.correction.fitted)
+    motion = replace(motion_of_commands(design, commands, t, of.effects, of.sensors), T=T)
+    for effect in of.effects:
+        far = effect.uncovered(motion)
+        if far.any():
+            parts.append(responses.axes * far[:, None, :])
+            uncovered.append((f"{effect.label()} at {effect.place}", int(far.any(axis=1).sum())))
     for effect in physics.scattering():
         moved = (stands(any_time, (*of.effects, effect)) - stands(any_time))[..., None]
         parts.append(np.sqrt(np.mean(moved**2, axis=0, keepdims=True)) * np.eye(6))
@@ -190,7 +201,8 @@ def _covariance(
         + both
         + np.swapaxes(both, 1, 2)
     )
-    return _Spread(sum((part @ np.swapaxes(part, 1, 2) for part in parts), covariance), responses, tuple(missing))
+    whole = sum((part @ np.swapaxes(part, 1, 2) for part in parts), covariance)
+    return _Spread(whole, responses, tuple(missing), tuple(uncovered))
 
 
 def _columns(physics: Physics, of: Machine, stands: Callable[[tuple[Effect, ...]], Floats]) -> Floats:

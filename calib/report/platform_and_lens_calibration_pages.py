@@ -102,9 +102,12 @@ def view_3d_html(recording: Recording, calibration: Calibration, samples: Sample
 
 
 def evidence_html(calibration: Calibration) -> list[str]:
-    """HTML of the evidence for a calibration and its claim; empty without a claim."""
-    claim = calibration.claim
-    return [] if claim is None else [list_html([*calibration_verdict(calibration).rests_on, *claim_lines(claim)[1:]])]
+    """HTML of the evidence for a calibration and its claim, and of what has no name; empty without a claim."""
+    claim, physics = calibration.claim, calibration.physics
+    if claim is None:
+        return []
+    unknown = [] if physics is None else [u.sentence() for u in physics.unknown]
+    return [list_html([*calibration_verdict(calibration).rests_on, *claim_lines(claim)[1:], *unknown])]
 
 
 def _held(held: HeldOut | None) -> list[str]:

@@ -194,6 +194,11 @@ def _print_uncertainty(result: CorrectionResult, covariance: Floats) -> None:
             "not logged, so assumed at their central value of the calibration, with their spread: "
             f"{', '.join(done.missing)}"
         )
+    for what, count in done.uncovered:
+        print(
+            f"{count} poses lie beyond what {what} was recorded over: over time it is not corrected there, all else is "
+            "held at its end; its size is in the uncertainty"
+        )
     if done.route.approached.any():
         print(f"{done.route.approached.sum()} poses are approached from one side")
     left = [] if physics is None else [f"{e.label()} at {e.place}" for e in physics.scattering()]

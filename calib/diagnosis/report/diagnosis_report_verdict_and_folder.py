@@ -81,14 +81,12 @@ class Report(OneLineRepr):
     remarks : what is there and is no fault; said : what the operator stated beforehand, as options
     covariates : what the remainder goes with, the one that explained most before first
     recordings : of several, which; own_effects : files of effects that were requested besides the catalogue
-    suggestions : formulas for what has no name; more : what one kind of machine has besides
-    confounds : of the recording, None where nothing was commanded
+    suggestions : formulas for what has no name; confounds : None where nothing was commanded
     left_out : rows that agree with no others, left out before the search
     crowd : what is far off in too many to be left out, or None
-    noise_from : "stated"; "residuals" where nobody states a corner's noise and the residuals determine it; "assumed"
-    where nobody states the poses' noise
-    calibrations : OfCalibrations, of those made from the recording that are beside it
-    asked : how many hypotheses, an effect at a place each, were held against the recording"""
+    noise_from : "stated", "residuals" (which determine a corner's noise) or "assumed" (that of poses)
+    calibrations : of those made from the recording that are beside it
+    asked : how many hypotheses, an effect at a place each, were tested"""
 
     recording: str
     start_s: float

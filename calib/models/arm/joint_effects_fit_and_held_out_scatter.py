@@ -129,7 +129,7 @@ class JointFit:
         """(p, c) by which the geometry's parameters follow the effects' coordinates, of an arm identified on these
         samples.
         """
-        seen = _Seen.of(self.samples, found)
+        seen = WhitenedSamples.of(self.samples, found)
         out = np.zeros((len(found.free), len(self.own)))
         out[found.free] = -np.linalg.lstsq(seen.nuisances, seen.whitened(self.columns), rcond=None)[0][
             : int(found.free.sum())
@@ -151,7 +151,7 @@ def fit_geometry_and_effects(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class WhitenedSamples:
     """How samples see an arm. W : (m, k, k) weights of those that agree; inliers : (n,) bool; q : (n, joints);
     kind : of Observations; arm : Arm
     nuisances : (m k + j, p + j) whitened columns of the free parameters and of the j shared draws; basis : orthonormal,
@@ -166,12 +166,12 @@ class _Seen:
     basis: Floats
 
     @staticmethod
-    def of(samples: Samples, found: Identified) -> "_Seen":
+    def of(samples: Samples, found: Identified) -> "WhitenedSamples":
         o, shared = sample_observations(samples), samples.common.shape[2]
         W = np.linalg.inv(np.linalg.cholesky(o.covariance + np.diag(found.scatter**2)))[found.inliers]
         J = np.concatenate([o.jacobian(found.arm)[..., found.free], o.common], axis=2)[found.inliers]
         stacked = np.concatenate([(W @ J).reshape(-1, J.shape[2]), np.eye(J.shape[2])[J.shape[2] - shared :]])
-        return _Seen(
+        return WhitenedSamples(
             W,
             found.inliers,
             o.q,
@@ -212,8 +212,11 @@ class _Prior:
     @staticmethod
     def of(coordinates: list[Coordinate], effects: tuple[Effect, ...], before: Prior | None) -> "_Prior":
         loose = np.array([c.loose for c in coordinates]) ** 2
-        told = np.zeros(len(loose)) if before is None else np.maximum(before.sigma, 1e-300) ** -2.0
-        values = np.zeros(len(loose)) if before is None else told * before.values / np.maximum(loose + told, 1e-300)
+        told, values = np.zeros(len(loose)), np.zeros(len(loose))
+        if before is not None:  # of the first: what was added since is of these samples alone
+            count = len(before.sigma)
+            told[:count] = np.maximum(before.sigma, 1e-300) ** -2.0
+            values[:count] = told[:count] * before.values / np.maximum(loose + told, 1e-300)[:count]
         return _Prior(
             values,
             loose + told,
@@ -231,7 +234,7 @@ def _refined(
     """Together from where effects and an Arm stand, with the geometry that is left in the end."""
     coordinates = coordinates_of_effects(effects)
     samples = history.told(measured, effects, arm)
-    seen = _Seen.of(samples, history.identified(samples, arm))
+    seen = WhitenedSamples.of(samples, history.identified(samples, arm))
     prior, own = _Prior.of(coordinates, effects, before), np.zeros((0, 0))
     values, left = _values(coordinates, effects), seen.left(samples)
     for _ in range(ITERATIONS if coordinates else 0):

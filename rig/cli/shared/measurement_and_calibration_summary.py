@@ -285,14 +285,7 @@ def _print_physics(physics: Physics | None) -> None:
     if left:
         print(f"removed from the measurements, and not the commands' to undo: {', '.join(left)}")
     for u in physics.unknown:
-        print(
-            f"unknown at {u.place}: "
-            + (
-                "corrected as a smooth function of the configuration"
-                if u.corrected
-                else "not corrected, as no smooth function of the configuration explains it"
-            )
-        )
+        print(u.sentence())
 
 
 def _print_pose_counts(result: CalibrationResult) -> None:

@@ -3,13 +3,10 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from rig.array_and_json_types import Floats
-from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter, travel_covariate
-from rig.effects.framework.machine_motion_and_play import Motion
+from rig.effects.framework.machine_motion_and_play import Motion, exponentially_fading_travel
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,24 +44,3 @@ class TravelHeating(Effect):
                 path.at
             ],
         )
-
-
-def exponentially_fading_travel(t: Floats, lengths: Floats, time_constant: float) -> Floats:
-    """Travel (m, axes) along lengths (m, axes) m or rad that fades exponentially with a time constant.
-
-    Lengths are linear between knots t (m,) s.
-    Exact: at a steady speed v it nears v * time_constant exponentially. It starts from none.
-    """
-    return _fade(np.ascontiguousarray(t, dtype=float), np.ascontiguousarray(lengths, dtype=float), float(time_constant))
-
-
-@njit(cache=True)
-def _fade(t: Floats, lengths: Floats, time_constant: float) -> Floats:
-    out = np.zeros_like(lengths)
-    for k in range(1, len(t)):
-        dt = t[k] - t[k - 1]
-        fade = np.exp(-dt / time_constant)
-        gain = -np.expm1(-dt / time_constant) * time_constant / dt if dt > 0 else 1.0
-        for i in range(lengths.shape[1]):
-            out[k, i] = out[k - 1, i] * fade + abs(lengths[k, i] - lengths[k - 1, i]) * gain
-    return out

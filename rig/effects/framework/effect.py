@@ -46,9 +46,8 @@ class Candidate:
     """An effect at a place with the values of its nonlinear parameters among which to search.
 
     kind : class of the effect; place; grid : [{parameter: value}], in the order of the search
-    linear : [Linear] of the columns, none where the effect's size is part of its node
-    label : which variant; extra : how many nonlinear parameters the search chooses
-    tied : how many of the columns' coefficients the others determine
+    linear : [Linear] of the columns, none where the effect's size is part of its node; label : which variant
+    extra : how many nonlinear parameters the search chooses; tied : how many coefficients the others determine
     spacing : between values of the one parameter of the grid that are even multiples of it, 0 for all others
     """
 
@@ -72,8 +71,7 @@ class Candidate:
 
     def deviation(self, node: Node, motion: Motion) -> Floats:
         """(n, axes, q) m or rad per unit of each linear parameter that the axes deviate at a Motion; (n, axes, 1) whole
-        where the size is part of the node. For effects that neither shift time nor change the path: see
-        Effect.follow."""
+        where the size is part of the node. For effects that change neither time nor path: see Effect.follow."""
         return self.kind.columns(self, node, motion)
 
 
@@ -171,8 +169,7 @@ class Effect:
 
     def mount(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
         """(n, 6) tangent by which a camera's mount has moved at t (n,) s, on the right; channel(name) -> (n,) sensor
-        values.
-        """
+        values."""
         return np.zeros((len(t), 6))
 
     def focal(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
@@ -194,9 +191,12 @@ class Effect:
     @classmethod
     def bending(cls, camera: Camera, quads: Floats, columns: Sequence[Linear]) -> Floats | None:
         """(..., 4, 2, q) px that `print_` moves corners (..., 4, 2) px by, per unit of each column, where it is linear
-        in them and says so.
-        """
+        in them and says so."""
         return None
+
+    def uncovered(self, motion: Motion) -> Floats:
+        """(n, axes) m or rad by which axes may stand elsewhere (1 sigma) at exposures unlike all it was learnt from."""
+        return np.zeros(motion.lengths.shape)
 
     def covariate(self, motion: Motion) -> Covariate:
         """What the residuals of the axes show it against; by default the prediction of the model."""

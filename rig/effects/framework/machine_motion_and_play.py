@@ -361,3 +361,24 @@ def _lag(t: Floats, x: Floats, time_constant: float) -> Floats:
             behind = (x[k, i] - x[k - 1, i]) / dt * time_constant if dt > 0 else 0.0
             out[k, i] = x[k, i] - behind + (out[k - 1, i] - x[k - 1, i] + behind) * fade
     return out
+
+
+def exponentially_fading_travel(t: Floats, lengths: Floats, time_constant: float) -> Floats:
+    """Travel (m, axes) along lengths (m, axes) m or rad that fades exponentially with a time constant.
+
+    Lengths are linear between knots t (m,) s.
+    Exact: at a steady speed v it nears v * time_constant exponentially. It starts from none.
+    """
+    return _fade(np.ascontiguousarray(t, dtype=float), np.ascontiguousarray(lengths, dtype=float), float(time_constant))
+
+
+@njit(cache=True)
+def _fade(t: Floats, lengths: Floats, time_constant: float) -> Floats:
+    out = np.zeros_like(lengths)
+    for k in range(1, len(t)):
+        dt = t[k] - t[k - 1]
+        fade = np.exp(-dt / time_constant)
+        gain = -np.expm1(-dt / time_constant) * time_constant / dt if dt > 0 else 1.0
+        for i in range(lengths.shape[1]):
+            out[k, i] = out[k - 1, i] * fade + abs(lengths[k, i] - lengths[k - 1, i]) * gain
+    return out

@@ -103,7 +103,11 @@ class WeightedSum(Effect):
             return super().composed(candidate, node, coefficients)
         whole = float(np.sum(coefficients))
         empty = abs(whole) <= LEAST * float(np.abs(coefficients).max(initial=0.0))
-        shares = np.full(len(coefficients), 1 / len(coefficients)) if empty else np.asarray(coefficients) / whole
+        even = np.full(len(coefficients), 1 / len(coefficients))
+        off = np.zeros(len(even)) if empty else np.asarray(coefficients) / whole - even
+        low, high = next(p.bounds for p in cls.parameters if p.name == "shares")
+        over = float(np.max(np.where(off > 0, off / (high - even), off / (low - even))))
+        shares = even + off / max(over, 1.0)  # members that cancel have shares beyond any bound
         return cls(candidate.place, **{cls.whole: whole, cls.scale: node[cls.scale], "shares": tuple(shares.tolist())})
 
     @classmethod

@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from calib.identify.least_squares_and_robust_fit import Linear, fit_least_squares, parameter_visibility
+from calib.identify.least_squares_and_robust_fit import (
+    Linear,
+    bounded_least_squares_step,
+    fit_least_squares,
+    parameter_visibility,
+)
 from rig.errors import NotEnoughData, RigError
 
 
@@ -87,3 +92,9 @@ def test_steps_that_do_not_settle_are_refused():
 
     with pytest.raises(RigError, match="did not settle"):
         fit_least_squares(uphill, [0.5], [0.0], [np.inf])
+
+
+def test_a_step_that_a_bound_and_a_sum_leave_no_room_for_is_none():
+    bounds, values = np.array([[0.0, 1.0], [0.0, 1.0]]), np.array([1.0, 0.5])
+    step, _ = bounded_least_squares_step(np.array([0.3, -0.3]), np.eye(2), values, bounds, np.ones((1, 2)))
+    assert step.tolist() == [0.0, 0.0]

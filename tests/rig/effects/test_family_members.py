@@ -6,10 +6,12 @@ import pytest
 from rig.effects.catalogue.creep import Creep
 from rig.effects.catalogue.hysteresis import PLAYS, Hysteresis
 from rig.effects.catalogue.warm_up import WarmUp
+from rig.effects.framework.effect import COUNT, Candidate
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
     check_effect_place_and_parameter_bounds,
     coordinates_of_effects,
 )
+from rig.effects.framework.effect_parameters_and_covariates import Linear
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model import motion_simulation
 from rig.recording.recording_folder import Commands, Sensors
@@ -91,3 +93,10 @@ def test_only_another_member_has_its_shares_fitted(effect):
     assert "shares" not in {c.name for c in coordinates_of_effects((standard,))}
     fitted = [c.index for c in coordinates_of_effects((effect,)) if c.name == "shares"]
     assert fitted == list(range(len(effect.shares)))
+
+
+def test_members_that_cancel_have_shares_within_their_bounds():
+    candidate = Candidate(WarmUp, "strut 1", [], [Linear("amplitude", k, 1e-6) for k in range(2)])
+    node = {"time_constant": 1800.0, COUNT: 2}
+    made = check_effect_place_and_parameter_bounds(candidate.effect(node, np.array([-2.19e-5, 2.29e-5])))
+    assert made.shares[0] == pytest.approx(-5) and sum(made.shares) == pytest.approx(1)

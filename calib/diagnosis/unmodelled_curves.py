@@ -1,0 +1,216 @@
+"""Curves over time, travel, history or a sensor that undo what a diagnosis leaves without a name at an axis.
+
+Curves are tried at the axes that have such a finding, one after the other, the largest finding first. Each is fitted
+with geometry and effects together, and the next is asked of what it leaves.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import null_space
+
+from calib.correction.physics_compensation import Unknown
+from calib.diagnosis.problems.platform.effect_candidates import effect_context
+from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement, refine_operating_point
+from calib.diagnosis.unmodelled_curve_selection import SCATTERS, AxisRows, ChosenCurve, choose_curve
+from calib.models.arm.error_model_and_observations import sample_observations
+from calib.models.arm.joint_effects_fit_and_held_out_scatter import (
+    Columns,
+    JointFit,
+    WhitenedSamples,
+    fit_geometry_and_effects,
+)
+from rig.array_and_json_types import Floats
+from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import conserved_coordinate_sums, coordinates_of_effects
+from rig.effects.framework.effect_parameters_and_covariates import Context
+from rig.effects.framework.unmodelled_curve import covariate_words, unmodelled_curves
+from rig.model.motion_simulation import motion_of_commands
+
+ROUNDS = 3  # curves at one axis, at the most
+
+Chooser = Callable[[str], ChosenCurve | None]  # the curve that helps most at an axis' place, as all stands
+
+
+@dataclass(slots=True, eq=False)
+class _Undone:
+    """What curves undo at an axis. names : of their covariates; before, after : held out, m or rad"""
+
+    names: list[str]
+    before: float
+    after: float
+
+
+def refinement_with_curves(refined: Refinement, unknown: Sequence[Unknown]) -> tuple[Refinement, tuple[Unknown, ...]]:
+    """(Refinement with curves for what has no name at struts, the Unknowns with what these undo)."""
+    context = effect_context(refined.point)
+
+    def chosen(place: str) -> ChosenCurve | None:
+        free = _free_directions(refined.point.effects)
+        column = None if refined.column is None else refined.column.take(slice(None)) @ free
+        model = refined.model if column is None or not free.size else refined.model.marginalise(column)
+        axis, candidates = context.moved().places.index(place), _candidates(place, context)
+        motion = refined.point.motion(refined.point.effects)
+        moved = [c.deviation(c.grid[0], motion) for c in candidates]
+        shares = SCATTERS if model.closures.scatter[axis] > 0 else (1.0,)
+        return choose_curve([_strut_rows(model, axis, moved, share) for share in shares], candidates)
+
+    def add(effect: Effect) -> None:
+        nonlocal refined
+        point = refined.point.with_effects((*refined.point.effects, effect))
+        refined = refine_operating_point(point, Sensitivities(point))
+
+    undone = _undone(unknown, context.moved().places, chosen, add)
+    return refined, undone
+
+
+def arm_fit_with_curves(fit: JointFit, unknown: Sequence[Unknown]) -> tuple[JointFit, tuple[Unknown, ...]]:
+    """(JointFit with curves for what has no name at joints, the Unknowns with what these undo)."""
+    history, samples = fit.history, fit.measured
+    motion = replace(
+        motion_of_commands(history.design, history.commands, samples.t, fit.effects, history.sensors),
+        T=samples.T_base_platform,
+    )
+    context = Context(history.design, samples.t, history.sensors, motion)
+
+    def chosen(place: str) -> ChosenCurve | None:
+        found, candidates = history.identified(fit.samples, fit.arm), _candidates(place, context)
+        moved = [c.deviation(c.grid[0], motion) for c in candidates]
+        shares = SCATTERS if found.scatter.any() else (1.0,)
+        views = [WhitenedSamples.of(fit.samples, replace(found, scatter=share * found.scatter)) for share in shares]
+        return choose_curve([_hand_rows(fit, seen, moved) for seen in views], candidates)
+
+    def add(effect: Effect) -> None:
+        nonlocal fit
+        fit = fit_geometry_and_effects(samples, history, fit.arm, (*fit.effects, effect), fit.before)
+
+    undone = _undone(unknown, motion.places, chosen, add)
+    return fit, undone
+
+
+def _undone(
+    unknown: Sequence[Unknown], places: Sequence[str], chosen: Chooser, add: Callable[[Effect], None]
+) -> tuple[Unknown, ...]:
+    """The Unknowns with what curves at the axes (their places) undo; every curve that helps is added."""
+    out = []
+    for one in sorted(unknown, key=lambda u: -u.magnitude):
+        done: _Undone | None = None
+        for _ in range(ROUNDS if one.place in places else 0):
+            curve = chosen(one.place)
+            if curve is None:
+                break
+            add(curve.effect)
+            if done is None:
+                done = _Undone([], curve.before, curve.after)
+            done.names.append(covariate_words(curve.effect))
+            done.after = curve.after
+        out.append(
+            one
+            if done is None
+            else replace(one, by=tuple(dict.fromkeys(done.names)), held_out=(done.before, done.after))
+        )
+    return tuple(out)
+
+
+def _free_directions(effects: tuple[Effect, ...]) -> Floats:
+    """(c, k) directions in which effects' coordinates can still move: none of a number at its bound, which takes up
+    nothing, and none that changes a sum that stays.
+    """
+    coordinates = coordinates_of_effects(effects)
+    free = np.array([c.at_bound(effects[c.effect]) is None for c in coordinates], bool)
+    sums = conserved_coordinate_sums(coordinates, effects)[:, free]
+    out = np.zeros((len(coordinates), free.sum()))
+    out[free] = np.eye(free.sum())
+    return out @ null_space(sums) if sums.any() else out
+
+
+def _candidates(place: str, context: Context) -> list[Candidate]:
+    """The curves that a recording can show at an axis."""
+    channels = () if context.sensors is None else tuple(context.sensors.channels)
+    return [c for kind in unmodelled_curves(channels).values() for c in kind.candidates(place, context)]
+
+
+def _strut_rows(model: LinearisedModel, axis: int, moved: Sequence[Floats], share: float) -> AxisRows:
+    """AxisRows of a strut: the loop closures of all struts, this one with a share of its scatter.
+
+    moved : of each candidate (F, axes, q) m per unit of its coefficients
+    """
+    linear, before, scatter = model.linear, model.closures.W, model.closures.scatter
+    F, axes = before.shape[:2]
+    back = np.linalg.inv(before)
+    less = np.zeros(axes)
+    less[axis] = scatter[axis] ** 2 * (1 - share**2)
+    W = np.linalg.inv(np.linalg.cholesky(back @ np.swapaxes(back, 1, 2) - np.diag(less)))
+    closures, known = slice(0, F * axes), slice(F * axes, None)
+    residual, basis = linear.blocks[CLOSURES].residual, linear.columns.whole[CLOSURES]
+    corners, seen = linear.blocks[CORNERS], linear.columns.whole[CORNERS]
+    y = (W @ back @ residual[closures].reshape(F, axes, 1)).ravel()
+    Q = (W @ back @ basis[closures].reshape(F, axes, -1)).reshape(F * axes, -1)
+    frame = np.repeat(np.arange(F), axes)
+    inverse = np.linalg.inv(W)
+
+    def gram(some: Floats) -> Floats:
+        own = Q[some[frame]]
+        return np.sum([own.T @ own, *(seen[rows].T @ seen[rows] for rows in corners.rows_of(some))], axis=0)
+
+    def right(some: Floats) -> Floats:
+        own = some[frame]
+        products = [seen[rows].T @ corners.residual[rows] for rows in corners.rows_of(some)]
+        return np.sum([Q[own].T @ y[own], *products], axis=0)
+
+    return AxisRows(
+        y,
+        Q,
+        frame,
+        [(W @ part).reshape(F * axes, -1) for part in moved],
+        gram,
+        right,
+        (basis[known].T @ basis[known], basis[known].T @ residual[known]),
+        np.linalg.slogdet(W)[1],
+        lambda rows: (inverse @ rows.reshape(F, axes, 1))[:, axis, 0],
+        float(np.sqrt(np.mean(model.strut_noise()[:, axis] - scatter[axis] ** 2))),
+    )
+
+
+def _hand_rows(fit: JointFit, seen: WhitenedSamples, moved: Sequence[Floats]) -> AxisRows:
+    """AxisRows of an arm's joint: the hand's poses, or positions, of those samples that agree with the fit.
+
+    moved : of each candidate (n, joints, q) rad or m per unit of its coefficients
+    """
+    basis = np.linalg.qr(np.column_stack([seen.basis, seen.whitened(fit.columns) @ _free_directions(fit.effects)]))[0]
+    m, k = seen.W.shape[:2]
+    rows, left = np.repeat(np.flatnonzero(seen.inliers), k), seen.left(fit.samples)
+    inside, known = slice(0, m * k), slice(m * k, None)
+    covariance = sample_observations(fit.samples).covariance[seen.inliers, :3, :3]
+    level = np.zeros(len(fit.samples))
+    level[seen.inliers] = np.linalg.slogdet(seen.W)[1]
+
+    def shifts(whitened: Floats) -> Floats:
+        out = np.zeros(len(fit.samples))
+        back = np.linalg.solve(seen.W, whitened.reshape(m, k, 1))
+        out[seen.inliers] = np.linalg.norm(back[:, :3, 0], axis=1)
+        return out
+
+    def gram(some: Floats) -> Floats:
+        own = basis[inside][some[rows]]
+        return own.T @ own
+
+    def right(some: Floats) -> Floats:
+        own = some[rows]
+        return basis[inside][own].T @ left[inside][own]
+
+    return AxisRows(
+        left[inside],
+        basis[inside],
+        rows,
+        [seen.whitened(Columns(part, np.zeros((len(part), 6, part.shape[2]))))[inside] for part in moved],
+        gram,
+        right,
+        (basis[known].T @ basis[known], basis[known].T @ left[known]),
+        level,
+        shifts,
+        float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean())),
+    )

@@ -1,0 +1,180 @@
+"""Smooth curves that stand for what no effect of the catalogue explains: over time, travel, a loop or a sensor.
+
+They act as effects do, and are stored with a calibration as such; no search for names knows of them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import ClassVar
+
+import numpy as np
+
+from rig.array_and_json_types import Booleans, Floats
+from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_parameters_and_covariates import COUNT, Context, Linear, Node, Parameter
+from rig.effects.framework.formula_quantities import POSE
+from rig.effects.framework.machine_motion_and_play import Motion, exponentially_fading_travel, play_deviation
+
+TIME, TRAVEL, HISTORY = "time", "recent_travel", "history"
+OWN = (TIME, TRAVEL, HISTORY, *POSE)  # covariates that are no sensor's
+PREFIX = "unmodelled_over_"
+FINER = 1.5  # power of its number by which a function is smaller than the first
+ROOM = 0.05  # of the recorded span, by which a covariate may lie beyond it
+TERMS = 8  # functions of a curve
+PLAYS = 8  # of a loop, each half as wide as the next
+REACHES = (0.02, 0.1, 0.5)  # shares of the recorded travel that the widest play takes
+FADES = (0.01, 0.03, 0.1, 0.3)  # shares of the recorded time that travel is remembered for; longer, and it is the time
+LAGS = (0.0, 0.01, 0.03, 0.1, 0.3)  # shares of the recorded time by which the metal follows a sensor
+LEAST = 1e-9  # of a covariate's greatest value, by which it must vary
+
+
+@dataclass(frozen=True, slots=True)
+class UnmodelledCurve(Effect):
+    """Deviation size * sum(coefficients * functions): cosines of a covariate within low .. high, ever finer and
+    smaller; or, over the history, plays of half widths from low to high, alike and growing along the travel.
+    memory : s that travel is remembered for, or by which the metal follows a sensor.
+    """
+
+    place: str
+    low: float = 0.0
+    high: float = 1.0
+    memory: float = 0.0
+    size: float = 0.0
+    coefficients: tuple[float, ...] = ()
+    over: ClassVar[str] = ""
+    stage: ClassVar = "struts"
+    places: ClassVar = ("axis",)
+    parameters: ClassVar = (
+        Parameter("low", "", (-np.inf, np.inf), (0, 1), role="choice"),
+        Parameter("high", "", (-np.inf, np.inf), (0, 1), role="choice"),
+        Parameter("memory", "s", (0, np.inf), (0, 1), role="choice"),
+        Parameter("size", "", (0, 1), (1e-6, 1e-3), role="choice"),
+        Parameter("coefficients", "", (-100, 100), (0.01, 1 / 3), 0),  # a normal prior of standard deviation 1 each
+    )
+    experiment: ClassVar = "what the {axis}'s residual follows, changed alone while the poses repeat"
+    action: ClassVar = "Look for the cause at the {axis}; until it has a name, a curve undoes it as recorded."
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _restored, (self.over, self.place, self.values())
+
+    def needs(self, motion: Motion) -> str | None:
+        return None if self.over in OWN else motion.no_channel(self.over)
+
+    def forgets(self) -> float:
+        return 2 * self.high if self.over == HISTORY and self.size else 0.0
+
+    def deviation(self, motion: Motion) -> Floats:
+        out, terms = np.zeros(motion.lengths.shape), self.size * np.asarray(self.coefficients)
+        for i in np.flatnonzero(self.axes(motion.places)).tolist() if terms.any() else ():
+            out[:, i] = self.functions(motion, i)[:, : len(terms)] @ terms
+        return out
+
+    def functions(self, motion: Motion, axis: int) -> Floats:
+        """(n, q) functions of which the curve at an axis is a sum; zeros where the covariate is not covered and nothing
+        can be held."""
+        if self.over == HISTORY:
+            widths = np.geomspace(self.low, self.high, PLAYS)
+            loops = np.stack([play_deviation(motion, w)[:, axis] / w for w in widths], axis=1)
+            reach = float(np.ptp(motion.kind.travel_ranges(motion.mechanism)[axis]))  # endless of some joints
+            return np.concatenate([loops, loops * motion.stroke[:, [axis]] * (2 / reach)], axis=1)
+        u = np.clip((self._covariate(motion, axis) - self.low) / (self.high - self.low), 0.0, 1.0)
+        order = np.arange(1, TERMS + 1)
+        out = np.cos(np.pi * u[:, None] * order) / order**FINER
+        if self.over == TIME:  # what it does at other times, nobody knows; elsewhere it stays as at its end
+            out[self._beyond(motion, axis)] = 0.0
+        return out
+
+    def uncovered(self, motion: Motion) -> Floats:
+        out = np.zeros(motion.lengths.shape)
+        order = np.arange(1, len(self.coefficients) + 1)
+        usual = self.size * float(np.linalg.norm(np.asarray(self.coefficients) / order**FINER)) / np.sqrt(2)
+        for i in np.flatnonzero(self.axes(motion.places)).tolist() if self.over != HISTORY else ():
+            out[self._beyond(motion, i), i] = usual
+        return out
+
+    def _beyond(self, motion: Motion, axis: int) -> Booleans:
+        """(n,) bool, exposures where the covariate is beyond what was recorded."""
+        x, room = self._covariate(motion, axis), ROOM * (self.high - self.low)
+        return (x < self.low - room) | (x > self.high + room)
+
+    def _covariate(self, motion: Motion, axis: int) -> Floats:
+        if self.over == TIME:
+            return motion.t - motion.path.began
+        if self.over == TRAVEL:
+            return _recent_travel(motion, self.memory)[:, axis]
+        if self.over in POSE:
+            return motion.displaced[:, POSE.index(self.over)]
+        return motion.lagged_channel(self.memory, self.over)
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        motion = context.moved()
+        if any(cls.over.startswith(f"{other.replace(' ', '')}_") for other in motion.places if other != place):
+            return []  # a sensor of another axis
+        if cls.over in POSE and motion.kind.AXIS != "strut":
+            return []  # an arm's geometry has too much to say of where its hand is
+        axis, span = motion.places.index(place), float(np.ptp(motion.t))
+        if cls.over == HISTORY:
+            travel = float(np.ptp(motion.lengths[:, axis]))
+            nodes: list[Node] = [
+                {"low": share * travel / 2.0 ** (PLAYS - 1), "high": share * travel} for share in REACHES if travel > 0
+            ]
+            count = 2 * PLAYS
+        else:
+            shares, count = {TRAVEL: FADES, **dict.fromkeys((TIME, *POSE), (0.0,))}.get(cls.over, LAGS), TERMS
+            nodes = []
+            for memory in (share * span for share in shares):
+                x = cls(place, memory=memory)._covariate(motion, axis)
+                if np.ptp(x) > LEAST * np.abs(x).max():
+                    nodes.append({"low": float(x.min()), "high": float(x.max()), "memory": memory})
+        linear = [Linear("coefficients", k, 1.0) for k in range(count)]
+        return [Candidate(cls, place, [{**node, COUNT: count}], linear) for node in nodes]
+
+    @classmethod
+    def columns(cls, candidate: Candidate, node: Node, motion: Motion) -> Floats:
+        own = cls(candidate.place, **{name: value for name, value in node.items() if name != COUNT})
+        axis = motion.places.index(candidate.place)
+        out = np.zeros((*motion.lengths.shape, node[COUNT]))
+        out[:, axis] = own.functions(motion, axis)
+        return out
+
+    @classmethod
+    def label(cls) -> str:
+        return f"a curve over {_words(cls.over)}"
+
+
+def _recent_travel(motion: Motion, memory: float) -> Floats:
+    """(n, axes) m or rad of travel at the exposures that is remembered for a time constant, s."""
+
+    def walked() -> Floats:
+        return motion.path.walked(lambda t, x: exponentially_fading_travel(t, x, memory))[motion.path.at]
+
+    return motion.once(("recent travel", memory), walked)
+
+
+def _words(over: str) -> str:
+    return over.replace("_", " ")
+
+
+def covariate_words(effect: Effect) -> str:
+    """What a curve, as an effect, is over, in words."""
+    return _words(effect.name.removeprefix(PREFIX))
+
+
+def _restored(over: str, place: str, values: Mapping[str, object]) -> UnmodelledCurve:
+    return unmodelled_curve(over)(place, **values)  # type: ignore[arg-type]
+
+
+@cache
+def unmodelled_curve(over: str) -> type[UnmodelledCurve]:
+    """The class of curves over a covariate: TIME, TRAVEL, HISTORY, one of POSE or a sensor channel."""
+    own = {"__slots__": (), "over": over, "name": PREFIX + over, "on_pose": over in POSE, "sudden": over == TIME}
+    return type("UnmodelledCurve", (UnmodelledCurve,), own)
+
+
+def unmodelled_curves(channels: tuple[str, ...]) -> dict[str, type[UnmodelledCurve]]:
+    """{name: class} of the curves that sensor channels allow, those over time and motion among them; a channel that is
+    called like one of these has none.
+    """
+    return {kind.name: kind for kind in map(unmodelled_curve, dict.fromkeys((*OWN, *channels)))}
