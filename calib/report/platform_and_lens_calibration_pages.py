@@ -17,7 +17,7 @@ from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
 from rig.array_and_json_types import Json
 from rig.model import mechanisms
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, view_scripts
@@ -133,7 +133,7 @@ def _figures(f: Figures) -> list[str]:
     return [f"{value * 1e3:.4f}" for value in (*f.position, *f.rotation)]
 
 
-def _corrections(correction: Correction[Struts, Radial], samples: Samples) -> str:
+def _corrections(correction: Correction[Parallel, Radial], samples: Samples) -> str:
     seen = samples.effective - mechanisms.kinematics_of(correction.nominal).inverse(
         samples.T_base_platform, correction.nominal
     )

@@ -13,7 +13,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.controller_port_names import PROTOCOLS as PROTOCOLS
-from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2, freeze_array
+from rig.model.mechanism_geometry_classes import freeze_array
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -319,7 +320,7 @@ class Design:
 
     name: str
     gravity: Floats
-    mechanism: Hexapod | Planar2 | Arm | Chain | Free
+    mechanism: Mechanism
     instrument: Instrument | None
     actuator: Actuator
     platform: Platform

@@ -31,12 +31,15 @@ class StatedMechanism:
     axis_unit : of the travel of its axes, the slides of an arm aside
     pose_coordinates : which of a pose's six coordinates (x y z rx ry rz, from 0) its platform can change
     placements : names of the poses that say where it stands and what it holds, fitted along with its geometry
+    closes_loops : whether each of its axes follows from the platform's pose by an equation of its own (parallel
+        mechanisms)
     """
 
     __slots__ = ()
     axis_unit: ClassVar[Literal["m", "rad"]] = "m"
     pose_coordinates: ClassVar[tuple[int, ...]] = (0, 1, 2, 3, 4, 5)
     placements: ClassVar[tuple[str, ...]] = ()
+    closes_loops: ClassVar[bool] = False
 
     @property
     def axis_words(self) -> tuple[str, ...]:
@@ -80,6 +83,11 @@ class StatedMechanism:
         """{name: array} of the figures of its geometry that a calibration fits, m and rad."""
         return {}
 
+    @property
+    def files(self) -> dict[str, str]:
+        """{name: text} of the files that state its kinematics, beside its rig.toml."""
+        return {}
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hexapod(StatedMechanism):
@@ -96,6 +104,7 @@ class Hexapod(StatedMechanism):
     home: RigidTransform
     strut_zeros: Floats = field(default_factory=lambda: np.zeros(6))
     kind: ClassVar[Literal["hexapod"]] = "hexapod"
+    closes_loops: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         for name, shape in (
@@ -158,6 +167,7 @@ class Planar2(StatedMechanism):
     strut_range: Floats
     strut_zeros: Floats = field(default_factory=lambda: np.zeros(2))
     kind: ClassVar[Literal["planar2"]] = "planar2"
+    closes_loops: ClassVar[bool] = True
     pose_coordinates: ClassVar[tuple[int, ...]] = (0, 1)
 
     def __post_init__(self) -> None:
