@@ -219,13 +219,14 @@ class Correction(Generic[M, R]):
 
     def near(self, T_base_platform: RigidTransform, guess: Floats) -> Floats:
         """Commands (n, axes) as `inverse` for poses (n,), NaN where none is found. guess : (n, axes), what is near."""
-        goal = mechanisms.kinematics_of(self.fitted).inverse(self.target_poses(T_base_platform), self.fitted)
-        try:
-            return self.settled(goal)
-        except NotConverged as error:
-            out, rest = np.full(goal.shape, np.nan), np.delete(np.arange(len(goal)), error.index)
-            out[rest] = self.settled(goal[rest])
-            return out
+        out, rest = np.full((len(T_base_platform), len(self.nominal.axes)), np.nan), np.arange(len(T_base_platform))
+        while len(rest):
+            try:
+                out[rest] = self.inverse_without_physics(T_base_platform[rest])
+                break
+            except (NotConverged, Unreachable) as error:
+                rest = np.delete(rest, error.index)
+        return out
 
     def settled(self, goal: Floats) -> Floats:
         """Commands c (..., axes) m or rad with c = goal + rho(c): those that make the struts as long as the fitted

@@ -214,7 +214,7 @@ class ChainModel:
 MODELS: dict[str, MachineModel] = {
     "hexapod": PlatformModel("base joints 1..6 (x y z), platform joints 1..6 (x y z), strut zeros 1..6"),
     "planar2": PlatformModel("base joints 1, 2 (x y), strut zeros 1, 2"),
-    "file": PlatformModel(frames=(FILE_FRAMES,), scatter_key="axis_scatter"),
+    "file": PlatformModel(frames=(FILE_FRAMES,)),
     "arm": ArmModel(),
     "chain": ChainModel(),
 }
