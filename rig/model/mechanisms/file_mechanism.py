@@ -10,21 +10,21 @@ from pathlib import Path
 from typing import ClassVar, Literal, cast
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, Unreachable
 from rig.model.mechanism_geometry_classes import StatedMechanism, freeze_array
 from rig.model.mechanisms.kinematics_file import KinematicsFile, freedom_columns, parameter_columns
 from rig.model.mechanisms.kinematics_file_checks import kinematics_of_source, locked_poses
-from rig.model.pose import exp
 
 AXIS, UNIT = "axis", "m"
 WORDS = {"m": "slide", "rad": "joint"}  # what an axis is called, by its unit
 SCALE = 5e-4  # m that a parameter's tolerance counts as, so that lengths and angles share one scale
 TOLERANCE, GOOD = 1e-13, 1e-10  # m or rad of an axis; what Newton seeks, and what counts as solved
 MAX_ITERATIONS = 40
-MAX_MOVE, MAX_TURN = 0.2, 0.4  # of the largest distance of home from the base's origin; rad, per step
+MAX_MOVE, MAX_TURN = 0.2, 0.4  # of the distance of home from the base's origin; rad, per step
+LEAST_REACH = 0.05  # m, which that distance counts as at least
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,30 +139,50 @@ def forward(values: Floats, mechanism: FileMechanism, guess: RigidTransform | No
 
 
 def _newton(poses: Floats, values: Floats, mechanism: FileMechanism) -> Floats:
-    """Move poses (n, 4, 4) in place until their axis values are those wanted (n, axes); what is left (n,) m or rad."""
+    """Move poses (n, 4, 4) in place until their axis values are those wanted (n, axes); what is left (n,) m or rad.
+
+    A step to where the file has no values is halved
+    """
     file, left, going = mechanism.stated, np.full(len(poses), np.inf), np.arange(len(poses))
-    reach = MAX_MOVE * max(float(np.linalg.norm(file.home[:3, 3])), 0.05)
-    moving, turning = ([k for k, f in enumerate(file.freedoms) if (f < 3) == moves] for moves in (True, False))
+    start, step = poses.copy(), np.zeros((len(poses), len(file.freedoms)))
     for _ in range(MAX_ITERATIONS):
         error = values[going] - file.inverse(poses[going], mechanism.parameters).astype(float)
         worst = np.abs(error).max(axis=1)
-        better = (worst < left[going]) | ~np.isfinite(left[going])
-        left[going] = np.where(np.isfinite(worst), worst, np.inf)
-        keep = np.isfinite(worst) & (worst > TOLERANCE) & (better | (worst > GOOD))
-        going, error = going[keep], error[keep]
+        there = np.isfinite(worst)
+        keep = ~there | ((worst > TOLERANCE) & ((worst < left[going]) | (worst > GOOD)))
+        left[going[there]] = worst[there]
+        going, error, there = going[keep], error[keep], there[keep]
         if not len(going):
             break
-        J = freedom_columns(file, poses[going], mechanism.parameters)
-        step = (np.linalg.pinv(J) @ np.nan_to_num(error)[..., None])[..., 0]
-        move, turn = (np.linalg.norm(step[:, some], axis=1) for some in (moving, turning))
-        step /= np.maximum(1.0, np.maximum(move / reach, turn / MAX_TURN))[:, None]
-        base = np.zeros((len(step), 6))
-        base[:, file.freedoms] = step
-        poses[going, :3, 3] += base[:, :3]
-        poses[going, :3, :3] = (
-            exp(np.concatenate([0 * base[:, 3:], base[:, 3:]], axis=1)).rotation.as_matrix() @ (poses[going, :3, :3])
-        )
+        step[going[~there]] /= 2
+        fresh = going[there]
+        start[fresh] = poses[fresh]
+        step[fresh] = _step(start[fresh], error[there], mechanism)
+        poses[going] = _moved(start[going], step[going], file)
     return left
+
+
+def _step(poses: Floats, error: Floats, mechanism: FileMechanism) -> Floats:
+    """(n, freedoms) m or rad by which to move poses so that their axis values change by (n, axes), bounded in length;
+    0 where their change is unknown.
+    """
+    file = mechanism.stated
+    reach = MAX_MOVE * max(float(np.linalg.norm(file.home[:3, 3])), LEAST_REACH)
+    J = freedom_columns(file, poses, mechanism.parameters)
+    J[~np.isfinite(J).all(axis=(1, 2))] = 0
+    step = (np.linalg.pinv(J) @ error[..., None])[..., 0]
+    moves = np.array(file.freedoms) < 3
+    move, turn = np.linalg.norm(step[:, moves], axis=1), np.linalg.norm(step[:, ~moves], axis=1)
+    return np.asarray(step / np.maximum(1.0, np.maximum(move / reach, turn / MAX_TURN))[:, None])
+
+
+def _moved(poses: Floats, step: Floats, file: KinematicsFile) -> Floats:
+    """Poses (n, 4, 4) moved along and turned about the base's axes by steps (n, freedoms)."""
+    base, out = np.zeros((len(step), 6)), poses.copy()
+    base[:, file.freedoms] = step
+    out[:, :3, 3] += base[:, :3]
+    out[:, :3, :3] = Rotation.from_rotvec(base[:, 3:]).as_matrix() @ poses[:, :3, :3]
+    return out
 
 
 def _side(poses: Floats, mechanism: FileMechanism) -> Floats:
