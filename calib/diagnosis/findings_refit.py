@@ -37,7 +37,6 @@ from rig.formats import json_toml_and_yaml_loading, machine_json
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files.atomic_file_and_manifest import load_manifest as manifest
 from rig.model import mechanisms
-from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, require_arm, require_parallel
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
@@ -242,7 +241,8 @@ def sensor_medians_and_standard_deviations(recording: Recording, t: Floats) -> d
 
 def _corrected(place: str, done: Certified) -> bool:
     """Whether a place's strut, or any for the whole rig, is corrected over the configuration space."""
-    kept = [str(Place.axis("strut", i)) for i, part in enumerate(done.correction.remainder) if part is not None]
+    places = mechanisms.axis_place_texts(done.correction.nominal)
+    kept = [place for place, part in zip(places, done.correction.remainder) if part is not None]
     return place in kept or (place == "rig" and bool(kept))
 
 

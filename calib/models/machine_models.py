@@ -32,13 +32,14 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain
-from rig.model.mechanisms.file_mechanism import SCALE, FileMechanism, identified_parameters
+from rig.model.mechanisms.file_mechanism import SCALE
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,
     Mechanism,
-    Parallel,
     geometric_parameters,
+    has_struts,
     parameter_names,
+    parameter_units_and_scales,
     require_arm,
     require_axes,
     require_chain,
@@ -281,21 +282,13 @@ def independent_geometric_parameters(mechanism: Mechanism) -> IndependentParamet
         )
         return IndependentParameters(found.names, found.units, found.size, found.jacobian, True)
     struts = require_parallel(mechanism)
-    names = parameter_names(struts)
-    if isinstance(struts, FileMechanism):
-        some = identified_parameters(struts)
-        size = struts.stated.tolerances[some]
-        units = tuple(struts.stated.units[k] for k in some)
-        return IndependentParameters(
-            names, units, size, lambda values: _of_struts(struts, values) * SCALE / size, False
-        )
-    return IndependentParameters(
-        names, ("m",) * len(names), np.full(len(names), PRIOR), partial(_of_struts, struts), False
-    )
+    units, scales = parameter_units_and_scales(struts)
+    size = np.full(len(units), PRIOR) if has_struts(struts) else SCALE * scales
 
+    def by_unit(values: Floats) -> Floats:
+        return pose_parameter_jacobian(mechanisms.kinematics_of(struts).forward(values, struts), struts) / scales
 
-def _of_struts(struts: Parallel, values: Floats) -> Floats:
-    return pose_parameter_jacobian(mechanisms.kinematics_of(struts).forward(values, struts), struts)
+    return IndependentParameters(parameter_names(struts), units, size, by_unit, False)
 
 
 def _selected_freedoms(

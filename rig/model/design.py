@@ -13,8 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.controller_port_names import PROTOCOLS as PROTOCOLS
-from rig.model.mechanism_geometry_classes import freeze_array
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
+from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2, freeze_array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -320,7 +319,7 @@ class Design:
 
     name: str
     gravity: Floats
-    mechanism: Mechanism
+    mechanism: Hexapod | Planar2 | FileMechanism | Arm | Chain | Free
     instrument: Instrument | None
     actuator: Actuator
     platform: Platform

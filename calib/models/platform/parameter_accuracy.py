@@ -12,9 +12,8 @@ import numpy as np
 from calib.identify.least_squares_and_robust_fit import Visibility, parameter_visibility
 from calib.models.platform.identification import PRIOR, Identified
 from rig.array_and_json_types import Floats
-from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanism_geometry_classes import FileMechanism, Hexapod
 from rig.model.mechanisms import hexapod
-from rig.model.mechanisms.file_mechanism import FileMechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Parallel,
     Struts,

@@ -11,8 +11,8 @@ from rig.errors import FileError
 from rig.formats.checked_entries import LARGEST_RIG, Entries, nearest_known_word
 from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.output_files import write_text
-from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2, Stage
-from rig.model.mechanisms.file_mechanism import FileMechanism, nominal_mechanism
+from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2, Stage
+from rig.model.mechanisms.file_mechanism import nominal_mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, singular_geometry_problem
 
 FILE = "file:"  # before the name of a kinematics file

@@ -2,7 +2,7 @@
 geometry of rig.model.mechanism_geometry_classes.
 """
 
-from rig.model.mechanisms.kinematics_file import Axis, Parameter
+from rig.model.kinematics_file import Axis, Parameter
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     ALL,
     MechanismKinematics,

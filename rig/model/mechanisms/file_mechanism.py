@@ -5,87 +5,24 @@ fewer than six freedoms keeps its other coordinates as at home, or as the file's
 is asked for the nearest pose that it can take.
 """
 
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import ClassVar, Literal, cast
+from dataclasses import replace
+from typing import cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, Unreachable
-from rig.model.mechanism_geometry_classes import StatedMechanism, freeze_array
-from rig.model.mechanisms.kinematics_file import KinematicsFile, freedom_columns, parameter_columns
-from rig.model.mechanisms.kinematics_file_checks import kinematics_of_source, locked_poses
+from rig.model.kinematics_file import KinematicsFile, freedom_columns, parameter_columns
+from rig.model.kinematics_file_checks import kinematics_of_source, locked_poses
+from rig.model.mechanism_geometry_classes import FileMechanism
 
 AXIS, UNIT = "axis", "m"
-WORDS = {"m": "slide", "rad": "joint"}  # what an axis is called, by its unit
 SCALE = 5e-4  # m that a parameter's tolerance counts as, so that lengths and angles share one scale
 TOLERANCE, GOOD = 1e-13, 1e-10  # m or rad of an axis; what Newton seeks, and what counts as solved
 MAX_ITERATIONS = 40
 MAX_MOVE, MAX_TURN = 0.2, 0.4  # of the distance of home from the base's origin; rad, per step
 LEAST_REACH = 0.05  # m, which that distance counts as at least
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FileMechanism(StatedMechanism):
-    """A mechanism of a kinematics file. file : its path, for messages; source : its text
-    parameters : (p,) m or rad, in the file's order
-    """
-
-    file: str
-    source: str
-    parameters: Floats
-    kind: ClassVar[Literal["file"]] = "file"
-    closes_loops: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        freeze_array(self, "parameters", (len(self.stated.nominal),))
-
-    @property
-    def stated(self) -> KinematicsFile:
-        """What the file states. Raises FileError for a file that cannot be used"""
-        return kinematics_of_source(self.source, self.file)
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the commanded axes, as commands.csv heads its columns."""
-        return tuple(axis.name for axis in self.stated.axes)
-
-    @property
-    def axis_words(self) -> tuple[str, ...]:
-        """What each of its axes is called: "slide" in m, "joint" in rad."""
-        return tuple(WORDS[axis.unit] for axis in self.stated.axes)
-
-    @property
-    def axis_unit(self) -> Literal["m", "rad"]:  # type: ignore[override]
-        """Unit of the travel of its axes, "m" where there are both."""
-        return "rad" if all(axis.unit == "rad" for axis in self.stated.axes) else "m"
-
-    @property
-    def pose_coordinates(self) -> tuple[int, ...]:  # type: ignore[override]
-        """Which of a pose's six coordinates its platform can change."""
-        return self.stated.freedoms
-
-    @property
-    def stages(self) -> tuple["FileMechanism", ...]:
-        """The mechanisms stacked on its base: only itself."""
-        return (self,)
-
-    @property
-    def home_pose(self) -> RigidTransform:
-        """T_base_platform at home, as its owner states it."""
-        return RigidTransform.from_matrix(self.stated.home)
-
-    @property
-    def geometry_arrays(self) -> dict[str, Floats]:
-        """{name: array} of the figures of its geometry that a calibration fits, m or rad."""
-        return {"parameters": self.parameters}
-
-    @property
-    def files(self) -> dict[str, str]:
-        """{name: text} of the file that states its kinematics, beside its rig.toml."""
-        return {Path(self.file).name: self.source}
 
 
 def nominal_mechanism(file: str, source: str) -> FileMechanism:
@@ -263,6 +200,12 @@ def loop_jacobian(T_base_platform: RigidTransform, mechanism: FileMechanism) -> 
     out = -parameter_columns(mechanism.stated, poses, mechanism.parameters, free)
     out *= mechanism.stated.tolerances[free] / SCALE
     return out.reshape(*T_base_platform.shape, *out.shape[1:])
+
+
+def parameter_units_and_scales(mechanism: FileMechanism) -> tuple[tuple[str, ...], Floats]:
+    """(units; (k,) unit of it for each m of the scaled parameters) of the identified parameters."""
+    free, stated = identified_parameters(mechanism), mechanism.stated
+    return tuple(stated.units[k] for k in free), stated.tolerances[free] / SCALE
 
 
 def parameter_names(mechanism: FileMechanism) -> tuple[str, ...]:

@@ -15,9 +15,8 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.effect_places_and_part_tolerances import Place
-from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2
+from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2
 from rig.model.mechanisms import arm, file_mechanism, hexapod, mechanism_chain, two_strut_plane
-from rig.model.mechanisms.file_mechanism import FileMechanism
 from rig.model.pose import exp
 
 if TYPE_CHECKING:
@@ -343,6 +342,13 @@ def geometric_parameters(mechanism: Parallel) -> Floats:
         return file_mechanism.scaled_parameters(mechanism)
     platform = mechanism.platform_joints.ravel() if isinstance(mechanism, Hexapod) else np.zeros(0)
     return np.concatenate([mechanism.base_joints.ravel(), platform, mechanism.strut_zeros])
+
+
+def parameter_units_and_scales(mechanism: Parallel) -> tuple[tuple[str, ...], Floats]:
+    """(units, "m" or "rad"; (p,) how much of it each of the geometric parameters counts) of a parallel mechanism."""
+    if isinstance(mechanism, FileMechanism):
+        return file_mechanism.parameter_units_and_scales(mechanism)
+    return ("m",) * len(NAMES[mechanism.kind]), np.ones(len(NAMES[mechanism.kind]))
 
 
 def parameter_group_sizes(mechanism: Parallel) -> tuple[int, int]:

@@ -121,6 +121,16 @@ class OperatingPoint:
         return require_parallel(self.design.mechanism)
 
     @property
+    def places(self) -> tuple[Place, ...]:
+        """Places of the axes."""
+        return mechanisms.axis_places(self.design.mechanism)
+
+    @property
+    def axis_unit(self) -> str:
+        """Unit of the axes' travel, "m" or "rad"; "m" where there are both."""
+        return self.design.mechanism.axis_unit
+
+    @property
     def axes(self) -> int:
         """How many struts are commanded, 0 where nothing is."""
         return len(self.design.mechanism.axes) if self.commands is not None else 0

@@ -60,7 +60,7 @@ def smooth_strut_functions(point: OperatingPoint) -> list[tuple[str, list[tuple[
         for i in range(point.axes):
             weights = np.zeros((F, point.axes, functions.shape[2]))
             weights[:, i] = functions[:, i]
-            strutwise.append((Place.axis("strut", i), weights))
+            strutwise.append((point.places[i], weights))
         out.append((depends, strutwise))
     if pace.any():
         out.append(("speed", [(Place("rig"), speeds)]))

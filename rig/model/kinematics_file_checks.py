@@ -7,13 +7,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.errors import FileError
-from rig.model.mechanisms.kinematics_file import (
-    FREEDOMS,
-    KinematicsFile,
-    freedom_columns,
-    parameter_columns,
-    stated_kinematics,
-)
+from rig.model.kinematics_file import FREEDOMS, KinematicsFile, freedom_columns, parameter_columns, stated_kinematics
 
 TRIED = 6  # poses at which a file is checked
 AROUND = (4e-3, 0.02)  # m, rad; about home, where these lie

@@ -14,10 +14,10 @@ from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError, RigError
-from rig.model.pose import pose
 
 FREEDOMS = ("x", "y", "z", "rx", "ry", "rz")
 GROUPS = (FREEDOMS, ("x", "y", "z", "rz"), ("x", "y", "rz"))  # of freedoms in which a platform turns
@@ -313,10 +313,15 @@ def _stated(module: ModuleType, source: str, name: str) -> KinematicsFile:
         axes,
         parameters,
         tuple(FREEDOMS.index(one) for one in freedoms),
-        pose(home[:3], home[3:]).as_matrix(),
+        _matrix(home),
         module,
         lines,
     )
+
+
+def _matrix(home: Floats) -> Floats:
+    """(4, 4) of a home pose (6,): m, and a rotation vector in rad."""
+    return RigidTransform.from_components(home[:3], Rotation.from_rotvec(home[3:])).as_matrix()
 
 
 def _freedoms_problem(freedoms: tuple[str, ...], axes: int) -> str | None:
