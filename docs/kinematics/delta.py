@@ -1,10 +1,10 @@
-"""Linear delta: three carriages on upright rails, a pair of bars of fixed length from each to a platform that stays level."""
+"""Linear delta: three carriages on upright rails, from each a pair of bars to a platform that stays level."""
 
 import numpy as np
 
 from rig.model.mechanisms import Axis, Parameter
 
-axes = (Axis("q1", "m", 0.20, 0.50), Axis("q2", "m", 0.20, 0.50), Axis("q3", "m", 0.20, 0.50))
+axes = (Axis("q1", "m", 0.27, 0.43), Axis("q2", "m", 0.27, 0.43), Axis("q3", "m", 0.27, 0.43))
 ANGLES = np.radians([90.0, 210.0, 330.0])
 parameters = (
     Parameter("rails", 0.20 * np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1), "m", 5e-4),  # x y of each at height 0
