@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from traceback import extract_tb
 from types import ModuleType
-from typing import Any, Literal, cast
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -136,9 +136,10 @@ class KinematicsFile:
         """Whether the file states forward kinematics."""
         return hasattr(self.module, "forward")
 
-    def by_name(self, p: Floats) -> dict[str, Any]:
+    def by_name(self, p: Floats) -> dict[str, Floats | float]:
         """{name: number or array} of parameters (p,), as the file's functions take them."""
-        out, at = {}, 0
+        out: dict[str, Floats | float] = {}
+        at = 0
         for one in self.parameters:
             size = one.values.size
             out[one.name] = p[at : at + size].reshape(one.values.shape) if one.values.shape else p[at]
@@ -186,7 +187,7 @@ class KinematicsFile:
         """FileError at a line of the file, or where it defines a name."""
         return FileError(self.name, message, self.lines.get(name) if line is None else line)
 
-    def derivative(self, moved: Callable[[Any], Floats], step: float = STEP) -> Floats:
+    def derivative(self, moved: Callable[[float | complex], Floats], step: float = STEP) -> Floats:
         """Derivative (...) of moved(s) with s at 0: by complex step, or by differences of fourth order.
 
         Source of the complex step: Squire and Trapp, Using complex variables to estimate derivatives, SIAM Review 1998
@@ -208,7 +209,7 @@ def freedom_columns(file: KinematicsFile, poses: Floats, p: Floats) -> Floats:
     out = np.empty((len(poses), len(file.axes), len(file.freedoms)))
     for k, freedom in enumerate(file.freedoms):
 
-        def moved(s: Any, freedom: int = freedom) -> Floats:
+        def moved(s: float | complex, freedom: int = freedom) -> Floats:
             at = poses.astype(type(s) if isinstance(s, complex) else float)
             if freedom < 3:
                 at[:, freedom, 3] += s
@@ -226,7 +227,7 @@ def parameter_columns(file: KinematicsFile, poses: Floats, p: Floats, which: Int
     tolerances = file.tolerances
     for k, j in enumerate(which.tolist()):
 
-        def moved(s: Any, j: int = j) -> Floats:
+        def moved(s: float | complex, j: int = j) -> Floats:
             q = p.astype(type(s) if isinstance(s, complex) else float)
             q[j] += s
             return file.inverse(poses, q)
@@ -235,7 +236,7 @@ def parameter_columns(file: KinematicsFile, poses: Floats, p: Floats, which: Int
     return out
 
 
-def _turn(axis: int, angle: Any) -> Any:
+def _turn(axis: int, angle: float | complex) -> Floats:
     """(3, 3) rotation about a base axis, of a real or complex angle."""
     out = np.eye(3, dtype=type(angle) if isinstance(angle, complex) else float)
     i, j = (axis + 1) % 3, (axis + 2) % 3

@@ -259,7 +259,7 @@ def jacobian_rows_by_axis(T: RigidTransform, values: Floats, mechanism: FileMech
 
 
 def link_points(values: Floats, mechanism: FileMechanism) -> None:
-    """Points of links for drawing: none, the file states no shapes."""
+    """Points of links for drawing at values (n, axes): none, the file states no shapes."""
     return None
 
 
