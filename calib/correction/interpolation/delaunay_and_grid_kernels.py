@@ -220,10 +220,13 @@ class SimplexKernels(NamedTuple):
 
 @cache
 def compiled_simplex_kernels(axes: int) -> SimplexKernels:
-    """Simplex kernels compiled for a number of axes."""
+    """Simplex kernels compiled for a number of axes.
 
-    @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-    def at(
+    Each number has a name of its own: of two functions of one name a process may link the wrong one where one of them
+    comes from the cache
+    """
+
+    def at_point(
         x: Floats,
         levels: Floats,
         inverse: Floats,
@@ -256,6 +259,9 @@ def compiled_simplex_kernels(axes: int) -> SimplexKernels:
             weight = ranked[i] - ranked[i + 1]
             for k in range(values.shape[1]):
                 out[k] += weight * values[vertex, k]
+
+    at_point.__name__ = at_point.__qualname__ = f"simplex_of_{axes}_axes_at"
+    at = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})(at_point)
 
     @njit(cache=True, nogil=True, error_model="numpy")
     def simplex(
