@@ -60,6 +60,7 @@ def save(recording: Recording, folder: Path | str, overwrite: bool = False) -> N
     overwrite : whether to write over what this function did not make
     Raises RigError for several recordings joined to one, and where the folder holds something else
     """
+    from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
     from rig.recording.recording_folder import copy_frames_commands_and_sensors
     from rig.recording.recording_table_loading_and_writing import write_corners, write_poses, write_table
 
@@ -68,6 +69,7 @@ def save(recording: Recording, folder: Path | str, overwrite: bool = False) -> N
     with CommandOutputs("save", (str(recording.folder),), [recording.folder], overwrite) as outputs:
         out = outputs.folder(Path(folder))
         write_bytes(out / "rig.toml", read_bytes(recording.folder / "rig.toml"))
+        write_kinematics_file(out, recording.design.mechanism)
         copy_frames_commands_and_sensors(recording.folder, out, recording.exposures, recording.origin)
         exposed = recording.exposures
         rows = [

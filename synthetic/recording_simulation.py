@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.formats.output_files import write_text
+from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model import motion_simulation
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import rig_toml_with_turns
@@ -242,6 +243,7 @@ def write_recording(
         for t in {*plan.commands.t.tolist(), *plan.t.tolist(), *simulation.log.t.tolist()}
     }
     write_text(out / "rig.toml", rig_toml_with_turns(text, quarter_turns_of_cubes(simulation.world.stated)))
+    write_kinematics_file(out, simulation.world.stated.mechanism)
     write_table(
         out / "commands.csv",
         ("t", *axes),

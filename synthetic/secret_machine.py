@@ -20,12 +20,20 @@ from rig.model import mechanisms
 from rig.model.design import Camera, Design, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import design_with_turned_cubes
 from rig.model.effect_places_and_part_tolerances import Place
-from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, has_stages, has_struts
+from rig.model.mechanism_geometry_classes import Arm
+from rig.model.mechanisms.file_mechanism import with_random_parameters
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Commanded,
+    has_links,
+    has_stages,
+    has_struts,
+    is_parallel,
+)
 from rig.model.pose import exp, pose
 from rig.recording.recording_folder import Sensors
 
 JOINT = 3e-4  # m, standard deviation of a joint's coordinate from where the owner has it
+OF_TOLERANCE = 0.6  # standard deviation of a kinematics file's parameters, of their tolerances
 ZERO = 3e-4  # m, of a strut's zero
 ROW = np.array([1e-3, 3e-4, 3e-4, 1e-3, 0.0])  # rad, m, m, rad, rad: of an arm's theta, d, a, alpha, beta
 ASKEW = 1e-4  # rad, greatest of axes that are parallel by design
@@ -33,7 +41,7 @@ STOOD = (3e-3, 5e-3)  # m, rad, of where an arm that cameras see stands, and of 
 AWAY, HAND = 1.0, 0.1  # m, of where an instrument stands and of its target on the hand, where nobody knows
 
 
-def draw_geometry(stated: Design, rng: np.random.Generator, size: float) -> Hexapod | Planar2 | Arm | Chain:
+def draw_geometry(stated: Design, rng: np.random.Generator, size: float) -> Commanded:
     """True geometry of a stated design's mechanism drawn at random. size : multiplies every deviation.
     Raises RigError for a kind that cannot be simulated
     """
@@ -44,6 +52,8 @@ def draw_geometry(stated: Design, rng: np.random.Generator, size: float) -> Hexa
             for name, array in m.geometry_arrays.items()
         }
         return replace(m, **drawn)  # type: ignore[arg-type]
+    if is_parallel(m):  # of a kinematics file
+        return with_random_parameters(m, rng, size * OF_TOLERANCE)
     if has_links(m):
         return _arm(m, stated, rng, size)
     if has_stages(m):
@@ -114,7 +124,7 @@ def _camera(camera: Camera, rng: np.random.Generator, size: float) -> Camera:
     return replace(camera, pose=moved, matrix=matrix, distortion=camera.distortion + terms)
 
 
-def strut_count(mechanism: Hexapod | Planar2 | Arm | Chain) -> int:
+def strut_count(mechanism: Commanded) -> int:
     """Number of struts of a mechanism: none for an arm."""
     return len(mechanism.axes) if mechanisms.kinematics_of(mechanism).AXIS == "strut" else 0
 

@@ -10,6 +10,7 @@ from rig.array_and_json_types import Json
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import replace_cameras, replace_target_markers
+from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model.design import Camera
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from rig.recording import recording_table_loading_and_writing
@@ -84,6 +85,7 @@ class MeasurementResult(OneLineRepr):
         m, recording = self.measurement, self.recording
         text = replace_cameras(read_text(recording.folder / "rig.toml"), m.design.cameras)
         write_text(folder / "rig.toml", replace_target_markers(text, adjusted_markers(m)) if m.places_free else text)
+        write_kinematics_file(folder, recording.design.mechanism)
         poses = Poses(m.frames, m.T_base_platform, m.covariance)
         recording_table_loading_and_writing.write_poses(folder / "poses.csv", poses)
         recording_table_loading_and_writing.write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)

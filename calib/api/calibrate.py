@@ -48,7 +48,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_arm,
     require_chain,
     require_hexapod,
-    require_struts,
+    require_parallel,
 )
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import write_table
@@ -268,7 +268,7 @@ def _fitted_platform(
     """(the Samples fitted, Certified, Claim, Known) of a platform on struts. findings : that are fitted with the
     geometry, or None; joint : whether cameras are adjusted with the struts
     """
-    struts, samples = require_struts(recording.design.mechanism), sampled.samples
+    struts, samples = require_parallel(recording.design.mechanism), sampled.samples
     refit = None
     if findings is not None:
         refit = findings_refit.refit_platform_with_findings(recording, sampled, findings, progress)

@@ -10,8 +10,7 @@ from calib.certification.calibration_dataclass_and_accuracy_claim_sentences impo
 from calib.correction.command_sequence_timing_and_pose_error_map import HOLDING
 from calib.correction.correction import require_reachable
 from calib.correction.physics_compensation import require_sensor_coverage
-from calib.models.arm import certification as arm_certification
-from calib.models.arm.correction import ArmCorrection
+from calib.models.machine_models import corrected_pose_covariance
 from calib.models.wanted_pose_commands import RouteCommands, commands_along_route, pace_that_holds_poses_at_times
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError, Unreachable
@@ -90,9 +89,9 @@ class CorrectionResult(OneLineRepr):
 
     @property
     def rest(self) -> Floats | None:
-        """(n, 6) m and rad that an arm of fewer than six joints leaves to the wanted poses, None of other machines."""
+        """(n, 6) m and rad that a machine of fewer than six axes leaves to the wanted poses, None of other machines."""
         correction = self.calibration.correction
-        if not isinstance(correction, ArmCorrection) or not correction.deficient:
+        if not correction.deficient:
             return None
         return pose_difference(self.commanded.T_base_platform, self.wanted.poses.T_base_platform[self.index])
 
@@ -103,7 +102,7 @@ class CorrectionResult(OneLineRepr):
         if covariance is None and self.rest is None:
             return None
         if covariance is None:
-            covariance = arm_certification.arm_pose_covariance(self.calibration, self.values)
+            covariance = corrected_pose_covariance(self.calibration, T, self.values)
         return Poses(self.frames, T, covariance)
 
     def __str__(self) -> str:

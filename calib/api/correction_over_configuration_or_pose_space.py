@@ -61,7 +61,7 @@ from rig.errors import NotEnoughData, RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, has_links, require_arm, require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, has_links, require_arm, require_parallel
 from rig.model.pose import pose_difference
 
 CONFIGURATION, POSE, BOTH = "configuration", "pose", "both"
@@ -246,7 +246,7 @@ class ExtendOptions:
                 "--onto adds a pass to a calibration of struts; an arm's is extended in one step, by all of "
                 "its recordings"
             )
-        struts = require_struts(design.mechanism)
+        struts = require_parallel(design.mechanism)
         if mechanism_dict(self.onto.correction.nominal) != mechanism_dict(struts):
             raise RigError(f"{self.name} is for another machine than this recording's rig.toml")
         if self.onto.physics is not None:
@@ -290,7 +290,7 @@ def certify_correction_extension(
         return ExtendedCorrection(of_arm, tried, claim, {}, misses, mechanisms.travel_unit(arm), base)
     provenance: Json = {}
     if options.onto is None:
-        done, tried = certify_extended_correction(samples, require_struts(design.mechanism), ask, rng, progress)
+        done, tried = certify_extended_correction(samples, require_parallel(design.mechanism), ask, rng, progress)
     else:
         done, tried, provenance = _certify_pass(options, options.onto, samples, rng, progress)
         base = f"{options.name}, pass {provenance['number']}"
@@ -327,7 +327,7 @@ def _certify_pass(
     )
 
 
-def _parts(text: str | None, mechanism: Struts) -> tuple[SpacePart | None, SpacePart | None]:
+def _parts(text: str | None, mechanism: Parallel) -> tuple[SpacePart | None, SpacePart | None]:
     """(Part of the configuration space, Part of pose space), None for all of it, of a text. Raises RigError for one
     that bounds nothing.
     """

@@ -256,7 +256,7 @@ def _diagnosed(
 ) -> tuple[Diagnosis, Report, Sampled | None]:
     """(the diagnosis, its Report, Sampled or None where nothing was commanded) of a recording of any machine."""
     mechanism = recording.design.mechanism
-    if options.calibration is not None and mechanism.axes and mechanism.strut_joints is None:
+    if options.calibration is not None and mechanism.axes and mechanism.plates is None:
         raise RigError(
             "--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording"
         )

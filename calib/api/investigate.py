@@ -28,6 +28,7 @@ from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
@@ -226,6 +227,7 @@ def _begin(out: Path, rig: InvestigatedRig) -> None:
     except OSError as error:
         raise RigError(f"{out} cannot be created: {error.strerror}") from None
     write_bytes(out / "rig.toml", rig.path.read_bytes())
+    write_kinematics_file(out, rig.design.mechanism)
     write_plan_table(plan_path(out, 1), plan, rig.design.mechanism.axes)
     write_text(out / STATE, json.dumps(own, indent=1) + "\n")
 

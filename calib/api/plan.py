@@ -42,8 +42,7 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_geometry_classes import Arm, Chain, Planar2
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_axes, is_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, has_axes, is_hexapod
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan, sensors_with_payload
 from rig.planning.plan_construction_and_table import Plan
@@ -75,7 +74,7 @@ class InformativeConfigurations:
 
 
 def informative_configurations(
-    mechanism: Arm | Chain | Planar2,
+    mechanism: Commanded,
     count: int,
     sigmas: tuple[float, float],
     visible_marker_count: Callable[[RigidTransform], Integers] | None = None,
@@ -196,9 +195,7 @@ def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress
     return PlanResult(design, chosen.commands, not unseen, why, said)
 
 
-def _plan_of_any(
-    design: Design, mechanism: Arm | Chain | Planar2, options: PlanOptions, progress: Progress
-) -> PlanResult:
+def _plan_of_any(design: Design, mechanism: Commanded, options: PlanOptions, progress: Progress) -> PlanResult:
     """PlanResult of the configurations that determine a machine's parameters best, of those in which cameras see it."""
     if options.calibration is not None or options.given is not None or options.criterion != "determinant":
         raise RigError("--calibration, --given and --criterion noise are for hexapods")

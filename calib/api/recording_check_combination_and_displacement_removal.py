@@ -23,11 +23,11 @@ from rig.checks import command_and_pose_disagreements
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
-    Struts,
+    Parallel,
     geometric_parameters,
     loop_closure_parameter_jacobian,
     mechanism_with_parameters,
-    require_struts,
+    require_parallel,
     strut_length_jacobian,
 )
 from rig.model.pose import exp
@@ -75,7 +75,7 @@ def remove_instrument_displacement(recording: Recording) -> tuple[Recording, lis
 
     Raises what sampling raises
     """
-    samples, m = sample_recording(recording).samples, require_struts(recording.design.mechanism)
+    samples, m = sample_recording(recording).samples, require_parallel(recording.design.mechanism)
     number = _numbers(recording, samples.frame)
     motions, scatter, start = (
         np.zeros((len(recording.parts), 6)),
@@ -96,7 +96,7 @@ def remove_instrument_displacement(recording: Recording) -> tuple[Recording, lis
     return _recording_in_first_base_frame(recording, places), places
 
 
-def _clear(samples: Samples, motion: Floats, m: Struts) -> bool:
+def _clear(samples: Samples, motion: Floats, m: Parallel) -> bool:
     """Whether a place (6,) does CLEAR times as much to the closures of a recording's samples as it leaves, by a
     mechanism as fitted.
     """
@@ -106,7 +106,7 @@ def _clear(samples: Samples, motion: Floats, m: Struts) -> bool:
 
 
 def _solved(
-    samples: Samples, number: Integers, m: Struts, start: Floats, scatter: Floats
+    samples: Samples, number: Integers, m: Parallel, start: Floats, scatter: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """(step (p + 6 later,), its covariance, (parts, axes) m scatter) of geometry and places, linear about a mechanism
     and places as they are.
@@ -206,7 +206,10 @@ def check_and_combine_recordings(
             if not places:
                 notice("the instrument has not moved")
         else:
-            notice("the instrument is assumed not to have moved: this is not checked for an arm")
+            notice(
+                "the instrument is assumed not to have moved: this is not checked for a mechanism of kind "
+                f"{recording.design.mechanism.kind!r}"
+            )
     return PreparedRecording(recording, lambda corners: None, True)
 
 

@@ -13,7 +13,8 @@ from calib.certification.pose_error_promise_and_conformity import Cell, Conformi
 from calib.certification.uncertainty_budget import Budget
 from calib.samples.confounded_conditions import Confounds
 from rig.array_and_json_types import Floats, Json
-from rig.model.mechanism_geometry_classes import Arm, Hexapod
+from rig.model import mechanisms
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded
 from rig.recording.recording_folder import LIMB, PAYLOAD, Recording
 from rig.report.verdict_and_refutations_by_later_recordings import Evidence
 
@@ -22,13 +23,14 @@ from rig.report.verdict_and_refutations_by_later_recordings import Evidence
 class Volume:
     """Where the poses that count lie. low, high : (3,) m of the platform's position; turned : rad, the greatest
     rotation away from their middle one
-    axes : names; commands : (axes, 2) m or rad, least and greatest of each."""
+    axes : names; commands : (axes, 2), least and greatest of each; units : of each, "m" or "rad"."""
 
     low: tuple[float, ...]
     high: tuple[float, ...]
     turned: float | None
     axes: tuple[str, ...]
     commands: tuple[tuple[float, float], ...]
+    units: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +58,7 @@ class Conditions:
     frame: str
 
 
-def measured_volume(poses: HeldPoses, mechanism: Hexapod | Arm) -> Volume:
+def measured_volume(poses: HeldPoses, mechanism: Commanded) -> Volume:
     """Volume in which the counted poses of HeldPoses were measured."""
     T = poses.T_base_platform[poses.first]
     places, commands = T.translation, poses.commanded[poses.first]
@@ -67,6 +69,7 @@ def measured_volume(poses: HeldPoses, mechanism: Hexapod | Arm) -> Volume:
         turned,
         mechanism.axes,
         tuple((float(low), float(high)) for low, high in zip(commands.min(axis=0), commands.max(axis=0))),
+        mechanisms.axis_units(mechanism),
     )
 
 

@@ -9,6 +9,7 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import Aga
 from calib.certification.iso230_and_iso9283_tests import POSES, VISITS, AxisTest
 from calib.certification.pose_error_promise_and_conformity import CONFORMS, FAILS
 from calib.certification.uncertainty_budget import Contribution, Expanded
+from rig.effects.framework.effect_parameters_and_covariates import PLOT_UNITS
 
 
 def micrometre_text(value: float) -> str:
@@ -67,9 +68,11 @@ def measured_volume_line(certificate: Contents) -> str:
     v = certificate.volume
     box = ", ".join(f"{axis} {low * 1e3:.1f} to {high * 1e3:.1f} mm" for axis, low, high in zip("xyz", v.low, v.high))
     turned = "" if v.turned is None else f", turned by up to {v.turned * 57.29578:.1f} degrees from the middle"
-    unit, scale = ("degrees", 57.29578) if certificate.machine == "arm" else ("mm", 1e3)
-    axes = ", ".join(f"{name} {low * scale:.1f} to {high * scale:.1f}" for name, (low, high) in zip(v.axes, v.commands))
-    return f"The volume: {box}{turned}; {axes} {unit}."
+    mixed, axes = len(set(v.units)) > 1, []
+    for name, (low, high), unit in zip(v.axes, v.commands, v.units):
+        scale, shown = PLOT_UNITS[unit]
+        axes.append(f"{name} {low * scale:.1f} to {high * scale:.1f}" + (f" {shown}" if mixed else ""))
+    return f"The volume: {box}{turned}; {', '.join(axes)}{'' if mixed else f' {PLOT_UNITS[v.units[0]][1]}'}."
 
 
 def basis_lines(certificate: Contents) -> list[str]:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.held_out_errors import HeldErrors
-from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
+from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST, axis_travel_limits
 from calib.certification.strut_deviation_sizes_and_possible_machines import Machines
 from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.correction.interpolation.gaussian_process import Radial
@@ -28,7 +28,8 @@ from calib.models.platform.identification import (
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.model import mechanisms
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, geometric_parameters
+from rig.model.mechanisms.file_mechanism import SCALE
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, geometric_parameters, has_struts
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import FILL, sobol_configurations
 
@@ -198,7 +199,7 @@ def draw_variance_ratio(cost: float, freedom: int, count: int, rng: np.random.Ge
 def error_claim_over_workspace(
     identified: Identified,
     tolerance: Tolerance,
-    correction: Correction[Struts, Radial],
+    correction: Correction[Parallel, Radial],
     samples: Samples,
     rng: np.random.Generator,
     machines: Machines | None = None,
@@ -217,7 +218,8 @@ def error_claim_over_workspace(
         int((np.linalg.svd(identified.root * width, compute_uv=False) > 1).sum()) for width in (PRIOR, tolerance.prior)
     )
     nominal, fitted = correction.nominal, correction.fitted
-    middle = f"the middle {FILL * 100:.0f} % of every stroke, all struts independent"
+    words = "stroke, all struts" if has_struts(nominal) else "travel, all axes"
+    middle = f"the middle {FILL * 100:.0f} % of every {words} independent"
     told = ConfigurationInformation(distinct, determined, better, len(identified.prior), _tolerance_in_words(tolerance))
     if distinct < LEAST:
         return empty_claim_of_too_few_configurations(told, middle)
@@ -243,10 +245,11 @@ def error_claim_over_workspace(
 
 def sample_workspace(correction: AnyCorrection) -> tuple[Floats, RigidTransform]:
     """Samples of the workspace: (commands (m, axes) m, poses (m,) of the corrected machine)."""
-    return solvable_commands_and_poses(sobol_configurations(correction.nominal.strut_range, PLACES, FILL), correction)
+    ranges = axis_travel_limits(correction.nominal)
+    return solvable_commands_and_poses(sobol_configurations(ranges, PLACES, FILL), correction)
 
 
-def draw_fit_variance_ratio(identified: Identified, nominal: Struts, count: int, rng: np.random.Generator) -> Floats:
+def draw_fit_variance_ratio(identified: Identified, nominal: Parallel, count: int, rng: np.random.Generator) -> Floats:
     """Draws (count,) of the ratio of the poses' variances in a fit to the stated ones."""
     return draw_variance_ratio(identified.cost, len(nominal.axes) * int(identified.inliers.sum()), count, rng)
 
@@ -268,7 +271,7 @@ def mean_square_pose_errors_of_extension(
     return np.asarray(square.mean(axis=0).reshape(2, 3).sum(axis=1))
 
 
-def _machines(found: Identified, tolerance: Tolerance, nominal: Struts, rng: np.random.Generator) -> Floats:
+def _machines(found: Identified, tolerance: Tolerance, nominal: Parallel, rng: np.random.Generator) -> Floats:
     """(DRAWS, p) m, parameters less the owner's, drawn from what poses and owner's tolerance leave."""
     pick = rng.choice(len(tolerance.weight), size=DRAWS, p=tolerance.weight)
     inflated = draw_fit_variance_ratio(found, nominal, DRAWS, rng)
@@ -295,6 +298,8 @@ def _scatters(found: Identified, rng: np.random.Generator) -> Floats:
 
 def _tolerance_in_words(tolerance: Tolerance) -> str:
     joints, zeros = tolerance.prior[0], tolerance.prior[-1]
+    if not tolerance.counts[1]:
+        return f"parameters good to {joints / SCALE:.2g} of their tolerances, as these poses indicate"
     return (
         f"joints good to {joints * 1e3:.2g} mm and zeros to {zeros * 1e3:.2g} mm a coordinate, as these poses indicate"
     )

@@ -65,7 +65,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import FILL, sobol_configurations
 
@@ -106,7 +106,7 @@ class Tried(NamedTuple):
 
 def certify_extended_correction(
     samples: Samples,
-    nominal: Struts,
+    nominal: Parallel,
     request: ExtensionRequest,
     rng: np.random.Generator,
     progress: Progress | None = None,
@@ -174,7 +174,7 @@ def _with_scatter(samples: Samples, done: Certified, rng: np.random.Generator) -
 
 def certify_interpolation_method(
     samples: Samples,
-    basis: tuple[Struts | Arm, Integers, Any],  # Any: what identified the geometry, of each kind of machine its own
+    basis: tuple[Parallel | Arm, Integers, Any],  # Any: what identified the geometry, of each kind of machine its own
     basis_of_samples: Callable[[Samples], "ExtensionBasis"],
     kind: str,
     rng: np.random.Generator,
@@ -232,7 +232,7 @@ def certify_interpolation_method(
     return Certified(correct(field), found, label, held[kind], left=replace(left, fitted=float(again[0]))), tuple(tried)
 
 
-def _without(samples: Samples, nominal: Struts, found: Identified, field: Field, alone: bool) -> Identified:
+def _without(samples: Samples, nominal: Parallel, found: Identified, field: Field, alone: bool) -> Identified:
     """The Identified once its field is taken off: what the field corrects is no scatter of the struts and widens no
     parameter.
     """
@@ -257,7 +257,7 @@ class _Outcome(NamedTuple):
     after: dict[str, Floats]
 
 
-def _splits(samples: Samples, label: Integers, nominal: Struts | Arm) -> list[tuple[Booleans, Booleans]]:
+def _splits(samples: Samples, label: Integers, nominal: Parallel | Arm) -> list[tuple[Booleans, Booleans]]:
     """[(fitted (n,) bool, held out (n,) bool)]; none where there are fewer than LEAST configurations."""
     if label.max() + 1 < LEAST:
         return []
@@ -309,7 +309,7 @@ def _held_out(
     )
 
 
-def mean_stated_position_variance(field: Field, samples: Samples, nominal: Struts) -> float:
+def mean_stated_position_variance(field: Field, samples: Samples, nominal: Parallel) -> float:
     """Mean of the position variance that a Field states at samples, m^2."""
     back = inverse_strut_length_jacobian(samples.T_base_platform, nominal)
     return float((back[:, :3] ** 2 @ (field.error(samples.commanded) ** 2)[..., None]).sum(axis=1).mean())

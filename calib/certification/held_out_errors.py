@@ -282,9 +282,10 @@ def _leverages(
 ) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
     """Of each part (its samples (n,) bool, roots of their noise (m, 6, 6), directions (6 m, 6 m) of their whitened
     poses, and of each direction the share, 0 to ALL_OWN, of what is known of it that these samples tell themselves)."""
+    none = np.diag(1.0 * ~noise.any(axis=(0, 1)))  # directions in which a machine has no freedom: nothing moves them
     for each in np.unique(part):
         own = part == each
-        L = np.linalg.cholesky(noise[own])
+        L = np.linalg.cholesky(noise[own] + none)
         white = np.linalg.solve(L, jacobian[own]).reshape(-1, jacobian.shape[2])
         share, U = np.linalg.eigh(white @ covariance @ white.T)
         yield own, L, U, share.clip(0, ALL_OWN)

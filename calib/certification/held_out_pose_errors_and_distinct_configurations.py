@@ -17,7 +17,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel
 from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands
 
@@ -43,7 +43,7 @@ def configuration_numbers(commanded: Floats, ranges: Floats) -> Integers:
     return out
 
 
-def axis_travel_limits(mechanism: Struts | Arm | Chain) -> Floats:
+def axis_travel_limits(mechanism: Parallel | Arm | Chain) -> Floats:
     """Range of each axis of a mechanism: (axes, 2) m or rad."""
     return mechanisms.kinematics_of(mechanism).travel_ranges(mechanism)
 

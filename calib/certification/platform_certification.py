@@ -49,7 +49,7 @@ from calib.samples.pose_samples import Samples, inverse_covariance
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
-    Struts,
+    Parallel,
     geometric_parameters,
     loop_closure_parameter_jacobian,
 )
@@ -71,7 +71,7 @@ class Certified:
     strut_covariance : (axes, axes) m^2 of what their struts do besides, both about the correction; left : HeldErrors of
     what an extension leaves at configurations held out, None where nothing was extended"""
 
-    correction: Correction[Struts, Radial]
+    correction: Correction[Parallel, Radial]
     found: Identified
     label: Integers
     held_out: HeldOut | None
@@ -100,7 +100,7 @@ def platform_pose_covariance(calibration: Calibration, T_base_platform: RigidTra
 
 
 def certify_platform(
-    samples: Samples, nominal: Struts, rng: np.random.Generator, progress: Progress | None = None
+    samples: Samples, nominal: Parallel, rng: np.random.Generator, progress: Progress | None = None
 ) -> Certified:
     """Certified platform: calibrated on all samples, with errors at configurations held out in turn.
 
@@ -124,7 +124,7 @@ def certify_platform(
     like, good = correction.remainder, sizes.inliers
     covariance = samples.total_covariance()[good]
 
-    def corrections(some: Samples) -> list[Correction[Struts, Radial]]:
+    def corrections(some: Samples) -> list[Correction[Parallel, Radial]]:
         known = identify_geometry(some, nominal, alone)
         return [
             calibrate_correction(some, nominal, how, geometry=known)[0]
@@ -141,12 +141,12 @@ def certify_platform(
     return certified_with_possible_machines(samples, done, sizes, rng)
 
 
-def uncertified_geometry(nominal: Struts, identified: Identified, label: Integers) -> Certified:
+def uncertified_geometry(nominal: Parallel, identified: Identified, label: Integers) -> Certified:
     """Certified result of a geometry alone, of which nothing was held out.
 
     label : (n,) configuration of each sample
     """
-    plain: Correction[Struts, Radial] = Correction(nominal, identified.mechanism, (None,) * len(nominal.axes))
+    plain: Correction[Parallel, Radial] = Correction(nominal, identified.mechanism, (None,) * len(nominal.axes))
     return Certified(plain, identified, label, None)
 
 
@@ -227,7 +227,7 @@ def add_machine_draws(certified: Certified, machines: Machines) -> Certified:
 
 
 def certified_with_refitted_correction(
-    certified: Certified, correction: Correction[Struts, Radial], identified: Identified
+    certified: Certified, correction: Correction[Parallel, Radial], identified: Identified
 ) -> Certified:
     """Certified platform with a refitted correction and its geometry, of the same samples."""
     moved = replace(certified, correction=correction, found=identified)

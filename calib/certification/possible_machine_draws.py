@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_travel_limits
 from calib.certification.strut_deviation_covariance_functions import (
     CONDITION,
     CONFIGURATION,
@@ -29,7 +30,7 @@ from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
-    Struts,
+    Parallel,
     geometric_parameters,
     loop_closure_parameter_jacobian,
     strut_length_jacobian,
@@ -71,7 +72,7 @@ def draw_strut_deviation_sizes(
     tolerance: Tolerance,
     samples: Samples,
     label: Integers,
-    nominal: Struts,
+    nominal: Parallel,
     rng: np.random.Generator,
 ) -> StrutDeviationSizes:
     """Draws of the sizes of strut deviations beyond the geometry, from samples.
@@ -117,7 +118,7 @@ def draw_possible_machines(
     tolerance: Tolerance,
     samples: Samples,
     sizes: StrutDeviationSizes,
-    nominal: Struts,
+    nominal: Parallel,
     workspace_commands: Floats,
     noise: Floats,
     rng: np.random.Generator,
@@ -133,7 +134,7 @@ def draw_possible_machines(
     model, parts, x = (
         _Closures(identified, samples.take(sizes.inliers)),
         sizes.components,
-        scaled_commands(workspace_commands, nominal.strut_range),
+        scaled_commands(workspace_commands, axis_travel_limits(nominal)),
     )
     at = [
         [part.at(x) if part.kernel is not None else part.use(x) if part.use is not None else None for part in own]
@@ -224,7 +225,7 @@ class _Closures:
         self.left = samples.effective - mechanisms.kinematics_of(self.fitted).inverse(T, self.fitted)
         self.own = A @ samples.covariance @ np.swapaxes(A, 1, 2)
 
-    def about(self, nominal: Struts) -> Floats:
+    def about(self, nominal: Parallel) -> Floats:
         """(n, axes) m, the closures as the owner's figures have them, to first order."""
         return np.asarray(self.left + self.D @ (geometric_parameters(nominal) - geometric_parameters(self.fitted)))
 

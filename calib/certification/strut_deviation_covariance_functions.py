@@ -13,10 +13,11 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_travel_limits
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model import mechanisms
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel
 from rig.planning.configuration_sets import FILL, sobol_configurations
 from rig.recording.recording_folder import PAYLOAD
 
@@ -26,7 +27,7 @@ NOTHING = 1e-9  # of the greatest load, below which a strut is not loaded
 Use = Callable[[Floats], tuple[Floats, Floats]]
 
 
-def strut_load_signs(samples: Samples, nominal: Struts) -> list[tuple[Floats, Use] | None]:
+def strut_load_signs(samples: Samples, nominal: Parallel) -> list[tuple[Floats, Use] | None]:
     """Signs (n,) of each strut's load at the samples, positive where it pushes, each with a `Component.use` of it.
 
     None where no sign changes over the workspace or nothing is known of weights. By the owner's geometry; payloads are
@@ -37,7 +38,8 @@ def strut_load_signs(samples: Samples, nominal: Struts) -> list[tuple[Floats, Us
     weight, nothing = samples.conditions.weight, np.zeros(len(samples))
     carried = samples.conditions.channels.get(PAYLOAD, nothing)
     each, count = np.unique(np.round(carried, 3), return_counts=True)
-    middle, half = nominal.strut_range.mean(axis=1), np.ptp(nominal.strut_range, axis=1) / 2
+    ranges = axis_travel_limits(nominal)
+    middle, half = ranges.mean(axis=1), np.ptp(ranges, axis=1) / 2
 
     def seen(T: RigidTransform, commands: Floats, payload: Floats) -> Floats:
         loads = mechanisms.kinematics_of(nominal).axis_loads(T, commands, nominal, weight.wrench(T, payload))
@@ -61,7 +63,7 @@ def strut_load_signs(samples: Samples, nominal: Struts) -> list[tuple[Floats, Us
         return mean_and_variance
 
     recorded = seen(samples.T_base_platform, samples.effective, carried)
-    anywhere = there(((sobol_configurations(nominal.strut_range, PLACES, FILL) - middle) / half).tobytes())
+    anywhere = there(((sobol_configurations(axis_travel_limits(nominal), PLACES, FILL) - middle) / half).tobytes())
     both = np.concatenate([recorded, anywhere])
     turning = recorded.any(axis=0) & (both.min(axis=0) < 1) & (both.max(axis=0) > -1)
     return [(recorded[:, i], use(i)) if turns else None for i, turns in enumerate(turning)]
@@ -122,10 +124,10 @@ def scaled_commands(commands: Floats, strokes: Floats) -> Floats:
 
 
 def candidate_covariance_functions_of_strut_deviations(
-    samples: Samples, label: Integers, nominal: Struts
+    samples: Samples, label: Integers, nominal: Parallel
 ) -> list[list[Component]]:
     """Components (covariance functions) of each strut's deviations that the samples may show; label : (n,)."""
-    x, n = scaled_commands(samples.effective, nominal.strut_range), len(samples)
+    x, n = scaled_commands(samples.effective, axis_travel_limits(nominal)), len(samples)
     spread = FILL / np.sqrt(3)  # of a strut's place over the workspace, half strokes
     shared = [_scatter(n), *_repeated(label), *_times(samples), *_loads(samples, x)]
     whole = [_of_place(f"the configuration, over {length:g} half strokes", x, _whole(length)) for length in WHOLE]

@@ -34,15 +34,20 @@ from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.effects.framework.effect_parameters_and_covariates import PLOT_UNITS
 from rig.errors import NotConverged, RigError, Unreachable
 from rig.model import mechanisms
-from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, require_struts, strut_length_jacobian
+from rig.model.mechanism_geometry_classes import Arm, Chain
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Commanded,
+    Parallel,
+    require_parallel,
+    strut_length_jacobian,
+)
 
 ITERATIONS = 100
 TOLERANCE = 1e-12  # m
 ROUNDS = 2  # of fitting the geometry and the remainder in turn
 
 
-M = TypeVar("M", bound=Hexapod | Planar2 | Arm | Chain)
+M = TypeVar("M", bound=Commanded)
 R = TypeVar("R", bound=Callable[[Floats], Floats])
 
 
@@ -72,6 +77,11 @@ class Correction(Generic[M, R]):
     extension: Field | None = field(default=None, kw_only=True)
     posed: tuple[PoseMap, ...] = field(default=(), kw_only=True)
     physics: tuple[str, ...] = field(default=(), kw_only=True)
+
+    @property
+    def deficient(self) -> bool:
+        """Whether the machine has too few axes to take any pose: then it comes as near to wanted ones as it can."""
+        return bool(self.nominal.files) and len(self.nominal.pose_coordinates) < 6
 
     def rho(self, commands: Floats) -> Floats:
         """(..., axes) m, the remainder at commands (..., axes)."""
@@ -158,7 +168,7 @@ class Correction(Generic[M, R]):
         """The poses (n,) that commands (n, axes) found for wanted poses (n,) give: these themselves, but for a machine
         of too few axes.
         """
-        return T_base_platform
+        return self.predict(commands) if self.deficient else T_base_platform
 
     def goal(self, T_base_platform: RigidTransform, near: Floats) -> Floats:
         """(n, axes) m or rad that the fitted geometry has to get for poses (n,). similar_fit : (n, axes), commands
@@ -168,7 +178,7 @@ class Correction(Generic[M, R]):
 
     def responses(self, T_base_platform: RigidTransform, effective: Floats) -> Responses:
         """Responses at poses (n,), of which the fitted geometry gets effective (n, axes) m or rad."""
-        fitted = require_struts(self.fitted)
+        fitted = require_parallel(self.fitted)
         return Responses(
             inverse_strut_length_jacobian(T_base_platform, fitted),
             strut_length_jacobian(T_base_platform, fitted),
@@ -211,13 +221,14 @@ class Correction(Generic[M, R]):
 
     def near(self, T_base_platform: RigidTransform, guess: Floats) -> Floats:
         """Commands (n, axes) as `inverse` for poses (n,), NaN where none is found. guess : (n, axes), what is near."""
-        goal = mechanisms.kinematics_of(self.fitted).inverse(self.target_poses(T_base_platform), self.fitted)
-        try:
-            return self.settled(goal)
-        except NotConverged as error:
-            out, rest = np.full(goal.shape, np.nan), np.delete(np.arange(len(goal)), error.index)
-            out[rest] = self.settled(goal[rest])
-            return out
+        out, rest = np.full((len(T_base_platform), len(self.nominal.axes)), np.nan), np.arange(len(T_base_platform))
+        while len(rest):
+            try:
+                out[rest] = self.inverse_without_physics(T_base_platform[rest])
+                break
+            except (NotConverged, Unreachable) as error:
+                rest = np.delete(rest, error.index)
+        return out
 
     def settled(self, goal: Floats) -> Floats:
         """Commands c (..., axes) m or rad with c = goal + rho(c): those that make the struts as long as the fitted
@@ -277,7 +288,7 @@ def indices_and_poses_of_solvable_commands(
                 raise
 
 
-def require_reachable(commands: Floats, mechanism: Struts | Arm | Chain, labels: Sequence[str]) -> None:
+def require_reachable(commands: Floats, mechanism: Parallel | Arm | Chain, labels: Sequence[str]) -> None:
     """Raise Unreachable, listing every pose whose commands (n, axes) m or rad leave the mechanism's range.
 
     labels : n texts
@@ -300,7 +311,7 @@ def require_reachable(commands: Floats, mechanism: Struts | Arm | Chain, labels:
     raise Unreachable(f"{len(bad)} of {len(commands)} wanted poses cannot be reached:", bad, lines)
 
 
-def identify_geometry(samples: Samples, nominal: Struts, similar_fit: Identified | None = None) -> Identified:
+def identify_geometry(samples: Samples, nominal: Parallel, similar_fit: Identified | None = None) -> Identified:
     """Geometry identified from samples alone, no remainder taken off.
 
     similar_fit : Identified of most of the same samples, whose prior is taken over, or None: these samples show how
@@ -316,11 +327,11 @@ def identify_geometry(samples: Samples, nominal: Struts, similar_fit: Identified
 
 def calibrate_correction(
     samples: Samples,
-    nominal: Struts,
+    nominal: Parallel,
     remainder: str | tuple[Radial | None, ...] = "find",
     geometry: Identified | None = None,
     axes_with_remainder: Booleans | None = None,
-) -> tuple[Correction[Struts, Radial], Identified]:
+) -> tuple[Correction[Parallel, Radial], Identified]:
     """Correction calibrated on samples: geometry fitted, then its remainder extended; (Correction, Identified).
 
     samples : Samples; nominal : the owner's
@@ -330,7 +341,7 @@ def calibrate_correction(
     axes_with_remainder : (axes,) bool, the struts that may have one where it is to be found; all by default
     Raises RigError for a machine without struts, NotEnoughData as `identify`
     """
-    nominal = require_struts(nominal)
+    nominal = require_parallel(nominal)
     found = identify_geometry(samples, nominal) if geometry is None else geometry
     parts: tuple[Radial | None, ...] = (None,) * len(nominal.axes)
     like = remainder if isinstance(remainder, tuple) else parts
@@ -356,7 +367,7 @@ def calibrate_correction(
 def _remainder(
     samples: Samples,
     found: Identified,
-    nominal: Struts,
+    nominal: Parallel,
     before: tuple[Radial | None, ...],
     like: tuple[Radial | None, ...],
     may: Booleans,
@@ -367,13 +378,13 @@ def _remainder(
     good = found.inliers
     left = found.residuals + Correction(nominal, nominal, before).rho(samples.effective)
     variances = np.einsum("nii->ni", found.residual_covariance)
-    given = any(like)
+    given, ranges = any(like), mechanisms.kinematics_of(nominal).travel_ranges(nominal)
 
     def part(i: int) -> Radial | None:
         if (like[i] is None) if given else not (found.scatter[i] and may[i]):
             return None
         return gaussian_process.fit_gaussian_process(
-            samples.effective[good], left[good, i], variances[good, i], i, nominal.strut_range, like[i]
+            samples.effective[good], left[good, i], variances[good, i], i, ranges, like[i]
         )
 
     axes = range(len(like))

@@ -17,7 +17,7 @@ from rig.array_and_json_types import Floats, Json
 from rig.errors import NotConverged, RigError
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, strut_length_jacobian
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, strut_length_jacobian
 from rig.model.pose import pose_to_entry
 from rig.planning.configuration_sets import FILL, sobol_configurations
 
@@ -37,7 +37,7 @@ class CorrectionSummands(NamedTuple):
     covariance: Floats
 
 
-def strut_correction_summands(samples: Samples, nominal: Struts) -> CorrectionSummands:
+def strut_correction_summands(samples: Samples, nominal: Parallel) -> CorrectionSummands:
     """Correction summands of struts at samples: commands less IK of the measured poses by the nominal model."""
     A = strut_length_jacobian(samples.T_base_platform, nominal)
     return CorrectionSummands(
@@ -111,7 +111,7 @@ def pose_map_dict(pose_map: PoseMap) -> Json:
     }
 
 
-def pose_map_from_entries(table: Entries, nominal: Struts) -> PoseMap:
+def pose_map_from_entries(table: Entries, nominal: Parallel) -> PoseMap:
     """PoseMap of a mechanism from its entries, as `pose_map_dict` gives them. Raises FileError for anything else."""
     some = pose_coordinate_indices(nominal)
     if table.texts("coordinates") != tuple(NAMES[i] for i in some):

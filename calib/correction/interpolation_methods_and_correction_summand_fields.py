@@ -35,7 +35,7 @@ from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.model import mechanisms
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, geometric_parameters, strut_length_jacobian
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, geometric_parameters, strut_length_jacobian
 from rig.planning.configuration_sets import FILL, sobol_configurations
 
 SHAPES = {  # of the arrays: a axes, m outputs, the other letters any number, the same wherever they stand
@@ -165,7 +165,7 @@ def _ragged(table: Entries, name: str) -> list[object]:
 PLACES = 500  # at which a single step is held against the fixed point
 
 
-def measured_correction_summands(samples: Samples, model: Struts) -> FieldSamples:
+def measured_correction_summands(samples: Samples, model: Parallel) -> FieldSamples:
     """Correction summands (KSF_PM) measured at samples, with variances by the poses' covariance.
 
     Source: configuration-space patent, [0130]
@@ -182,7 +182,7 @@ def measured_correction_summands(samples: Samples, model: Struts) -> FieldSample
 
 
 def fitted_or_nominal_geometry(
-    samples: Samples, nominal: Struts, without_fit: bool, prior: Floats | None = None
+    samples: Samples, nominal: Parallel, without_fit: bool, prior: Floats | None = None
 ) -> Identified:
     """Geometry fitted to samples, or the nominal one with nothing fitted (Identified), that an extension starts from.
     without_fit : the owner's own, with nothing sought. prior : (p,) m, or None: as poses have it.
@@ -268,12 +268,12 @@ def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection) 
     )
 
 
-def pose_coordinate_indices(mechanism: Struts) -> tuple[int, ...]:
+def pose_coordinate_indices(mechanism: Parallel) -> tuple[int, ...]:
     """Indices of the pose coordinates in which poses of a mechanism differ."""
     return mechanism.pose_coordinates
 
 
-def home_pose(mechanism: Struts) -> RigidTransform:
+def home_pose(mechanism: Parallel) -> RigidTransform:
     """Home pose of a mechanism, T_base_platform."""
     kinematics = mechanisms.kinematics_of(mechanism)
     return kinematics.forward(kinematics.home_values(mechanism), mechanism)
@@ -302,7 +302,9 @@ def fit_correction_summand_field(samples: FieldSamples, kind: str, smoothness_fr
     )
 
 
-def correction_with_field(nominal: Struts, identified: Identified, field: Field | None) -> Correction[Struts, Radial]:
+def correction_with_field(
+    nominal: Parallel, identified: Identified, field: Field | None
+) -> Correction[Parallel, Radial]:
     """Correction of an identified geometry with a Field for its remainder, or with none."""
     return Correction(nominal, identified.mechanism, (None,) * len(nominal.axes), extension=field)
 

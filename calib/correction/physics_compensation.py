@@ -25,7 +25,7 @@ from rig.model import motion_simulation as machine
 from rig.model.design import Actuator, Design, Platform
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, has_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, is_parallel
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Sensors
 
@@ -100,7 +100,7 @@ class Physics:
         """[Coordinate] of the effects' parameters, in the order of the covariance."""
         return coordinates_of_effects(self.effects)
 
-    def machine(self, mechanism: Struts | Arm | Chain) -> Design:
+    def machine(self, mechanism: Parallel | Arm | Chain) -> Design:
         """Design of a mechanism with what effects look at besides; it has no cameras."""
         return Design("", self.gravity, mechanism, None, self.actuator, self.platform, (), ())
 
@@ -133,7 +133,7 @@ class Physics:
         )
 
     def with_effects(
-        self, mechanism: Struts | Arm | Chain, samples: Samples, commands: Commands, sensors: Sensors | None
+        self, mechanism: Parallel | Arm | Chain, samples: Samples, commands: Commands, sensors: Sensors | None
     ) -> Samples:
         """Samples with what this physics says of their commands, which lasts; mechanism : fitted."""
         there, _ = self.sensed(sensors, samples.t)
@@ -145,7 +145,7 @@ def samples_with_effects(
 ) -> Samples:
     """Samples with effects applied to their commands, or taken off an arm's poses beyond its joints."""
     t, T = samples.t, samples.T_base_platform
-    if has_struts(design.mechanism):
+    if is_parallel(design.mechanism):
         return replace(
             samples, known=machine.effective_commands(design, commands, t, T, effects, sensors) - samples.commanded
         )
@@ -214,7 +214,7 @@ class Machine:
         lengths, sway = commands.at(t), np.zeros((len(t), 6))
         if self.physics is not None and effects:
             design, sensed = self.physics.machine(self.correction.fitted), sensors or self.sensors
-            if has_struts(design.mechanism):
+            if is_parallel(design.mechanism):
                 lengths = motion_simulation.effective_commands(design, commands, t, T, effects, sensed)
             else:
                 lengths, sway = motion_simulation.effective_commands_and_sway(design, commands, t, T, effects, sensed)

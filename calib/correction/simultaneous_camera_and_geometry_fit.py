@@ -20,7 +20,7 @@ from rig.model.design import Camera, Design
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod as mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
-    Struts,
+    Parallel,
     geometric_parameters,
     mechanism_with_parameters,
     require_hexapod,
@@ -153,8 +153,8 @@ def _camera(camera: Camera, q: Floats) -> Camera:
 
 
 def refine_correction_with_cameras(
-    sampled: Sampled, design: Design, correction: Correction[Struts, Radial], identified: Identified
-) -> tuple[Correction[Struts, Radial], Identified]:
+    sampled: Sampled, design: Design, correction: Correction[Parallel, Radial], identified: Identified
+) -> tuple[Correction[Parallel, Radial], Identified]:
     """Correction refined with cameras, by a simultaneous fit to a recording's corners: (Correction, Identified).
 
     sampled : Sampled; design : Design as stated; correction, found : as `calibrate` gives them

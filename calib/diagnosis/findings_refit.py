@@ -27,7 +27,7 @@ from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm_of_
 from calib.models.arm.error_model_and_observations import parameter_names, sample_observations
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, JointFit, Prior, fit_geometry_and_effects
 from calib.models.platform.identification import Loops
-from calib.samples.pose_samples import Sampled, Samples, planar_samples_of_two_struts
+from calib.samples.pose_samples import Sampled, Samples, samples_of_freedoms
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import MOTION_STAGES, Effect
@@ -38,8 +38,7 @@ from rig.formats import json_toml_and_yaml_loading, machine_json
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files.atomic_file_and_manifest import load_manifest as manifest
 from rig.model import mechanisms
-from rig.model.effect_places_and_part_tolerances import Place
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, require_arm, require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, require_arm, require_parallel
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
 
@@ -194,7 +193,7 @@ def refit_platform_with_findings(
 
     Raises RigError for a machine without struts, and what refining raises
     """
-    nominal = require_struts(recording.design.mechanism)
+    nominal = require_parallel(recording.design.mechanism)
     said = progress or silent_progress
     said("refining physics and geometry jointly", 0, 1)
     point, _, _ = operating_point_of_recording(recording, progress, sampled=sampled)
@@ -209,7 +208,7 @@ def refit_platform_with_findings(
     said("refining physics and geometry jointly", 1, 1)
     k, samples = refined.point.with_effects(_motion(effects)), sampled.samples
     if any(e.stage not in MOTION_STAGES for e in findings.effects):  # what cameras left out moved every pose
-        samples = planar_samples_of_two_struts(recording, replace(samples, T_base_platform=k.T))
+        samples = samples_of_freedoms(replace(samples, T_base_platform=k.T), recording.design.mechanism)
     known = replace(k, T=samples.T_base_platform).effective() - samples.commanded
     design = recording.design
     physics = Physics(
@@ -257,7 +256,8 @@ def sensor_medians_and_standard_deviations(recording: Recording, t: Floats) -> d
 
 def _corrected(place: str, done: Certified) -> bool:
     """Whether a place's strut, or any for the whole rig, is corrected over the configuration space."""
-    kept = [str(Place.axis("strut", i)) for i, part in enumerate(done.correction.remainder) if part is not None]
+    places = mechanisms.axis_place_texts(done.correction.nominal)
+    kept = [place for place, part in zip(places, done.correction.remainder) if part is not None]
     return place in kept or (place == "rig" and bool(kept))
 
 

@@ -164,7 +164,7 @@ def diagnose(
 def _measured_evidence(recording: Recording) -> Callable[..., Evidence[Any, Any]]:
     """The function that makes Evidence of a recording of its kind of machine: only what that takes is imported."""
     mechanism = recording.design.mechanism
-    if mechanism.axes and mechanism.strut_joints is None:
+    if mechanism.axes and not mechanism.closes_loops:
         from calib.diagnosis.problems.arm.arm_recording_evidence import arm_evidence
 
         return arm_evidence

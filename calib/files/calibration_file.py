@@ -30,7 +30,8 @@ from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_text_parsing import Kinds
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
-from rig.formats.output_files import write_text
+from rig.formats.output_files import STANDARD_OUTPUT, write_text
+from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 
 SCHEMA = "calibration/1"
 WITH_PHYSICS = (
@@ -79,6 +80,8 @@ def save(path: Path | str, calibration: Calibration) -> None:
         "provenance": calibration.provenance,
     }
     write_text(path, json.dumps(tree, indent=1) + "\n")
+    if Path(path) != STANDARD_OUTPUT:
+        write_kinematics_file(Path(path).parent, correction.nominal)
 
 
 def load(path: Path | str, effect_kinds: Kinds = BY_NAME) -> Calibration:

@@ -19,11 +19,19 @@ from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.machine_json import effect_to_dict, effects_from_entries
+from rig.formats.rig_toml.mechanism_entries import file_mechanism_dict, file_mechanism_from_entries
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts, has_links, has_stages, has_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Commanded,
+    Parallel,
+    Struts,
+    has_links,
+    has_stages,
+    has_struts,
+)
 
 
 def require_text(tree: Entries, key: str, known_texts: Sequence[str]) -> None:
@@ -58,13 +66,17 @@ def require_schema_contents(tree: Entries, needed: Sequence[str], refused: Seque
             )
 
 
-def _require_plausible(table: Entries, mechanism: Struts | Arm, stated: bool) -> None:
+def _require_plausible(table: Entries, mechanism: Parallel | Arm, stated: bool) -> None:
     """Raise FileError for ranges, zeros and joints that no machine has, lengths in m. stated : whether it is the
     owner's, whose home is in reach
     """
     if has_links(mechanism):
         _require_plausible_arm(table, mechanism)
-        return
+    elif has_struts(mechanism):
+        _require_plausible_struts(table, mechanism, stated)
+
+
+def _require_plausible_struts(table: Entries, mechanism: Struts, stated: bool) -> None:
     for i, (low, high) in enumerate(mechanism.strut_range):
         if not 0 < low < high:
             table.fail(
@@ -93,7 +105,7 @@ def _require_plausible(table: Entries, mechanism: Struts | Arm, stated: bool) ->
                 )
 
 
-def require_same_ranges(tree: Entries, nominal: Struts | Arm | Chain, fitted: Struts | Arm | Chain) -> None:
+def require_same_ranges(tree: Entries, nominal: Commanded, fitted: Commanded) -> None:
     """Raise FileError where nominal and fitted mechanism differ in kind, or do not have the same axis ranges."""
     if (fitted.kind, len(fitted.axes)) != (nominal.kind, len(nominal.axes)):
         tree.fail(
@@ -134,7 +146,7 @@ def _require_plausible_arm(table: Entries, arm: Arm) -> None:
 MOST_JOINTS = 64
 
 
-def mechanism_dict(mechanism: Struts | Arm | Chain) -> Json:
+def mechanism_dict(mechanism: Commanded) -> Json:
     """dict of a mechanism, as JSON holds it."""
     if has_stages(mechanism):
         return {"kind": mechanism.kind, "stages": [mechanism_dict(stage) for stage in mechanism.stages]}
@@ -145,11 +157,15 @@ def mechanism_dict(mechanism: Struts | Arm | Chain) -> Json:
             **{name: json_data(getattr(mechanism, name)) for name in ("limits", "base", "tool")},
             **({"slides": mechanism.slides.tolist()} if mechanism.slides.any() else {}),
         }
+    if not has_struts(mechanism):
+        return file_mechanism_dict(mechanism)
     return {"kind": mechanism.kind, **{name: json_data(getattr(mechanism, name)) for name in SHAPES[mechanism.kind]}}
 
 
-def mechanism_from_entries(table: Entries, stated: bool = False) -> Struts | Arm | Chain:
+def mechanism_from_entries(table: Entries, stated: bool = False) -> Commanded:
     """Mechanism from its JSON entries. stated : whether it is the nominal one. Raises FileError for anything else."""
+    if "file" in table.tree:
+        return file_mechanism_from_entries(table)
     if table.text("kind", (*READERS, CHAIN)) == CHAIN:
         stages = table.tables("stages")
         if len(stages) < 2:
@@ -237,9 +253,7 @@ def _coordinate_text(effect: int, name: str, index: int | None, role: str, physi
     return f"{measure}{name}{'' if index is None else f' {index + 1}'} of {at.name} at {at.place}"
 
 
-def physics_from_entries(
-    table: Entries, mechanism: Struts | Arm | Chain, parameter_count: int, kinds: Kinds = BY_NAME
-) -> Physics:
+def physics_from_entries(table: Entries, mechanism: Commanded, parameter_count: int, kinds: Kinds = BY_NAME) -> Physics:
     """Physics from its entries in calibration.json, as `physics_dict` gives them.
 
     mechanism : nominal; parameter_count : of the geometry's parameters; kinds : effects that there are. Raises

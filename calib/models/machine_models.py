@@ -31,16 +31,19 @@ from calib.workspace.workspace_map_and_lost_poses import map_workspace
 from rig.array_and_json_types import Booleans, Floats
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
-from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
+from rig.model.mechanism_geometry_classes import Arm, Chain
+from rig.model.mechanisms.file_mechanism import SCALE
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
-    NAMES,
     Commanded,
     Mechanism,
     geometric_parameters,
+    has_struts,
+    parameter_names,
+    parameter_units_and_scales,
     require_arm,
     require_axes,
     require_chain,
-    require_struts,
+    require_parallel,
 )
 
 Certified = platform_certification.Certified | arm_certification.CertifiedArm | chain_certification.CertifiedChain
@@ -49,6 +52,10 @@ Parts = list[Entries | None]  # the remainder's table of each axis, None where a
 FRAMES = (
     "T_base_platform maps platform coordinates to the base; base and platform frame as the stated targets hold them; "
     "tangent x y z rx ry rz on the right, in the platform frame; commanded length = joint distance - strut zero"
+)
+FILE_FRAMES = (
+    "T_base_platform maps platform coordinates to the base; base and platform frame as the stated targets hold them; "
+    "tangent x y z rx ry rz on the right, in the platform frame; axes and parameters as the kinematics file has them"
 )
 ARM_FRAMES = (
     "T_base_platform maps the target on the hand to the frame of poses.csv = base A_1(theta_1 + q_1) .. A_n tool, "
@@ -100,25 +107,29 @@ class MachineModel(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class PlatformModel:
-    """A platform, or a hinge, on struts. order : the names of its parameters."""
+    """A platform, or a hinge, on struts, or of a kinematics file. order : the names of its parameters, "" : by name."""
 
-    order: str
+    order: str = ""
     frames: tuple[str, ...] = (FRAMES,)
     scatter_key: str = "strut_scatter"
 
     def parameter_count(self, nominal: Commanded) -> int:
         """How many parameters its geometry has."""
-        return len(geometric_parameters(require_struts(nominal)))
+        return len(geometric_parameters(require_parallel(nominal)))
 
     def parameter_order(self, nominal: Commanded) -> str:
         """The names of the parameters in their order."""
-        return self.order
+        if self.order:
+            return self.order
+        return "changes from nominal, 0.0005 for each tolerance: " + ", ".join(
+            parameter_names(require_parallel(nominal))
+        )
 
     def certify(
         self, sampled: Sampled, nominal: Commanded, rng: np.random.Generator, progress: Progress | None = None
     ) -> tuple[Certified, Claim]:
         """What a calibration of samples finds, and what it claims all over the workspace."""
-        done = platform_certification.certify_platform(sampled.samples, require_struts(nominal), rng, progress)
+        done = platform_certification.certify_platform(sampled.samples, require_parallel(nominal), rng, progress)
         return done, platform_certification.platform_workspace_claim(sampled.samples, done, rng)
 
     def pose_covariance(self, calibration: Calibration, T: RigidTransform, commands: Floats) -> Floats:
@@ -204,6 +215,7 @@ class ChainModel:
 MODELS: dict[str, MachineModel] = {
     "hexapod": PlatformModel("base joints 1..6 (x y z), platform joints 1..6 (x y z), strut zeros 1..6"),
     "planar2": PlatformModel("base joints 1, 2 (x y), strut zeros 1, 2"),
+    "file": PlatformModel(frames=(FILE_FRAMES,)),
     "arm": ArmModel(),
     "chain": ChainModel(),
 }
@@ -217,7 +229,7 @@ def model_of(mechanism: Mechanism) -> MachineModel:
 def _correction(
     tree: Entries, nominal: Commanded, fitted: Commanded, parts: Parts, extension: Field | None
 ) -> AnyCorrection:
-    posed = tuple(pose_map_from_entries(one, require_struts(nominal)) for one in tree.tables("pose_maps"))
+    posed = tuple(pose_map_from_entries(one, require_parallel(nominal)) for one in tree.tables("pose_maps"))
     remainder = tuple(
         None if part is None else gaussian_process_from_entries(part, len(nominal.axes)) for part in parts
     )
@@ -269,15 +281,14 @@ def independent_parameter_names_units_sizes_and_jacobian(mechanism: Mechanism) -
             partial(chains.parameter_jacobian, chain=mechanism),
         )
         return IndependentParameters(found.names, found.units, found.size, found.jacobian, True)
-    struts = require_struts(mechanism)
-    names = NAMES[struts.kind]
-    return IndependentParameters(
-        names, ("m",) * len(names), np.full(len(names), PRIOR), partial(_of_struts, struts), False
-    )
+    struts = require_parallel(mechanism)
+    units, scales = parameter_units_and_scales(struts)
+    size = np.full(len(units), PRIOR) if has_struts(struts) else SCALE * scales
 
+    def by_unit(values: Floats) -> Floats:
+        return pose_parameter_jacobian(mechanisms.kinematics_of(struts).forward(values, struts), struts) / scales
 
-def _of_struts(struts: Hexapod | Planar2, values: Floats) -> Floats:
-    return pose_parameter_jacobian(mechanisms.kinematics_of(struts).forward(values, struts), struts)
+    return IndependentParameters(parameter_names(struts), units, size, by_unit, False)
 
 
 def _selected_freedoms(

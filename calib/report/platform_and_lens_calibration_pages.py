@@ -15,9 +15,16 @@ from calib.models.platform.identification import Identified
 from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
-from rig.array_and_json_types import Json
+from rig.array_and_json_types import Floats, Json
+from rig.effects.framework.effect_parameters_and_covariates import PLOT_UNITS
 from rig.model import mechanisms
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Parallel,
+    geometric_parameters,
+    has_struts,
+    parameter_names,
+    parameter_units_and_scales,
+)
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, view_3d_scripts_if_needed
@@ -144,22 +151,23 @@ def _figures(f: Figures) -> list[str]:
     return [f"{value * 1e3:.4f}" for value in (*f.position, *f.rotation)]
 
 
-def _corrections(correction: Correction[Struts, Radial], samples: Samples) -> str:
+def _corrections(correction: Correction[Parallel, Radial], samples: Samples) -> str:
     seen = samples.effective - mechanisms.kinematics_of(correction.nominal).inverse(
         samples.T_base_platform, correction.nominal
     )
-    modelled, commanded = correction.summand(samples.effective) * 1e3, samples.commanded * 1e3
+    modelled, commanded = correction.summand(samples.effective) * 1e3, samples.commanded
+    places, units = mechanisms.axis_place_texts(correction.nominal), mechanisms.axis_units(correction.nominal)
     return panel_row_html(
         *(
             plot_panel_svg(
-                f"strut {i + 1}",
-                ("commanded, mm", "correction, mm"),
+                places[i],
+                (f"commanded, {PLOT_UNITS[unit][1]}", f"correction, m{unit}"),
                 [
-                    Series(commanded[:, i], modelled[:, i], "correction", "crosses", 1),
-                    Series(commanded[:, i], seen[:, i] * 1e3, "measured"),
+                    Series(commanded[:, i] * PLOT_UNITS[unit][0], modelled[:, i], "correction", "crosses", 1),
+                    Series(commanded[:, i] * PLOT_UNITS[unit][0], seen[:, i] * 1e3, "measured"),
                 ],
             )
-            for i in range(seen.shape[1])
+            for i, unit in enumerate(units)
         )
     )
 
@@ -168,11 +176,15 @@ def _left(samples: Samples, found: Identified) -> str:
     sigma = float(np.sqrt(np.einsum("nii->ni", found.residual_covariance).mean())) * 1e6
     struts = found.residuals * 1e6
     top = 1.05 * max(float(np.nanmax(np.abs(struts))), 2 * sigma)
-    return paragraph_html(f"Two standard deviations of a pose are {2 * sigma:.1f} um in a strut.") + panel_row_html(
+    places, unit = mechanisms.axis_place_texts(found.mechanism), found.mechanism.axis_unit
+    part = found.mechanism.axis_words[0]
+    return paragraph_html(
+        f"Two standard deviations of a pose are {2 * sigma:.1f} u{unit} in a {part}."
+    ) + panel_row_html(
         *(
             plot_panel_svg(
-                f"strut {i + 1}",
-                ("frame", "left, um"),
+                places[i],
+                ("frame", f"left, u{unit}"),
                 [Series(samples.frame, struts[:, i])],
                 limits=(-top, top),
                 level=0.0,
@@ -185,6 +197,8 @@ def _left(samples: Samples, found: Identified) -> str:
 def _parameters(calibration: Calibration) -> str:
     fitted, nominal = calibration.correction.fitted, calibration.correction.nominal
     sigma = np.sqrt(np.diag(calibration.covariance))
+    if not has_struts(nominal):
+        return _parameters_by_name(fitted, nominal, sigma)
     rows, start = [], 0
     for name in nominal.geometry_arrays:
         for i, own in enumerate((getattr(fitted, name) - getattr(nominal, name)).reshape(len(nominal.axes), -1)):
@@ -198,6 +212,18 @@ def _parameters(calibration: Calibration) -> str:
             )
             start += len(own)
     return table_html(("change from nominal, mm (k = 2)", "x or zero", "y", "z"), rows)
+
+
+def _parameters_by_name(fitted: Parallel, nominal: Parallel, sigma: Floats) -> str:
+    """Table of the parameters of a kinematics file. sigma : (p,) of the scaled ones, see `geometric_parameters`"""
+    steps = geometric_parameters(fitted) - geometric_parameters(nominal)
+    rows = [
+        (name, f"{step * scale * 1e3:+.4f} ± {2 * s * scale * 1e3:.4f}", f"m{unit}")
+        for name, unit, scale, step, s in zip(
+            parameter_names(nominal), *parameter_units_and_scales(nominal), steps, sigma
+        )
+    ]
+    return table_html(("parameter", "change from nominal (k = 2)", "unit"), rows)
 
 
 def provenance_html(calibration: Calibration) -> str:

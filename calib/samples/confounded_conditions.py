@@ -20,7 +20,7 @@ from rig.array_and_json_types import Floats, Json
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain, Free
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel
 from rig.recording.recording_folder import PAYLOAD, Recording
 
 DIRECTION, TIME, LOAD = "direction of approach", "time", "load"
@@ -105,7 +105,7 @@ class Confounds:
         }
 
 
-def confounds_of_samples(samples: Samples, mechanism: Struts | Arm | Chain | Free) -> Confounds | None:
+def confounds_of_samples(samples: Samples, mechanism: Parallel | Arm | Chain | Free) -> Confounds | None:
     """Confounds of the samples of a mechanism; None where no recording states their conditions."""
     known = samples.conditions
     if known is None:
@@ -115,7 +115,7 @@ def confounds_of_samples(samples: Samples, mechanism: Struts | Arm | Chain | Fre
     )
 
 
-def confounds_of_configurations(values: Floats, start: Floats, mechanism: Struts | Arm | Chain | Free) -> Confounds:
+def confounds_of_configurations(values: Floats, start: Floats, mechanism: Parallel | Arm | Chain | Free) -> Confounds:
     """Confounds of configurations (n, axes) m or rad visited in order at even times, from start (axes,)."""
     way = np.sign(np.diff(np.concatenate([start[None], values]), axis=0))
     latest = np.maximum.accumulate(np.where(way != 0, np.arange(len(way))[:, None], -1), axis=0)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Instrument
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, nearest_reachable_poses
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording
 from rig.recording.recording_table_loading_and_writing import Corners, Poses
 
@@ -227,20 +227,23 @@ def add_stage_measurements(
     return replace(samples, below=(*samples.below, Below(stage, T_base_stage[row], covariance[row], common[row], seen)))
 
 
-def hinge_position_samples_in_plane(samples: Samples) -> Samples:
-    """Samples of a hinge's position in the plane z = 0: nothing else of its pose counts as measured.
+def samples_of_freedoms(samples: Samples, mechanism: Mechanism) -> Samples:
+    """Samples of a mechanism of fewer freedoms than six: only those of its platform's coordinates count as measured.
 
-    There poses and their covariance are 0: no strut moves the hinge so, and what is seen of it says how the plate sits
-    on the hinge.
+    The other coordinates are as at home and their covariance is 0: no axis moves them, and what is seen of them says
+    how the target sits on the platform.
     """
-    R = samples.T_base_platform.rotation.as_matrix()
-    place, covariance = samples.T_base_platform.translation * [1, 1, 0], np.zeros_like(samples.covariance)
-    covariance[:, :2, :2] = (R @ samples.covariance[:, :3, :3] @ np.swapaxes(R, 1, 2))[:, :2, :2]
-    common = np.zeros_like(samples.common)
-    common[:, :2] = (R @ samples.common[:, :3])[:, :2]
-    return replace(
-        samples, T_base_platform=RigidTransform.from_translation(place), covariance=covariance, common=common
-    )
+    some = list(mechanism.pose_coordinates)
+    if len(some) == 6:
+        return samples
+    measured = samples.T_base_platform.as_matrix()
+    T = nearest_reachable_poses(samples.T_base_platform, mechanism)
+    turned = np.swapaxes(T.rotation.as_matrix(), 1, 2) @ measured[:, :3, :3]  # measured axes to the nearest pose's
+    to = np.zeros((len(samples), 6, 6))
+    to[:, :3, :3] = to[:, 3:, 3:] = turned
+    to[:, [k for k in range(6) if k not in some]] = 0
+    covariance = to @ samples.covariance @ np.swapaxes(to, 1, 2)
+    return replace(samples, T_base_platform=T, covariance=covariance, common=to @ samples.common)
 
 
 def inverse_covariance(covariance: Floats) -> Floats:
@@ -292,7 +295,7 @@ def sample_recording(
     ):
         stated = poses.covariance is not None or recording.design.instrument is not None
         return Sampled(
-            planar_samples_of_two_struts(recording, _from_poses(recording, poses)),
+            samples_of_freedoms(_from_poses(recording, poses), recording.design.mechanism),
             "poses.csv",
             None,
             None,
@@ -315,18 +318,11 @@ def sample_recording(
         alone = below.covariance - below.common @ np.swapaxes(below.common, 1, 2)
         found = add_stage_measurements(found, stage, below.frames, below.T_base_platform, alone, below.common)
     return Sampled(
-        planar_samples_of_two_struts(recording, found),
+        samples_of_freedoms(found, recording.design.mechanism),
         source,
         measured,
         collected,
         instrument=CAMERAS if has_links(recording.design.mechanism) else None,
-    )
-
-
-def planar_samples_of_two_struts(recording: Recording, samples: Samples) -> Samples:
-    """Samples of a recording, restricted to the plane where its machine is two struts."""
-    return (
-        hinge_position_samples_in_plane(samples) if recording.design.mechanism.pose_coordinates == (0, 1) else samples
     )
 
 

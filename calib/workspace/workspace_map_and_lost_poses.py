@@ -21,7 +21,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers, Json
 from rig.errors import NotConverged
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_parallel
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.planning.configuration_sets import sobol_configurations
 
@@ -161,14 +161,14 @@ def map_workspace(correction: AnyCorrection, covariance: Covariance, count: int 
     Raises NotConverged where no configuration closes on a pose
     """
     nominal = correction.nominal
-    count = count or (DRAWN if has_struts(nominal) else FEWER)
+    count = count or (DRAWN if is_parallel(nominal) else FEWER)
     drawn = sobol_configurations(mechanisms.kinematics_of(nominal).travel_ranges(nominal), count, 1.0)
     owner = uncorrected_machine(correction)
     believed, real = (
         reachable_poses_and_loss(owner, correction, drawn),
         reachable_poses_and_loss(correction, owner, drawn),
     )
-    short = not has_struts(nominal) and len(nominal.axes) < 6
+    short = not is_parallel(nominal) and len(nominal.axes) < 6
     lost, gained = (np.zeros(len(one.out), bool) if short else one.out for one in (believed, real))
     positions = np.concatenate([believed.T_base_platform.translation, real.T_base_platform.translation])
     origin, size = _corner(positions)
@@ -189,7 +189,7 @@ def map_workspace(correction: AnyCorrection, covariance: Covariance, count: int 
         np.stack([np.trace(C[:, part, part], axis1=1, axis2=2) for part in (slice(0, 3), slice(3, 6))], axis=1)
     )
     middles = origin + (index + 0.5) * size
-    room = _at_home(correction, middles) if has_struts(nominal) else most(_room(correction, real.commands))
+    room = _at_home(correction, middles) if is_parallel(nominal) else most(_room(correction, real.commands))
     return Workspace(
         count,
         None if short else float(lost.mean()),
@@ -243,7 +243,7 @@ def _singular(correction: AnyCorrection, real: MachineReach) -> Floats:
 
 def pose_description_of_axis_margin_map(correction: AnyCorrection) -> str:
     """Description in words of the poses whose margin to the axis limits the workspace map states."""
-    if not has_struts(correction.nominal):
+    if not is_parallel(correction.nominal):
         return "the most that a pose drawn there leaves"
     degrees = np.degrees(pose_to_vector(home_pose(correction.nominal))[3:])
     return "the pose at its centre, oriented as home (" + " ".join(f"{angle:.3g}" for angle in degrees) + " degrees)"

@@ -212,7 +212,7 @@ def _print_rest(result: CorrectionResult, rest: Floats, poses: str | None) -> No
 
     position, rotation = (np.linalg.norm(rest[:, part], axis=1) * 1e3 for part in (slice(0, 3), slice(3, 6)))
     print(
-        f"an arm of {len(result.calibration.correction.nominal.axes)} joints cannot compensate every error: what it "
+        f"a machine of {len(result.calibration.correction.nominal.axes)} axes cannot compensate every error: what it "
         "leaves at the wanted poses is "
         f"{np.sqrt(np.mean(position**2)):.4f} mm RMS, {position.max():.4f} at most, and "
         f"{np.sqrt(np.mean(rotation**2)):.4f} mrad RMS, "

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.controller_protocol_list_and_port_name_check import PROTOCOLS as PROTOCOLS
-from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2, freeze_array
+from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2, freeze_array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -309,7 +309,7 @@ class Design:
 
     name: str
     gravity: Floats
-    mechanism: Hexapod | Planar2 | Arm | Chain | Free
+    mechanism: Hexapod | Planar2 | FileMechanism | Arm | Chain | Free
     instrument: Instrument | None
     actuator: Actuator
     platform: Platform

@@ -1,6 +1,7 @@
-"""Geometry classes of mechanisms (hexapod, planar, arm, chain, free): frozen dataclasses in m and rad."""
+"""Geometry classes of mechanisms (hexapod, planar, arm, chain, of a file, free): frozen dataclasses in m and rad."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -8,6 +9,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats
+from rig.model.kinematics_file import KinematicsFile
+from rig.model.kinematics_file_checks import kinematics_of_source
 
 
 def _array(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> Floats:
@@ -25,18 +28,24 @@ def freeze_array(instance: object, name: str, shape: tuple[int | None, ...]) -> 
     object.__setattr__(instance, name, _array(getattr(instance, name), shape, name))
 
 
+WORDS = {"m": "slide", "rad": "joint"}  # what an axis of a kinematics file is called, by its unit
+
+
 class StatedMechanism:
     """What every mechanism answers of itself. A mechanism of which something else holds says so in its own class.
 
     axis_unit : of the travel of its axes, the slides of an arm aside
     pose_coordinates : which of a pose's six coordinates (x y z rx ry rz, from 0) its platform can change
     placements : names of the poses that say where it stands and what it holds, fitted along with its geometry
+    closes_loops : whether each of its axes follows from the platform's pose by an equation of its own (parallel
+        mechanisms)
     """
 
     __slots__ = ()
     axis_unit: ClassVar[Literal["m", "rad"]] = "m"
     pose_coordinates: ClassVar[tuple[int, ...]] = (0, 1, 2, 3, 4, 5)
     placements: ClassVar[tuple[str, ...]] = ()
+    closes_loops: ClassVar[bool] = False
 
     @property
     def axis_words(self) -> tuple[str, ...]:
@@ -80,6 +89,11 @@ class StatedMechanism:
         """{name: array} of the figures of its geometry that a calibration fits, m and rad."""
         return {}
 
+    @property
+    def files(self) -> dict[str, str]:
+        """{name: text} of the files that state its kinematics, beside its rig.toml."""
+        return {}
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hexapod(StatedMechanism):
@@ -96,6 +110,7 @@ class Hexapod(StatedMechanism):
     home: RigidTransform
     strut_zeros: Floats = field(default_factory=lambda: np.zeros(6))
     kind: ClassVar[Literal["hexapod"]] = "hexapod"
+    closes_loops: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         for name, shape in (
@@ -158,6 +173,7 @@ class Planar2(StatedMechanism):
     strut_range: Floats
     strut_zeros: Floats = field(default_factory=lambda: np.zeros(2))
     kind: ClassVar[Literal["planar2"]] = "planar2"
+    closes_loops: ClassVar[bool] = True
     pose_coordinates: ClassVar[tuple[int, ...]] = (0, 1)
 
     def __post_init__(self) -> None:
@@ -289,6 +305,67 @@ class Chain(StatedMechanism):
     def bodies(self) -> tuple[str, ...]:
         """Names of what its stages move below the last platform: "stage 1" .."""
         return tuple(f"stage {i + 1}" for i in range(len(self.stages) - 1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FileMechanism(StatedMechanism):
+    """A mechanism of a kinematics file. file : its path, for messages; source : its text
+    parameters : (p,) m or rad, in the file's order
+    """
+
+    file: str
+    source: str
+    parameters: Floats
+    kind: ClassVar[Literal["file"]] = "file"
+    closes_loops: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        freeze_array(self, "parameters", (len(self.stated.nominal),))
+
+    @property
+    def stated(self) -> KinematicsFile:
+        """What the file states. Raises FileError for a file that cannot be used"""
+        return kinematics_of_source(self.source, self.file)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the commanded axes, as commands.csv heads its columns."""
+        return tuple(axis.name for axis in self.stated.axes)
+
+    @property
+    def axis_words(self) -> tuple[str, ...]:
+        """What each of its axes is called: "slide" in m, "joint" in rad."""
+        return tuple(WORDS[axis.unit] for axis in self.stated.axes)
+
+    @property
+    def axis_unit(self) -> Literal["m", "rad"]:  # type: ignore[override]
+        """Unit of the travel of its axes, "m" where there are both."""
+        return "rad" if all(axis.unit == "rad" for axis in self.stated.axes) else "m"
+
+    @property
+    def pose_coordinates(self) -> tuple[int, ...]:  # type: ignore[override]
+        """Which of a pose's six coordinates its platform can change."""
+        return self.stated.freedoms
+
+    @property
+    def stages(self) -> tuple["FileMechanism", ...]:
+        """The mechanisms stacked on its base: only itself."""
+        return (self,)
+
+    @property
+    def home_pose(self) -> RigidTransform:
+        """T_base_platform at home, as its owner states it."""
+        return RigidTransform.from_matrix(self.stated.home)
+
+    @property
+    def geometry_arrays(self) -> dict[str, Floats]:
+        """{name: array} of the figures of its geometry that a calibration fits, m or rad."""
+        return {"parameters": self.parameters}
+
+    @property
+    def files(self) -> dict[str, str]:
+        """{name: text} of the file that states its kinematics, beside its rig.toml."""
+        return {Path(self.file).name: self.source}
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanisms import mechanism_chain
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_stages, require_axes, require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_stages, require_axes, require_parallel
 from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 
@@ -149,7 +149,7 @@ def effective_commands_and_sway(
 
 def strut_elongations_of_platform_sway(design: Design, T: RigidTransform, sway: Floats) -> Floats:
     """Strut elongations (n, axes) m that a platform at T (n,), displaced by sway (n, 6), appears to have."""
-    m = require_struts(design.mechanism, "a {kind} has no struts")
+    m = require_parallel(design.mechanism, "a mechanism of kind {kind!r} is not parallel")
     return np.einsum("nij,nj->ni", mechanisms.kinematics_of(m).inverse_kinematics_jacobian(T, np.zeros(0), m), sway)
 
 

@@ -8,7 +8,7 @@ a triangulation, 2002
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import ClassVar, NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -218,12 +218,18 @@ class SimplexKernels(NamedTuple):
     fixed_points: Callable[..., None]
 
 
+F = TypeVar("F", bound=Callable[..., None])  # a function that is compiled
+
+
 @cache
 def compiled_simplex_kernels(axes: int) -> SimplexKernels:
-    """Simplex kernels compiled for a number of axes."""
+    """Simplex kernels compiled for a number of axes.
 
-    @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-    def at(
+    Each number has a name of its own: of two functions of one name a process may link the wrong one where one of them
+    comes from the cache
+    """
+
+    def at_point(
         x: Floats,
         levels: Floats,
         inverse: Floats,
@@ -257,7 +263,8 @@ def compiled_simplex_kernels(axes: int) -> SimplexKernels:
             for k in range(values.shape[1]):
                 out[k] += weight * values[vertex, k]
 
-    @njit(cache=True, nogil=True, error_model="numpy")
+    at = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})(_named(at_point, axes))
+
     def simplex(
         x: Floats, levels: Floats, inverse: Floats, cells: Floats, strides: Floats, values: Floats, out: Floats
     ) -> None:
@@ -265,7 +272,6 @@ def compiled_simplex_kernels(axes: int) -> SimplexKernels:
         for q in range(x.shape[0]):
             at(x[q], levels, inverse, cells, strides, values, scratch, out[q])
 
-    @njit(cache=True, nogil=True, error_model="numpy")
     def fixed_points(goal: Floats, tables: Tables, tolerance: float, commands: Floats, change: Floats) -> None:
         levels, inverse, cells, strides, values = tables
         scratch, found = (np.empty(axes), np.zeros(axes + 1), np.empty(axes, np.int64)), np.empty(values.shape[1])
@@ -281,7 +287,14 @@ def compiled_simplex_kernels(axes: int) -> SimplexKernels:
                 if change[q] < tolerance:
                     break
 
-    return SimplexKernels(simplex, fixed_points)
+    compiled = njit(cache=True, nogil=True, error_model="numpy")
+    return SimplexKernels(*(compiled(_named(one, axes)) for one in (simplex, fixed_points)))
+
+
+def _named(function: F, axes: int) -> F:
+    """A function with the number of axes in its name."""
+    function.__name__ = function.__qualname__ = f"{function.__name__}_of_{axes}_axes"
+    return function
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -281,7 +281,7 @@ def _levels(d: Diagnosis, struts: Floats) -> str:
         noise = np.sqrt(refined.model.strut_noise().mean(axis=0)) * 1e6
         bare, _ = model_residuals(before.model)
         rows.append(
-            ([str(Place.axis("strut", i)) for i in range(k.axes)], _rms(bare) * 1e6, _rms(struts) * 1e6, noise, "µm")
+            ([str(place) for place in k.places], _rms(bare) * 1e6, _rms(struts) * 1e6, noise, f"µ{k.axis_unit}")
         )
     if k.seen is not None:
         rows.append(_camera_levels(refined.model, before.model))
@@ -315,7 +315,7 @@ def _rms(values: Floats) -> Floats:
     return np.sqrt((values**2).mean(axis=0))
 
 
-SCALES, UNITS = {"m": 1e6}, {"m": "µm"}  # in which misfits are shown
+SCALES, UNITS = {"m": 1e6, "rad": 1e6}, {"m": "µm", "rad": "µrad"}  # in which misfits are shown
 
 
 def repeatability_rows(diagnosis: Diagnosis) -> list[tuple[str, object]]:

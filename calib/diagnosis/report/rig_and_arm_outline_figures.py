@@ -30,6 +30,7 @@ MARGIN, HIGH = 24.0, 330.0  # units of a figure
 Colour = Callable[..., int]
 GHOSTS = 14  # other configurations, drawn faintly
 VIEWS = (((0, 2), "from the side"), ((0, 1), "from above"))
+FRAME, LEAST_FRAME = 0.3, 0.05  # axes of a frame, of the distance of base and platform; m, which that is at least
 ARM_FIGURE_HEIGHT, ARM_MARGIN = 260.0, 24.0  # of a view, units of a figure
 
 
@@ -90,6 +91,8 @@ def rig_outline_figure(point: OperatingPoint, places: list[str]) -> str:
         _hexapod(drawn, m, T, colour)
     elif isinstance(m, Planar2):
         _planar(drawn, m, T, colour)
+    elif m.axes:
+        _frames(drawn, T, colour)
     if k.design.targets:
         _targets(drawn, k, T, colour)
     for camera in k.design.cameras if k.seen is not None else ():
@@ -98,6 +101,7 @@ def rig_outline_figure(point: OperatingPoint, places: list[str]) -> str:
         (place, MARKS[n % len(MARKS)])
         for n, place in enumerate(places)
         if Place.parse(place).kind in ("rig", "clock", "cameras", "markers")
+        or (Place.parse(place).is_axis and m.strut_joints is None)
     ]
     return drawn.figure(f"the rig in outline, marked: {', '.join(places) or 'nothing'}", whole)
 
@@ -134,6 +138,17 @@ def _planar(drawn: Outline, m: Planar2, T: RigidTransform, colour: Colour) -> No
         c = colour(str(Place.axis("strut", i)), "rig")
         drawn.line([np.r_[joint, 0], T.translation], c, str(Place.axis("strut", i)))
         drawn.label((np.r_[joint, 0] + T.translation) / 2, str(i + 1), c)
+
+
+def _frames(drawn: Outline, T: RigidTransform, colour: Colour) -> None:
+    """The frames of base and platform, all that is known of the shape of a machine of a kinematics file."""
+    size = FRAME * max(float(np.linalg.norm(T.translation)), LEAST_FRAME)
+    drawn.line([np.zeros(3), T.translation], colour("rig"))
+    for frame, name in ((RigidTransform.identity(), "base"), (T, "platform")):
+        for k, axis in enumerate("xyz"):
+            tip = frame.apply(size * np.eye(3)[k])
+            drawn.line([frame.translation, tip], PLAIN, f"{name} {axis}")
+            drawn.label(tip, axis, PLAIN)
 
 
 def _targets(drawn: Outline, k: OperatingPoint, T: RigidTransform, colour: Colour) -> None:

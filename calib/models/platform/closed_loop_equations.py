@@ -1,4 +1,4 @@
-"""Closed-loop equations of struts: residuals and Jacobians, compiled for hexapods, and for two struts.
+"""Closed-loop equations of struts: residuals and Jacobians, compiled for hexapods, and for others.
 
 Each strut closes a loop: commanded length + zero = |R a + t - b|. At constant command a change of the 42 parameters
 moves the pose by J_p = A^-1 D, where A is the struts' Jacobian to the pose and D the loops' to the parameters. Taking
@@ -6,8 +6,8 @@ both at the predicted pose, not at the measured one, keeps the measured pose's n
 and Zhuang, On the accuracy of a Stewart platform, ICRA 1993; the on-line learning patent for Stewart platforms, eq. 1
 [0024].
 
-Only the hinge's place in the plane is the struts' to give; what was measured across the plane, and how the plate on
-the hinge is turned, is no part of the fit.
+Of a mechanism of fewer freedoms than six, such as a hinge in a plane, only these are its axes' to give; what was
+measured of the other coordinates is no part of the fit.
 """
 
 from typing import NamedTuple
@@ -19,10 +19,13 @@ from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.errors import NotConverged, RigError
-from rig.model.mechanism_geometry_classes import Planar2
-from rig.model.mechanisms import two_strut_plane
-from rig.model.mechanisms.two_strut_plane import two_strut_loop_jacobian
-from rig.model.pose import rotate_in_place
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Parallel,
+    kinematics_of,
+    loop_closure_parameter_jacobian,
+    strut_length_jacobian,
+)
+from rig.model.pose import pose_difference, rotate_in_place
 
 TOLERANCE = 1e-13  # m; what Newton leaves of a strut's length
 MAX_ITERATIONS = 40
@@ -217,30 +220,27 @@ def whitened_pose_rows(
     return -1
 
 
-def linearised_equations_of_two_strut_hinge_position(
-    samples: Samples, lengths: Floats, mechanism: Planar2, scatter: Floats
-) -> Linear:
-    """Linearised equations (Linear) of the measured hinge (x, y) at a geometry.
+def linearised_freedom_equations(samples: Samples, lengths: Floats, mechanism: Parallel, scatter: Floats) -> Linear:
+    """Linearised equations (Linear) of the measured poses at a geometry, in the mechanism's freedoms.
 
-    lengths : (n, 2) m, commanded; scatter : (2,) m of each strut beyond the poses' own
-    Raises RigError naming the first pose whose circles do not cross, or that does not say where in the plane it is
+    samples : Samples, in these freedoms alone; lengths : (n, axes) m or rad, commanded; scatter : (axes,) of each axis
+    beyond the poses' own
+    Raises RigError naming the first pose on which the axes do not close
     """
+    some = list(mechanism.pose_coordinates)
     try:
-        T = two_strut_plane.forward(lengths, mechanism)
+        T = kinematics_of(mechanism).forward(lengths, mechanism)
     except NotConverged as error:
         i = int(error.index[0])
         raise RigError(
-            f"frame {samples.frame[i]}: the commanded lengths {lengths[i].round(6).tolist()} m close on no pose"
+            f"frame {samples.frame[i]}: the commanded values {lengths[i].round(6).tolist()} close on no pose"
         ) from None
-    R = samples.T_base_platform.rotation.as_matrix()
-    to_hinge = np.linalg.inv(two_strut_plane.jacobian(T, mechanism)[..., :2])
-    own = (R @ samples.covariance[:, :3, :3] @ np.swapaxes(R, 1, 2))[:, :2, :2] + (to_hinge * scatter**2) @ np.swapaxes(
-        to_hinge, 1, 2
-    )
+    to_pose = np.linalg.inv(strut_length_jacobian(T, mechanism)[..., some])
+    own = samples.covariance[:, some][:, :, some] + (to_pose * scatter**2) @ np.swapaxes(to_pose, 1, 2)
     white = np.linalg.inv(np.linalg.cholesky(own))
-    left = (samples.T_base_platform.translation - T.translation)[:, :2]
+    left = pose_difference(T, samples.T_base_platform)[:, some]
     return Linear(
         (white @ left[..., None])[..., 0],
-        white @ to_hinge @ two_strut_loop_jacobian(T, mechanism),
-        white @ (R @ samples.common[:, :3])[:, :2],
+        white @ to_pose @ loop_closure_parameter_jacobian(T, mechanism),
+        white @ samples.common[:, some],
     )

@@ -12,9 +12,15 @@ import numpy as np
 from calib.identify.least_squares_and_robust_fit import Visibility, parameter_visibility
 from calib.models.platform.identification import PRIOR, Identified
 from rig.array_and_json_types import Floats
-from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanism_geometry_classes import FileMechanism, Hexapod
 from rig.model.mechanisms import hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import NAMES, Struts, geometric_parameters
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Parallel,
+    Struts,
+    geometric_parameters,
+    parameter_group_sizes,
+    parameter_names,
+)
 from rig.model.pose import skew
 
 PLAUSIBLE = 5e-4  # m; how far off a joint or a zero may well be
@@ -36,7 +42,7 @@ class Combination:
         return self.sigma < PLAUSIBLE
 
 
-def parameter_combinations(root: Floats, mechanism: Struts) -> tuple[tuple[Combination, ...], Visibility]:
+def parameter_combinations(root: Floats, mechanism: Parallel) -> tuple[tuple[Combination, ...], Visibility]:
     """Parameter combinations, worst determined first, and Visibility, by the information's root (p, p) 1/m."""
     seen: Visibility = parameter_visibility(root, np.full(root.shape[1], PLAUSIBLE))
     patterns = _patterns(mechanism)
@@ -89,13 +95,15 @@ def _direction_text(direction: Floats, patterns: dict[str, Floats]) -> str:
     return ", ".join(terms)
 
 
-def _patterns(mechanism: Struts) -> dict[str, Floats]:
+def _patterns(mechanism: Parallel) -> dict[str, Floats]:
     """{name: unit direction (p,)}: plates moved and scaled as a whole, all zeros together, each strut's loop, each
     parameter alone.
     """
-    found = (
+    found: dict[str, Floats] = (
         _of_hexapod(mechanism)
         if isinstance(mechanism, Hexapod)
+        else {}
+        if isinstance(mechanism, FileMechanism)
         else {
             **{
                 f"base joints moved {axis}": motion
@@ -105,7 +113,8 @@ def _patterns(mechanism: Struts) -> dict[str, Floats]:
             "both zeros": np.r_[np.zeros(4), 1, 1.0],
         }
     )
-    for name, unit in zip(NAMES[mechanism.kind], np.eye(len(NAMES[mechanism.kind]))):
+    names = parameter_names(mechanism)
+    for name, unit in zip(names, np.eye(len(names))):
         found[name] = unit
     return {name: pattern / np.linalg.norm(pattern) for name, pattern in found.items() if np.linalg.norm(pattern) > 0}
 
@@ -165,10 +174,10 @@ def expand_parameter_widths(widths: Floats, counts: tuple[int, int]) -> Floats:
     return np.repeat(widths, counts, axis=-1)
 
 
-def estimate_tolerance_of_stated_geometry(identified: Identified, nominal: Struts) -> Tolerance:
+def estimate_tolerance_of_stated_geometry(identified: Identified, nominal: Parallel) -> Tolerance:
     """Estimated tolerance of the owner's stated geometry: probable widths of its errors, 10 um to 5 mm."""
     information = identified.root.T @ identified.root
-    counts = (len(identified.prior) - len(nominal.axes), len(nominal.axes))
+    counts = parameter_group_sizes(nominal)
     right = (
         information @ (geometric_parameters(identified.mechanism) - geometric_parameters(nominal))
         + (geometric_parameters(identified.mechanism) - geometric_parameters(nominal)) / identified.prior**2

@@ -21,10 +21,10 @@ from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms
-from rig.model.mechanism_geometry_classes import Hexapod, Planar2
+from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
-    Struts,
+    Parallel,
     geometric_parameters,
     loop_closure_parameter_jacobian,
     mechanism_with_parameters,
@@ -52,7 +52,7 @@ class Identified:
         and prior
     """
 
-    mechanism: Struts
+    mechanism: Parallel
     covariance: Floats
     shared: Floats
     root: Floats
@@ -66,7 +66,7 @@ class Identified:
 
 def identify_platform(
     samples: Samples,
-    nominal: Struts,
+    nominal: Parallel,
     strut_deviations: Floats | None = None,
     prior: Floats | None = None,
     similar_fit: Identified | None = None,
@@ -123,7 +123,7 @@ class Loops:
     from again.
     """
 
-    def __init__(self, samples: Samples, lengths: Floats, nominal: Struts, prior: Floats) -> None:
+    def __init__(self, samples: Samples, lengths: Floats, nominal: Parallel, prior: Floats) -> None:
         """samples : Samples; lengths : (n, axes) m, commanded; nominal : the prior's middle; prior : (p,) m, its
         width
         """
@@ -154,8 +154,8 @@ class Loops:
         there.
         """
         common = self.samples.common
-        if isinstance(self.nominal, Planar2):
-            return closed_loop_equations.linearised_equations_of_two_strut_hinge_position(
+        if not isinstance(self.nominal, Hexapod):
+            return closed_loop_equations.linearised_freedom_equations(
                 self.samples, self.lengths, mechanism_with_parameters(self.nominal, p), scatter
             )
         right, J = np.empty((len(self.lengths), 6, 1 + common.shape[2])), np.zeros((len(self.lengths), 6, 42))
@@ -211,19 +211,19 @@ class Loops:
         return left, A @ self.samples.covariance @ np.swapaxes(A, 1, 2)
 
 
-def inverse_strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:
+def inverse_strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Parallel) -> Floats:
     """Inverse strut length Jacobian (..., 6, axes): change of the pose's tangent with strut lengths."""
     A = strut_length_jacobian(T_base_platform, mechanism)
     return cast(Floats, np.linalg.inv(A) if A.shape[-2] == 6 else np.linalg.pinv(A))
 
 
-def pose_parameter_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:
+def pose_parameter_jacobian(T_base_platform: RigidTransform, mechanism: Parallel) -> Floats:
     """Pose Jacobian J_p (..., 6, p) by the parameters (m), at constant command.
 
     delta_e = J_p delta_x, docs/mathematics.md (7); source: the on-line learning patent for Stewart platforms, eq. 1
     [0024]
     """
-    if isinstance(mechanism, Planar2):
+    if not isinstance(mechanism, Hexapod):
         return inverse_strut_length_jacobian(T_base_platform, mechanism) @ loop_closure_parameter_jacobian(
             T_base_platform, mechanism
         )

@@ -12,8 +12,7 @@ from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
-from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import MechanismKinematics
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, MechanismKinematics
 from rig.recording.recording_folder import PAYLOAD, Sensors
 
 SOON = 1e-6  # s; knots that lie closer together are one
@@ -137,7 +136,7 @@ class Motion:
     kept : what several effects (or an effect again and again) ask for, worked out once
     """
 
-    mechanism: Hexapod | Planar2 | Arm | Chain
+    mechanism: Commanded
     platform: Platform
     actuator: Actuator
     gravity: Floats
@@ -149,7 +148,7 @@ class Motion:
     kept: dict[tuple[object, ...], Floats] = field(default_factory=dict, init=False, repr=False)
 
     @property
-    def kind(self) -> MechanismKinematics[Hexapod | Planar2 | Arm | Chain]:
+    def kind(self) -> MechanismKinematics[Commanded]:
         """The module of rig.model.mechanisms that moves the mechanism."""
         return mechanisms.kinematics_of(self.mechanism)
 

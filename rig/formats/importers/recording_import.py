@@ -32,6 +32,7 @@ from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_bytes, read_text
 from rig.formats.output_files import write_bytes
 from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model.design import Design
 from rig.recording.image_file_check_and_reading import image_file_problem
 from rig.recording.recording_table_loading_and_writing import Poses, write_poses, write_table
@@ -259,6 +260,7 @@ def write_recording(imported: ImportedRecording, folder: Path) -> None:
     """
     e = imported.exposed
     write_bytes(folder / "rig.toml", read_bytes(imported.recipe.rig) if imported.rig is None else imported.rig.encode())
+    write_kinematics_file(folder, imported.design.mechanism)
     rows = []
     for frame, t, camera, path in zip(e.frame, e.times(), e.camera, e.path):
         name = f"images/{camera}/{frame:05d}{path.suffix.lower()}" if camera else ""

@@ -25,8 +25,7 @@ from rig.model.design import (
     SensorPort,
     Target,
 )
-from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_struts, target_bodies
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_struts, target_bodies
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
@@ -113,7 +112,7 @@ def _actuator(table: Entries) -> Actuator:
     )
 
 
-def _controller(table: Entries, mechanism: Hexapod | Planar2 | Arm | Chain | Free, actuator: Actuator) -> Controller:
+def _controller(table: Entries, mechanism: Mechanism, actuator: Actuator) -> Controller:
     table.refuse_misspelt([field.name for field in fields(Controller)])
     n = len(mechanism.axes)
     if not has_struts(mechanism):

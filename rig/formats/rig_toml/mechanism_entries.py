@@ -1,16 +1,22 @@
 """Table [mechanism] of rig.toml: hexapod, planar pair, arm, chain or free, read with checks."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 
 import numpy as np
 
-from rig.array_and_json_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats, Json
+from rig.errors import FileError
 from rig.formats.checked_entries import LARGEST_RIG, Entries, nearest_known_word
-from rig.formats.local_and_remote_input_files import short_repr
-from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2, Stage
+from rig.formats.local_and_remote_input_files import read_text, short_repr
+from rig.formats.output_files import write_text
+from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2, Stage
+from rig.model.mechanisms.file_mechanism import nominal_mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, singular_geometry_problem
 
+FILE = "file:"  # before the name of a kinematics file
+LARGEST_SOURCE = 1 << 20  # bytes of one
 KINDS = {"revolute": False, "prismatic": True}
 
 
@@ -163,7 +169,58 @@ def _own_limits(table: Entries, slide: bool) -> tuple[float, float] | None:
 
 def mechanism_of_table(table: Entries) -> Mechanism:
     """Mechanism of the table [mechanism], lengths in m, angles in rad. Raises FileError."""
+    stated = table.get("kind", "")
+    if isinstance(stated, str) and stated.startswith(FILE):
+        table.refuse_misspelt(("kind",))
+        return mechanism_of_file(table, "kind", stated.removeprefix(FILE))
     return WHOLE[table.text("kind", tuple(WHOLE))](table)
+
+
+def mechanism_of_file(table: Entries, key: str, name: str) -> FileMechanism:
+    """Mechanism of a kinematics file beside the file that names it. key : where that is. Raises FileError."""
+    if not name.endswith(".py") or Path(name).name != name:
+        table.fail(f"{table.name(key)} names a Python file beside this one, such as file:delta.py, not {name!r}", key)
+    path = table.file.parent / name
+    source = read_text(path, LARGEST_SOURCE, f"no such file, which {table.name(key)} of {table.file} names")
+    return nominal_mechanism(str(path), source)
+
+
+def file_mechanism_dict(mechanism: FileMechanism) -> Json:
+    """dict of a mechanism of a kinematics file, as JSON holds it: the file by name and hash, and its parameters."""
+    stated = mechanism.stated
+    return {
+        "kind": mechanism.kind,
+        "file": Path(mechanism.file).name,
+        "sha256": stated.sha256,
+        "parameters": mechanism.parameters.tolist(),
+        "parameter_names": list(stated.names),
+    }
+
+
+def file_mechanism_from_entries(table: Entries) -> FileMechanism:
+    """Mechanism of a kinematics file from its JSON entries, the file beside. Raises FileError for another file."""
+    table.text("kind", (FileMechanism.kind,))
+    nominal = mechanism_of_file(table, "file", table.text("file"))
+    if table.text("sha256") != nominal.stated.sha256:
+        table.fail(
+            f"{table.name('file')}: {nominal.file} is not the kinematics file that this was made with: its text has "
+            "changed; make this file anew",
+            "sha256",
+        )
+    return replace(nominal, parameters=table.array("parameters", nominal.parameters.shape, length_limit=LARGEST_RIG))
+
+
+def write_kinematics_file(folder: Path, mechanism: Mechanism) -> None:
+    """Write the kinematics file of a mechanism into a folder, beside a file that names it; nothing for other kinds.
+
+    Raises FileError where another file of that name is there
+    """
+    for name, text in mechanism.files.items():
+        path = folder / name
+        if not path.exists():
+            write_text(path, text)
+        elif path.read_text(encoding="utf-8-sig") != text:
+            raise FileError(path, "is another kinematics file of the same name; write to another folder")
 
 
 def _free(table: Entries) -> Free:

@@ -2,6 +2,7 @@
 geometry of rig.model.mechanism_geometry_classes.
 """
 
+from rig.model.kinematics_file import Axis, Parameter
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     ALL,
     MechanismKinematics,
@@ -13,6 +14,8 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 )
 
 __all__ = [
+    "Axis",
+    "Parameter",
     "ALL",
     "MechanismKinematics",
     "kinematics_of",

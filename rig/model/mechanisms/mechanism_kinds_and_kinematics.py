@@ -15,21 +15,27 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.effect_places_and_part_tolerances import Place
-from rig.model.mechanism_geometry_classes import Arm, Chain, Free, Hexapod, Planar2
-from rig.model.mechanisms import arm, hexapod, mechanism_chain, two_strut_plane
+from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2
+from rig.model.mechanisms import arm, file_mechanism, hexapod, mechanism_chain, two_strut_plane
 from rig.model.pose import exp
 
 if TYPE_CHECKING:
     from typing_extensions import TypeIs
 
-Mechanism = Hexapod | Planar2 | Arm | Chain | Free
+Mechanism = Hexapod | Planar2 | FileMechanism | Arm | Chain | Free
 Struts = Hexapod | Planar2  # what moves a platform, or a hinge, on struts
-Commanded = Hexapod | Planar2 | Arm | Chain  # what has axes
+Parallel = Hexapod | Planar2 | FileMechanism  # each of whose axes follows from the pose by an equation of its own
+Commanded = Hexapod | Planar2 | FileMechanism | Arm | Chain  # what has axes
 
 
 def has_struts(mechanism: Mechanism) -> TypeIs[Struts]:
     """Whether a mechanism is driven by struts as a whole."""
     return mechanism.strut_joints is not None
+
+
+def is_parallel(mechanism: Mechanism) -> TypeIs[Parallel]:
+    """Whether each axis of a mechanism follows from the pose by an equation of its own."""
+    return mechanism.closes_loops
 
 
 def is_hexapod(mechanism: Mechanism) -> TypeIs[Hexapod]:
@@ -66,6 +72,15 @@ def require_struts(
 ) -> Struts:
     """Require that a mechanism has struts (hexapod or planar), and return it. Raises RigError for another kind."""
     if not has_struts(mechanism):
+        raise RigError(refusal.format(kind=mechanism.kind))
+    return mechanism
+
+
+def require_parallel(
+    mechanism: Mechanism, refusal: str = "this requires a parallel mechanism, not one of kind {kind!r}"
+) -> Parallel:
+    """Require that each axis of a mechanism follows from the pose, and return it. Raises RigError for another kind."""
+    if not is_parallel(mechanism):
         raise RigError(refusal.format(kind=mechanism.kind))
     return mechanism
 
@@ -168,7 +183,7 @@ def cardan_plate_axes(joints: Floats) -> Floats:
     return np.stack([-joints[:, 1], joints[:, 0], np.zeros(len(joints))], axis=1)
 
 
-K = TypeVar("K", bound=Hexapod | Planar2 | Arm | Chain | Free)
+K = TypeVar("K", bound=Hexapod | Planar2 | FileMechanism | Arm | Chain | Free)
 M = TypeVar("M", contravariant=True)  # the geometry of rig.model.design that a kind moves
 
 
@@ -252,6 +267,7 @@ ALL: dict[str, MechanismKinematics[Any]] = {
     "planar2": two_strut_plane,
     "arm": arm,
     "chain": mechanism_chain,
+    "file": file_mechanism,
 }
 AXIS_UNITS = {"strut": "m", "slide": "m", "joint": "rad"}  # by what an axis is called
 
@@ -263,7 +279,7 @@ def kinematics_of(mechanism: K) -> MechanismKinematics[K]:
     return ALL[mechanism.kind]
 
 
-def axis_places(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> tuple[Place, ...]:
+def axis_places(mechanism: Mechanism) -> tuple[Place, ...]:
     """Places of a mechanism's axes: strut 1 .., joint 1 .., slide 3, a chain's stage 2 strut 1."""
     if mechanism.bodies:
         return tuple(place for k, stage in enumerate(mechanism.stages) for place in _numbered(stage.axis_words, k + 1))
@@ -276,7 +292,7 @@ def _numbered(words: tuple[str, ...], stage: int = 0) -> tuple[Place, ...]:
     return tuple(Place(word, str(i + 1), stage) for i, word in enumerate(words))
 
 
-def axis_place_texts(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> tuple[str, ...]:
+def axis_place_texts(mechanism: Mechanism) -> tuple[str, ...]:
     """Texts of the places of a mechanism's axes: "strut 1" .., a chain's "stage 2 strut 1"."""
     return _texts(axis_places(mechanism))
 
@@ -286,12 +302,12 @@ def _texts(places: tuple[Place, ...]) -> tuple[str, ...]:
     return tuple(map(str, places))
 
 
-def travel_unit(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> str:
+def travel_unit(mechanism: Mechanism) -> str:
     """Unit of the axes' travel, "m" or "rad"; "rad or m" for an arm with both."""
     return " or ".join(dict.fromkeys(sorted(axis_units(mechanism), reverse=True)))
 
 
-def axis_units(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> tuple[str, ...]:
+def axis_units(mechanism: Mechanism) -> tuple[str, ...]:
     """Unit of each axis of a mechanism, "m" or "rad"; none for a free body."""
     return tuple(AXIS_UNITS[word] for word in mechanism.axis_words)
 
@@ -309,17 +325,42 @@ NAMES = {
 }
 
 
-S = TypeVar("S", Hexapod, Planar2, Hexapod | Planar2)
+def parameter_names(mechanism: Parallel) -> tuple[str, ...]:
+    """Names of the geometric parameters of a parallel mechanism, in order."""
+    return file_mechanism.parameter_names(mechanism) if isinstance(mechanism, FileMechanism) else NAMES[mechanism.kind]
 
 
-def geometric_parameters(mechanism: Struts) -> Floats:
-    """Geometric parameters (p,) m: joints and zeros in the order of NAMES."""
+S = TypeVar("S", Hexapod, Planar2, FileMechanism, Hexapod | Planar2, Hexapod | Planar2 | FileMechanism)
+
+
+def geometric_parameters(mechanism: Parallel) -> Floats:
+    """Geometric parameters (p,) m: joints and zeros in the order of NAMES.
+
+    Of a kinematics file its parameters less the owner's, each tolerance counted as `file_mechanism.SCALE`
+    """
+    if isinstance(mechanism, FileMechanism):
+        return file_mechanism.scaled_parameters(mechanism)
     platform = mechanism.platform_joints.ravel() if isinstance(mechanism, Hexapod) else np.zeros(0)
     return np.concatenate([mechanism.base_joints.ravel(), platform, mechanism.strut_zeros])
 
 
+def parameter_units_and_scales(mechanism: Parallel) -> tuple[tuple[str, ...], Floats]:
+    """(units, "m" or "rad"; (p,) how much of it each of the geometric parameters counts) of a parallel mechanism."""
+    if isinstance(mechanism, FileMechanism):
+        return file_mechanism.parameter_units_and_scales(mechanism)
+    return ("m",) * len(NAMES[mechanism.kind]), np.ones(len(NAMES[mechanism.kind]))
+
+
+def parameter_group_sizes(mechanism: Parallel) -> tuple[int, int]:
+    """How many of the parameters are joints' coordinates and how many are zeros; a kinematics file has one group."""
+    count = len(geometric_parameters(mechanism))
+    return (count, 0) if isinstance(mechanism, FileMechanism) else (count - len(mechanism.axes), len(mechanism.axes))
+
+
 def mechanism_with_parameters(mechanism: S, p: Floats) -> S:
-    """The mechanism with parameters p (p,) m."""
+    """The mechanism with parameters p (p,) m, as `geometric_parameters` has them."""
+    if isinstance(mechanism, FileMechanism):
+        return file_mechanism.with_scaled_parameters(mechanism, p)
     if isinstance(mechanism, Hexapod):
         return replace(
             mechanism, base_joints=p[:18].reshape(6, 3), platform_joints=p[18:36].reshape(6, 3), strut_zeros=p[36:]
@@ -327,15 +368,28 @@ def mechanism_with_parameters(mechanism: S, p: Floats) -> S:
     return replace(mechanism, base_joints=p[:4].reshape(2, 2), strut_zeros=p[4:])
 
 
-def strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:
-    """Strut length Jacobian (..., axes, 6), m/m and m/rad, by the poses' tangents on the right."""
+def strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Parallel) -> Floats:
+    """Jacobian (..., axes, 6) of the strut lengths, or the axes, m/m and m/rad, by the poses' tangents on the right."""
+    if isinstance(mechanism, FileMechanism):
+        return file_mechanism.jacobian(T_base_platform, mechanism)
     if isinstance(mechanism, Hexapod):
         return hexapod.jacobian(T_base_platform, mechanism)
     return two_strut_plane.jacobian(T_base_platform, mechanism)
 
 
-def loop_closure_parameter_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> Floats:
+def nearest_reachable_poses(T_base_platform: RigidTransform, mechanism: Mechanism) -> RigidTransform:
+    """The poses (...) that the platform of a mechanism can take nearest to poses T_base_platform (...)."""
+    if isinstance(mechanism, Planar2):
+        return RigidTransform.from_translation(T_base_platform.translation * [1, 1, 0])
+    if isinstance(mechanism, FileMechanism):
+        return file_mechanism.nearest_reachable(T_base_platform, mechanism)
+    return T_base_platform
+
+
+def loop_closure_parameter_jacobian(T_base_platform: RigidTransform, mechanism: Parallel) -> Floats:
     """Loop closure Jacobian (..., axes, p): change of zero - length with the parameters, at poses (...)."""
+    if isinstance(mechanism, FileMechanism):
+        return file_mechanism.loop_jacobian(T_base_platform, mechanism)
     if isinstance(mechanism, Planar2):
         return two_strut_plane.two_strut_loop_jacobian(T_base_platform, mechanism)
     matrix = T_base_platform.as_matrix()

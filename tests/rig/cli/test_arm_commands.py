@@ -58,7 +58,7 @@ def test_the_loop_of_an_arm_with_slides_closes(tmp_path, rig, name):
         assert taken[part]["rms"] < 2 * taken["stated_uncertainty"][part]
     assert wanted["position"]["rms"] < 2 * wanted["stated_uncertainty"]["position"]  # a position is met whole
     joints = {"scara": 4, "gantry": 3}[name]
-    left = re.search(rf"an arm of {joints} joints .* is (\S+) mm RMS, .* and (\S+) mrad RMS", said)
+    left = re.search(rf"a machine of {joints} axes .* is (\S+) mm RMS, .* and (\S+) mrad RMS", said)
     assert (
         float(left[1]) == 0 and 0.05 < float(left[2]) < 0.3
     )  # the tracker's own 0.1 mrad, of which few joints can follow little

@@ -92,7 +92,7 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
     each = np.einsum("fii->i", products.gamma)
     out = [
         test_lack_of_fit(
-            model.linear, products, Test(place, "m", (depends,), weights, each[weights.any(axis=(0, 2))].sum())
+            model.linear, products, Test(place, k.axis_unit, (depends,), weights, each[weights.any(axis=(0, 2))].sum())
         )
         for depends, strutwise in strut_deviation_basis_functions_by_covariate(k)
         for place, weights in strutwise
@@ -105,9 +105,9 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
         size = np.sqrt(max(alike, 0) / len(k.t) * own[:, i].mean())
         out.append(
             LackOfFit(
-                Place.axis("strut", i),
+                k.places[i],
                 float(size),
-                "m",
+                k.axis_unit,
                 ("order",),
                 float(scipy.special.ndtr(-(alike / np.sqrt(len(k.t) - 1)))),
                 max(alike, 0.0),
@@ -121,12 +121,7 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
         if ratio > 0:
             out.append(
                 LackOfFit(
-                    Place.axis("strut", i),
-                    float(scatter[i]),
-                    "m",
-                    (),
-                    float(scipy.special.ndtr(-ratio)),
-                    float(ratio**2),
+                    k.places[i], float(scatter[i]), k.axis_unit, (), float(scipy.special.ndtr(-ratio)), float(ratio**2)
                 )
             )
     return out
@@ -257,7 +252,7 @@ def _strut_scatter(model: LinearisedModel) -> list[LackOfFit | None]:
     squares, freedom = (residual**2 / own).sum(axis=0), F - len(geometric_parameters(k.platform)) / k.axes
     noise = np.sqrt(own.mean(axis=0))
     return [
-        detect_excess_scatter(Place.axis("strut", i), "m", float(noise[i]), float(squares[i]), freedom, k.axes)
+        detect_excess_scatter(k.places[i], k.axis_unit, float(noise[i]), float(squares[i]), freedom, k.axes)
         for i in range(k.axes)
     ]
 

@@ -18,8 +18,8 @@ from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design
 from rig.model.effect_places_and_part_tolerances import FINDER, SEAT, Place
-from rig.model.mechanism_geometry_classes import Hexapod, Planar2
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
+from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, require_parallel
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.corner_observations import Observations
@@ -27,7 +27,7 @@ from vision.predict import MarkerMap, Sightings, State, marker_map, predict_sigh
 from vision.recording_adjustment import Measurement, has_hand_cameras
 from vision.recording_measurement import measure_recording
 
-KINDS = ("hexapod", "planar2", "free")  # of mechanisms
+KINDS = ("hexapod", "planar2", "file", "free")  # of mechanisms
 FEWEST = 12  # frames
 ELSEWHERE = 60.0  # px; a corner farther off belongs to something else
 EDGE_SHIFT = effect_of_tolerance(FINDER)  # what the corner finder does to all edges of a camera's images
@@ -116,11 +116,19 @@ class OperatingPoint:
         return self.commands
 
     @property
-    def platform(self) -> Struts:
-        """The mechanism as estimated. Raises RigError for one that does not move the platform on struts"""
-        if not isinstance(self.design.mechanism, Hexapod | Planar2):
-            raise RigError(f"a {self.design.mechanism.kind} has no struts")
-        return self.design.mechanism
+    def platform(self) -> Parallel:
+        """The mechanism as estimated. Raises RigError for one that is not parallel"""
+        return require_parallel(self.design.mechanism)
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """Places of the axes."""
+        return mechanisms.axis_places(self.design.mechanism)
+
+    @property
+    def axis_unit(self) -> str:
+        """Unit of the axes' travel, "m" or "rad"; "m" where there are both."""
+        return self.design.mechanism.axis_unit
 
     @property
     def axes(self) -> int:

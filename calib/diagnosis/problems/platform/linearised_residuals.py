@@ -321,7 +321,7 @@ def _weighed(
     Q = Column((np.concatenate(thread_map(lambda part: part[:, 1:] @ half[:seen], parts)), basis))
     blocks = (
         Block("corners", "px", table[:, 0] - Q.parts[CORNERS] @ z, 2 * frames.edges),
-        Block("closures", "m", rows[:, 0] - Q.parts[CLOSURES] @ z, np.arange(F + 1) * axes),
+        Block("closures", k.axis_unit, rows[:, 0] - Q.parts[CLOSURES] @ z, np.arange(F + 1) * axes),
     )
     size = len(table) - (frames.local.shape[1] * F if len(table) else 0) + F * axes - basis.shape[1]
     to_rows = W @ closures.to_length if axes else closures.to_length

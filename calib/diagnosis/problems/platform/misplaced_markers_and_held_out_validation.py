@@ -123,7 +123,7 @@ def _wild_frames(k: OperatingPoint, covariance: Floats) -> Outliers:
     for f in np.flatnonzero(far).tolist():
         i = int(np.abs(found.relative[f]).argmax())
         off, times = float(abs(found.residual[f, i]) * sigma[f, i]), float(abs(found.relative[f, i]))
-        told.append(LeftOut(int(k.frames[f]), "pose", str(Place.axis("strut", i)), off, "m", times, ALONE))
+        told.append(LeftOut(int(k.frames[f]), "pose", str(k.places[i]), off, k.axis_unit, times, ALONE))
     return Outliers(frozenset(k.frames[far].tolist()), left_out=tuple(told))
 
 
@@ -363,7 +363,7 @@ def _closures(model: LinearisedModel, before: HeldOut, after: HeldOut, gain: flo
         float(figures[0]),
         float(figures[1]),
         float(np.sqrt(np.mean(model.strut_noise() - model.closures.scatter**2))),
-        "m",
+        model.point.axis_unit,
         gain,
     )
 

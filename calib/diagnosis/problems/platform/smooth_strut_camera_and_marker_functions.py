@@ -63,7 +63,7 @@ def strut_deviation_basis_functions_by_covariate(point: OperatingPoint) -> list[
         for i in range(point.axes):
             weights = np.zeros((F, point.axes, functions.shape[2]))
             weights[:, i] = functions[:, i]
-            strutwise.append((Place.axis("strut", i), weights))
+            strutwise.append((point.places[i], weights))
         out.append((depends, strutwise))
     if pace.any():
         out.append(("speed", [(Place("rig"), speeds)]))

@@ -95,7 +95,7 @@ def suggest_strut_formulas(
     if not k.axes or not places:
         return []
     said = progress or silent_progress
-    struts = [i for i in range(k.axes) if Place.axis("strut", i) in places]
+    struts = [i for i in range(k.axes) if k.places[i] in places]
     sites = [_of_strut(k, i) for i in struts] + (
         [_of_all(k), _of_platform(k)] if len(struts) >= SEVERAL or Place("rig") in places else []
     )
@@ -112,7 +112,7 @@ def suggest_strut_formulas(
 
 def _of_strut(k: OperatingPoint, i: int) -> Site:
     return Site(
-        str(Place.axis("strut", i)),
+        str(k.places[i]),
         [i],
         np.broadcast_to(np.eye(k.axes)[:, [i]], (len(k.t), k.axes, 1)),
         library_of_quantities(k.motion(()), i),

@@ -5,20 +5,23 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import NotConverged, RigError
+from rig.formats.rig_toml.design_file import load_design
 from rig.model.design import Planar2
 from rig.model.mechanisms import ALL, hexapod, kinematics_of
 from rig.model.pose import exp, pose
+from tests.conftest import ROOT
 from tests.numerical_derivatives import jacobian
 
 PARALLEL = [
     kind for kind in ALL if kind not in ("arm", "chain")
 ]  # they answer to joint values, chains by choice: test_arm, test_chains
+CRANKS = load_design(ROOT / "docs" / "kinematics" / "cranks.toml").mechanism
 PLANAR = Planar2([[0.0, 0.0], [1.0, 0.0]], [[0.6, 1.2], [0.6, 1.2]], [1e-3, -2e-3])
 
 
 def samples(kind, design, shape, rng):
-    mechanism = {"hexapod": design.mechanism, "planar2": PLANAR}[kind]
-    low, high = mechanism.strut_range.T
+    mechanism = {"hexapod": design.mechanism, "planar2": PLANAR, "file": CRANKS}[kind]
+    low, high = kinematics_of(mechanism).travel_ranges(mechanism).T
     return mechanism, low + (high - low) * rng.uniform(0.05, 0.95, (*shape, len(low)))
 
 
@@ -48,7 +51,7 @@ def test_limits_are_signed_and_zero_inside(kind, design):
     mechanism, lengths = samples(kind, design, (), np.random.default_rng(2))
     module = kinematics_of(mechanism)
     assert not module.signed_limit_excess(lengths, mechanism).any()
-    low, high = mechanism.strut_range.T
+    low, high = module.travel_ranges(mechanism).T
     np.testing.assert_allclose(module.signed_limit_excess(high + 0.01, mechanism), 0.01)
     np.testing.assert_allclose(module.signed_limit_excess(low - 0.02, mechanism), -0.02)
 

@@ -1,0 +1,268 @@
+"""Mechanism whose kinematics its owner states in a file: forward by Newton or the file's own, Jacobians, limits.
+
+The axes follow from the pose by the file's inverse; all else is derived from that, by derivatives of it. A platform of
+fewer than six freedoms keeps its other coordinates as at home, or as the file's forward gives them; the inverse
+is asked for the nearest pose that it can take.
+"""
+
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rig.array_and_json_types import Floats, Integers
+from rig.errors import NotConverged, Unreachable
+from rig.model.kinematics_file import KinematicsFile, freedom_columns, parameter_columns
+from rig.model.kinematics_file_checks import kinematics_of_source, locked_poses
+from rig.model.mechanism_geometry_classes import FileMechanism
+
+AXIS, UNIT = "axis", "m"
+SCALE = 5e-4  # m that a parameter's tolerance counts as, so that lengths and angles share one scale
+TOLERANCE, GOOD = 1e-13, 1e-10  # m or rad of an axis; what Newton seeks, and what counts as solved
+MAX_ITERATIONS = 40
+MAX_MOVE, MAX_TURN = 0.2, 0.4  # of the distance of home from the base's origin; rad, per step
+LEAST_REACH = 0.05  # m, which that distance counts as at least
+
+
+def nominal_mechanism(file: str, source: str) -> FileMechanism:
+    """The mechanism of a kinematics file as its owner believes it. Raises FileError for a file that cannot be used."""
+    return FileMechanism(file, source, kinematics_of_source(source, file).nominal)
+
+
+def inverse(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Floats:
+    """Inverse kinematics: axis values (..., axes) m or rad of poses (...), of the nearest that the platform can take.
+
+    Raises Unreachable with the index of poses for which the file has no values
+    """
+    poses = locked_poses(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
+    values = mechanism.stated.inverse(poses, mechanism.parameters).astype(float)
+    failed = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if len(failed):
+        raise Unreachable(
+            f"{mechanism.file}: inverse gives no axis values for {len(failed)} of {len(values)} poses:",
+            failed,
+            [f"pose {i}: {values[i].tolist()} at {poses[i, :3, 3].round(6).tolist()} m" for i in failed.tolist()],
+        )
+    return values.reshape(*T_base_platform.shape, -1)
+
+
+def forward(values: Floats, mechanism: FileMechanism, guess: RigidTransform | None = None) -> RigidTransform:
+    """Forward kinematics: T_base_platform (...) of axis values (..., axes), by the file's forward or by Newton.
+
+    guess : RigidTransform () or (...), the home pose by default; unused where the file has a forward
+    Raises NotConverged with index, values and residual of those that have no pose near the guess, or beyond a
+    singularity; ValueError for a wrong shape or values that are not finite
+    """
+    values = np.asarray(values, float)
+    n = len(mechanism.stated.axes)
+    if values.shape[-1:] != (n,) or not np.isfinite(values).all():
+        raise ValueError(f"expected finite axis values (..., {n}) m or rad, got shape {values.shape}")
+    flat = values.reshape(-1, n)
+    if mechanism.stated.has_forward:
+        poses = mechanism.stated.forward(flat, mechanism.parameters).astype(float)
+        left = np.where(np.isfinite(poses).all(axis=(1, 2)), 0.0, np.inf)
+        _require_solved(left, flat, mechanism)
+        return RigidTransform.from_matrix(poses.reshape(*values.shape[:-1], 4, 4))
+    start = mechanism.stated.home if guess is None else guess.as_matrix()
+    if start.ndim > 2:
+        start = np.broadcast_to(start, (*values.shape[:-1], 4, 4))
+    poses = locked_poses(mechanism.stated, np.array(np.broadcast_to(start.reshape(-1, 4, 4), (len(flat), 4, 4))))
+    before = _side(poses, mechanism)
+    left = _newton(poses, flat, mechanism)
+    left[(left < GOOD) & (_side(poses, mechanism) != before)] = np.inf
+    _require_solved(left, flat, mechanism)
+    return RigidTransform.from_matrix(poses.reshape(*values.shape[:-1], 4, 4))
+
+
+def _newton(poses: Floats, values: Floats, mechanism: FileMechanism) -> Floats:
+    """Move poses (n, 4, 4) in place until their axis values are those wanted (n, axes); what is left (n,) m or rad.
+
+    A step to where the file has no values is halved
+    """
+    file, left, going = mechanism.stated, np.full(len(poses), np.inf), np.arange(len(poses))
+    start, step = poses.copy(), np.zeros((len(poses), len(file.freedoms)))
+    for _ in range(MAX_ITERATIONS):
+        error = values[going] - file.inverse(poses[going], mechanism.parameters).astype(float)
+        worst = np.abs(error).max(axis=1)
+        there = np.isfinite(worst)
+        keep = ~there | ((worst > TOLERANCE) & ((worst < left[going]) | (worst > GOOD)))
+        left[going[there]] = worst[there]
+        going, error, there = going[keep], error[keep], there[keep]
+        if not len(going):
+            break
+        step[going[~there]] /= 2
+        fresh = going[there]
+        start[fresh] = poses[fresh]
+        step[fresh] = _step(start[fresh], error[there], mechanism)
+        poses[going] = _moved(start[going], step[going], file)
+    return left
+
+
+def _step(poses: Floats, error: Floats, mechanism: FileMechanism) -> Floats:
+    """(n, freedoms) m or rad by which to move poses so that their axis values change by (n, axes), bounded in length;
+    0 where their change is unknown.
+    """
+    file = mechanism.stated
+    reach = MAX_MOVE * max(float(np.linalg.norm(file.home[:3, 3])), LEAST_REACH)
+    J = freedom_columns(file, poses, mechanism.parameters)
+    J[~np.isfinite(J).all(axis=(1, 2))] = 0
+    step = (np.linalg.pinv(J) @ error[..., None])[..., 0]
+    moves = np.array(file.freedoms) < 3
+    move, turn = np.linalg.norm(step[:, moves], axis=1), np.linalg.norm(step[:, ~moves], axis=1)
+    return np.asarray(step / np.maximum(1.0, np.maximum(move / reach, turn / MAX_TURN))[:, None])
+
+
+def _moved(poses: Floats, step: Floats, file: KinematicsFile) -> Floats:
+    """Poses (n, 4, 4) moved along and turned about the base's axes by steps (n, freedoms)."""
+    base, out = np.zeros((len(step), 6)), poses.copy()
+    base[:, file.freedoms] = step
+    out[:, :3, 3] += base[:, :3]
+    out[:, :3, :3] = Rotation.from_rotvec(base[:, 3:]).as_matrix() @ poses[:, :3, :3]
+    return out
+
+
+def _side(poses: Floats, mechanism: FileMechanism) -> Floats:
+    """(n,) sign of the determinant of the axes' change with the freedoms: of which assembly poses (n, 4, 4) are."""
+    return np.sign(np.linalg.det(np.nan_to_num(freedom_columns(mechanism.stated, poses, mechanism.parameters))))
+
+
+def _require_solved(left: Floats, values: Floats, mechanism: FileMechanism) -> None:
+    """Raise NotConverged for axis values (n, axes) that leave more (n,) m or rad than counts as solved."""
+    failed = np.flatnonzero(~(left < GOOD))
+    if len(failed):
+        k = failed[np.argmax(left[failed])]
+        raise NotConverged(
+            f"{mechanism.file}: {len(failed)} of {len(left)} axis values have no pose near home in its assembly; first "
+            f"{values[k].round(6).tolist()}",
+            failed,
+            values[failed],
+            left[failed],
+        )
+
+
+def nearest_reachable(T_base_platform: RigidTransform, mechanism: FileMechanism) -> RigidTransform:
+    """Poses (...) with the coordinates that are no freedoms as at home: the nearest that the platform can take."""
+    matrices = T_base_platform.as_matrix()
+    return RigidTransform.from_matrix(
+        locked_poses(mechanism.stated, matrices.reshape(-1, 4, 4)).reshape(matrices.shape)
+    )
+
+
+def _free_directions(poses: Floats, mechanism: FileMechanism) -> Floats:
+    """(n, 6, freedoms) tangents on the right of unit moves along and about the base's axes, orthonormal."""
+    freedoms = mechanism.stated.freedoms
+    out = np.zeros((len(poses), 6, len(freedoms)))
+    for k, freedom in enumerate(freedoms):
+        part = slice(0, 3) if freedom < 3 else slice(3, 6)
+        out[:, part, k] = poses[:, freedom % 3, :3]
+    return out
+
+
+def jacobian(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Floats:
+    """Jacobian (..., axes, 6) of the axis values with the pose's tangent on the right; 0 along what is no freedom."""
+    poses = locked_poses(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
+    columns = freedom_columns(mechanism.stated, poses, mechanism.parameters)
+    out = columns @ np.swapaxes(_free_directions(poses, mechanism), 1, 2)
+    return cast(Floats, out.reshape(*T_base_platform.shape, *out.shape[1:]))
+
+
+def identified_parameters(mechanism: FileMechanism) -> Integers:
+    """Index (k,) of the parameters whose tolerance is not 0, which a calibration fits."""
+    return np.flatnonzero(mechanism.stated.tolerances)
+
+
+def scaled_parameters(mechanism: FileMechanism) -> Floats:
+    """(k,) m, the identified parameters less the owner's in tolerances, each of which counts as SCALE."""
+    free, stated = identified_parameters(mechanism), mechanism.stated
+    return SCALE * (mechanism.parameters - stated.nominal)[free] / stated.tolerances[free]
+
+
+def with_scaled_parameters(mechanism: FileMechanism, scaled: Floats) -> FileMechanism:
+    """The mechanism with scaled parameters (k,) m."""
+    free, p = identified_parameters(mechanism), mechanism.stated.nominal.copy()
+    p[free] += scaled / SCALE * mechanism.stated.tolerances[free]
+    held = np.setdiff1d(np.arange(len(p)), free)
+    p[held] = mechanism.parameters[held]
+    return FileMechanism(mechanism.file, mechanism.source, p)
+
+
+def with_random_parameters(mechanism: FileMechanism, rng: np.random.Generator, size: float) -> FileMechanism:
+    """The mechanism with parameters drawn at random about its own, standard deviation `size` of their tolerances."""
+    tolerances = mechanism.stated.tolerances
+    return replace(mechanism, parameters=mechanism.parameters + size * tolerances * rng.normal(size=len(tolerances)))
+
+
+def loop_jacobian(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Floats:
+    """Loop Jacobian (..., axes, k): change of minus the axis values with the scaled parameters, at poses (...)."""
+    poses = locked_poses(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
+    free = identified_parameters(mechanism)
+    out = -parameter_columns(mechanism.stated, poses, mechanism.parameters, free)
+    out *= mechanism.stated.tolerances[free] / SCALE
+    return out.reshape(*T_base_platform.shape, *out.shape[1:])
+
+
+def parameter_units_and_scales(mechanism: FileMechanism) -> tuple[tuple[str, ...], Floats]:
+    """(units; (k,) unit of it for each m of the scaled parameters) of the identified parameters."""
+    free, stated = identified_parameters(mechanism), mechanism.stated
+    return tuple(stated.units[k] for k in free), stated.tolerances[free] / SCALE
+
+
+def parameter_names(mechanism: FileMechanism) -> tuple[str, ...]:
+    """Names of the identified parameters, in order."""
+    names = mechanism.stated.names
+    return tuple(names[k] for k in identified_parameters(mechanism))
+
+
+def signed_limit_excess(values: Floats, mechanism: FileMechanism) -> Floats:
+    """Excess (..., axes) of commanded values over their travel: negative below, positive above, 0 inside."""
+    low, high = travel_ranges(mechanism).T
+    return np.minimum(values - low, 0) + np.maximum(values - high, 0)
+
+
+def travel_ranges(mechanism: FileMechanism) -> Floats:
+    """Travel (axes, 2) m or rad of the axes."""
+    return np.array([[axis.low, axis.high] for axis in mechanism.stated.axes])
+
+
+def home_values(mechanism: FileMechanism) -> Floats:
+    """Home values (axes,) m or rad: of the home pose."""
+    return inverse(mechanism.home_pose, mechanism)
+
+
+def axis_loads(T: RigidTransform, values: Floats, mechanism: FileMechanism, wrench: Floats) -> Floats:
+    """Loads (n, axes) N or N m of the axes that hold a wrench (n, 6) on the platform. Guides take the rest."""
+    return -np.einsum("nij,ni->nj", np.linalg.pinv(jacobian(T, mechanism)), wrench)
+
+
+def link_weight_loads(T: RigidTransform, values: Floats, mechanism: FileMechanism, gravity: Floats) -> Floats:
+    """Loads of the links' own weight: none (n, axes, 0), the file states no masses."""
+    return np.zeros((*np.shape(values), 0))
+
+
+def axis_deviation_and_sway_by_member_growth(
+    T: RigidTransform, values: Floats, mechanism: FileMechanism, share: Floats
+) -> tuple[Floats, Floats]:
+    """Deviation (n, axes) and sway (n, 6) by the growth of axes by shares (n, axes): of slides; of joints none."""
+    slides = np.array([axis.unit == "m" for axis in mechanism.stated.axes])
+    return share * values * slides, np.zeros((len(share), 6))
+
+
+def inverse_kinematics_jacobian(T: RigidTransform, values: Floats, mechanism: FileMechanism) -> Floats:
+    """Jacobian (n, axes, 6) of inverse kinematics: change of the axis values with the pose's tangent at T (n,)."""
+    return jacobian(T, mechanism)
+
+
+def jacobian_rows_by_axis(T: RigidTransform, values: Floats, mechanism: FileMechanism) -> Floats:
+    """Rows (n, axes, 6) of the Jacobian, one for each axis, at poses T (n,)."""
+    return jacobian(T, mechanism)
+
+
+def link_points(values: Floats, mechanism: FileMechanism) -> None:
+    """Points of links for drawing at values (n, axes): none, the file states no shapes."""
+    return None
+
+
+def strut_ends(T: RigidTransform, mechanism: FileMechanism) -> None:
+    """Strut ends: None, since the file states no struts."""
+    return None
