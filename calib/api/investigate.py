@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.experiment.first_investigation_plans import FIRST, LOADED, STANDING
+from calib.experiment import FIRST, LOADED, STANDING
 from calib.experiment.investigation_folder_and_report import (
     InvestigationRound,
     diagnosis_path,

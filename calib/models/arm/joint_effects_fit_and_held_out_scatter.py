@@ -247,11 +247,13 @@ def _refined(
             prior.ends,
             prior.kept,
         )
-        cost = left @ left + prior.cost(values)
+        cost, gain = left @ left + prior.cost(values), 0.0
         for halving in range(HALVINGS):
             tried = _written(coordinates, effects, values + 0.5**halving * step)
+            if tried is None:
+                continue
             new, after = _values(coordinates, tried), seen.left(history.told(measured, tried, arm))
-            gain = cost - after @ after - prior.cost(new)
+            gain = float(cost - after @ after - prior.cost(new))
             if gain >= 0:
                 effects, values, left = tried, new, after
                 break
@@ -266,11 +268,15 @@ def _values(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> Float
     return np.array([c.read(effects[c.effect]) for c in coordinates])
 
 
-def _written(coordinates: list[Coordinate], effects: tuple[Effect, ...], values: Floats) -> tuple[Effect, ...]:
+def _written(coordinates: list[Coordinate], effects: tuple[Effect, ...], values: Floats) -> tuple[Effect, ...] | None:
+    """The effects with their coordinates at values (c,), in their written form; None where one cannot be so."""
     out = list(effects)
     for c, value in zip(coordinates, values.tolist()):
         out[c.effect] = c.written(out[c.effect], value)
-    return tuple(check_effect_place_and_parameter_bounds(effect) for effect in out)
+    try:
+        return tuple(check_effect_place_and_parameter_bounds(effect.written()) for effect in out)
+    except ValueError:  # a combination of numbers, each within its bounds, that an effect does not allow
+        return None
 
 
 def _columns(
