@@ -22,7 +22,8 @@ class Controller:
 
     protocol : "grblhal", "gcs", "linuxcnc", "struts", or a user's "file:NAME.py" or "package:NAME"
     baudrate : bits per second; port : device, or URL socket://, rfc2217://, loop://
-    usb : serial number or hardware id by which to find the port again, or ""; axes : the controller's names of the axes, in the mechanism's order, () for the protocol's own
+    usb : serial number or hardware id by which to find the port again, or ""; axes : the controller's names of the
+        axes, in the mechanism's order, () for the protocol's own
     homing : whether the controller can home; without, the position that it reads at the start is believed
     zero : (n,) m, an axis's length where the controller reads 0; home : (n,) m, lengths after homing, or None where not
         stated
