@@ -8,7 +8,8 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.correction.command_route_and_pose_space_map import HOLDING
-from calib.correction.commanded_poses import PoseFrames, poses_to_command
+from calib.correction.commanded_poses import PoseFrames as PoseFrames
+from calib.correction.commanded_poses import poses_to_command
 from calib.correction.correction import require_reachable
 from calib.correction.physics_compensation import require_sensor_coverage
 from calib.models.arm import certification as arm_certification

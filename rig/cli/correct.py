@@ -17,9 +17,8 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
 
 if TYPE_CHECKING:
-    from calib.api.correct import CorrectionResult, CorrectOptions
+    from calib.api.correct import CorrectionResult, CorrectOptions, PoseFrames
     from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-    from calib.correction.commanded_poses import PoseFrames
     from rig.array_and_json_types import Floats
     from rig.recording.recording_folder import WantedPoses
 
@@ -149,7 +148,7 @@ def _options(arguments: Namespace, wanted: WantedPoses) -> CorrectOptions:
 
 def _pose_frames(arguments: Namespace) -> PoseFrames | None:
     """Frames of a controller that takes poses, None for lengths. Raises RigError for what is no frame."""
-    from calib.correction.commanded_poses import PoseFrames
+    from calib.api.correct import PoseFrames
     from rig.model.pose import pose
 
     given = {name: getattr(arguments, name) for name in ("work", "tool", "pivot")}
