@@ -115,7 +115,8 @@ class MeasuringLimbs:
 
 @dataclass(frozen=True, slots=True)
 class SensorPort:
-    """Where further sensors are read. port : device, or URL socket://, rfc2217://; baudrate : bits per second
+    """Where further sensors are read. port : device, URL socket://, rfc2217://, or a user's "file:NAME.py" or
+    "package:NAME"; baudrate : bits per second
     ask : line that makes them answer, "" where they send by themselves; channels : names as in sensors.csv, in the
         order of the numbers in a line"""
 

@@ -183,9 +183,9 @@ def _sensors(table: Entries) -> SensorPort:
             "channels",
             value=channels,
         )
-    return SensorPort(
-        _port(table), table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels)
-    )
+    stated = table.text("port")
+    port = user_program_text(table, "port", stated) if is_user_program(stated) else _port(table)
+    return SensorPort(port, table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels))
 
 
 def _platform(table: Entries) -> Platform:
