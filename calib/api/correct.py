@@ -16,7 +16,7 @@ from calib.models.arm import certification as arm_certification
 from calib.models.arm.correction import ArmCorrection
 from calib.models.wanted_pose_commands import RouteCommands, commands_along_route, pace_that_holds_poses_at_times
 from rig.array_and_json_types import Floats, Integers, Json
-from rig.driving.protocols import gcs_hexapod_poses
+from rig.driving.protocols.gcs import HEXAPOD_AXES, gcs_values_of_pose
 from rig.errors import RigError, Unreachable
 from rig.model import mechanisms
 from rig.model.pose import pose_difference, pose_to_vector
@@ -82,7 +82,7 @@ class CorrectionResult:
         """Names of the values of a command: axes, or a pose's."""
         if self.pose_frames is None:
             return self.calibration.correction.nominal.axes
-        return gcs_hexapod_poses.AXES if self.pose_frames.gcs else POSE_COLUMNS
+        return HEXAPOD_AXES if self.pose_frames.gcs else POSE_COLUMNS
 
     def commands(self, values: Floats, pose: Integers) -> Floats:
         """(m, columns) to command for values (m, axes) m or rad, near the wanted poses of indices pose (m,): the same,
@@ -94,7 +94,7 @@ class CorrectionResult:
         near = self.wanted.poses.T_base_platform[self.index[pose]]
         nominal = self.calibration.correction.nominal
         command = poses_to_command(nominal, values, near, self.pose_frames)
-        return gcs_hexapod_poses.gcs_values_of_pose(command) if self.pose_frames.gcs else pose_to_vector(command)
+        return gcs_values_of_pose(command) if self.pose_frames.gcs else pose_to_vector(command)
 
     @property
     def covariance(self) -> Floats | None:

@@ -10,7 +10,8 @@ from rig.driving.clock import Clock
 from rig.driving.emulators.controller_faults import Faults
 from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine
 from rig.driving.emulators.gcs import GCS, MM
-from rig.driving.protocols.gcs_hexapod_poses import AXES, gcs_values_of_pose, pose_of_gcs_values
+from rig.driving.protocols.gcs import HEXAPOD_AXES as AXES
+from rig.driving.protocols.gcs import gcs_values_of_pose, pose_of_gcs_values
 from rig.errors import NotConverged
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod

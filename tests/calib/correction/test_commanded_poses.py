@@ -15,7 +15,8 @@ from rig.driving.emulators.controller_emulator_opening_and_ports import home_len
 from rig.driving.emulators.controller_faults import Faults
 from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine, MovingAxes
 from rig.driving.emulators.gcs_hexapod import GCSHexapod
-from rig.driving.protocols.gcs_hexapod_poses import AXES, gcs_values_of_pose, pose_of_gcs_values
+from rig.driving.protocols.gcs import HEXAPOD_AXES as AXES
+from rig.driving.protocols.gcs import gcs_values_of_pose, pose_of_gcs_values
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.pose import pose, pose_difference
