@@ -8,16 +8,19 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.correction.command_sequence_timing_and_pose_error_map import HOLDING
+from calib.correction.commanded_poses import PoseFrames as PoseFrames
+from calib.correction.commanded_poses import poses_to_command
 from calib.correction.correction import require_reachable
 from calib.correction.physics_compensation import require_sensor_coverage
 from calib.models.machine_models import corrected_pose_covariance
 from calib.models.wanted_pose_commands import RouteCommands, commands_along_route, pace_that_holds_poses_at_times
 from rig.array_and_json_types import Floats, Integers, Json
+from rig.driving.protocols.gcs import HEXAPOD_AXES, gcs_values_of_pose
 from rig.errors import RigError, Unreachable
 from rig.model import mechanisms
-from rig.model.pose import pose_difference
+from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Sensors, WantedPoses
-from rig.recording.recording_table_loading_and_writing import Poses, write_table
+from rig.recording.recording_table_loading_and_writing import POSE_COLUMNS, Poses, write_table
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 
 APPROACHES = ("auto", "always", "never")
@@ -31,6 +34,7 @@ class CorrectOptions:
     skip_unreachable : whether poses out of reach are left out, not refused
     uncorrected : whether to command what the nominal model says; single_step : whether to command X + KSF(X), the
     method's first step, not the exact fixed point
+    pose_frames : frames of a controller that takes poses, which are written in place of lengths; None for lengths
     """
 
     sensors: Sensors | None = None
@@ -39,6 +43,7 @@ class CorrectOptions:
     skip_unreachable: bool = False
     uncorrected: bool = False
     single_step: bool = False
+    pose_frames: PoseFrames | None = None
 
     def __post_init__(self) -> None:
         if self.approach not in APPROACHES:
@@ -49,7 +54,7 @@ class CorrectOptions:
 class CorrectionResult(OneLineRepr):
     """Commands for wanted poses. calibration; wanted : Wanted; index : (n,) which of them are commanded; commanded :
     Commanded of these; out_of_reach : (frame, why) of the others; single_step : whether these are the method's first
-    step; uncorrected : whether they are by the nominal model
+    step; uncorrected : whether they are by the nominal model; pose_frames : of a controller that takes poses, or None
     """
 
     calibration: Calibration
@@ -59,6 +64,7 @@ class CorrectionResult(OneLineRepr):
     out_of_reach: tuple[tuple[int, str], ...] = ()
     single_step: bool = False
     uncorrected: bool = False
+    pose_frames: PoseFrames | None = None
 
     @property
     def frames(self) -> Integers:
@@ -69,6 +75,25 @@ class CorrectionResult(OneLineRepr):
     def values(self) -> Floats:
         """(n, axes) m or rad to command."""
         return self.commanded.values
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the values of a command: axes, or a pose's."""
+        if self.pose_frames is None:
+            return self.calibration.correction.nominal.axes
+        return HEXAPOD_AXES if self.pose_frames.gcs else POSE_COLUMNS
+
+    def commands(self, values: Floats, pose: Integers) -> Floats:
+        """(m, columns) to command for values (m, axes) m or rad, near the wanted poses of indices pose (m,): the same,
+        or poses (m, rad; for GCS mm, degrees) for a controller that takes these. Raises NotConverged where no pose
+        gives the lengths.
+        """
+        if self.pose_frames is None:
+            return values
+        near = self.wanted.poses.T_base_platform[self.index[pose]]
+        nominal = self.calibration.correction.nominal
+        command = poses_to_command(nominal, values, near, self.pose_frames)
+        return gcs_values_of_pose(command) if self.pose_frames.gcs else pose_to_vector(command)
 
     @property
     def covariance(self) -> Floats | None:
@@ -117,9 +142,9 @@ class CorrectionResult(OneLineRepr):
         """As a notebook shows it."""
         lines = [f"out of reach: frame {frame}, {why}" for frame, why in self.out_of_reach]
         rows = [
-            (str(frame), *(f"{value:.6f}" for value in row)) for frame, row in zip(self.frames, self.values.tolist())
+            (str(frame), *(f"{value:.6f}" for value in row)) for frame, row in zip(self.frames, self._held().tolist())
         ]
-        return result_html(str(self), lines, [("frame", *self.calibration.correction.nominal.axes), *rows])
+        return result_html(str(self), lines, [("frame", *self.columns), *rows])
 
     def tree(self) -> Json:
         """What `rig correct --json` prints."""
@@ -129,22 +154,27 @@ class CorrectionResult(OneLineRepr):
             "written": len(self.index),
             "out_of_reach": [{"frame": frame, "reason": why} for frame, why in sorted(self.out_of_reach)],
             "commands": [
-                {"frame": int(frame), "values": values} for frame, values in zip(self.frames, self.values.tolist())
+                {"frame": int(frame), "values": values} for frame, values in zip(self.frames, self._held().tolist())
             ],
         }
 
+    def _held(self) -> Floats:
+        """(n, columns) to command at the poses."""
+        return self.commands(self.values, np.arange(len(self.values)))
+
     def write(self, path: Path) -> None:
         """Write the commands, in time with the rows on the way."""
-        axes, frames, wanted = self.calibration.correction.nominal.axes, self.frames, self.wanted
+        axes, frames, wanted = self.columns, self.frames, self.wanted
         if wanted.t is None:
             rows = [
                 ",".join([str(frame), *(f"{length:.10f}" for length in lengths)])
-                for frame, lengths in zip(frames, self.values)
+                for frame, lengths in zip(frames, self._held())
             ]
             write_table(path, ("frame", *axes), rows)
             return
         route, rows = self.commanded.route, []
-        for t, pose, doing, lengths in zip(route.t.tolist(), route.pose, route.doing, route.values(self.values)):
+        commands = self.commands(route.values(self.values), np.asarray(route.pose, np.int64))
+        for t, pose, doing, lengths in zip(route.t.tolist(), route.pose, route.doing, commands):
             held = doing == HOLDING
             rows.append(
                 ",".join(
@@ -191,7 +221,11 @@ def correct(
             keep = np.delete(keep, error.index)
     if refused and (not options.skip_unreachable or not len(keep)):
         raise unreachable_poses_error(refused, count)
-    return CorrectionResult(calibration, wanted, keep, done, tuple(refused), options.single_step, options.uncorrected)
+    result = CorrectionResult(
+        calibration, wanted, keep, done, tuple(refused), options.single_step, options.uncorrected, options.pose_frames
+    )
+    result.commands(done.values, np.arange(len(keep)))  # that no pose gives the lengths is said before any is written
+    return result
 
 
 def unreachable_poses_error(unreachable_frames: list[tuple[int, str]], count: int) -> Unreachable:

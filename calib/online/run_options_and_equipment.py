@@ -24,7 +24,7 @@ from rig.driving.cameras.camera_interface_and_grabbing import Settling, Synchron
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import RunEquipment
 from rig.driving.run_steps_and_progress import Step
-from rig.driving.sensor_reader import SensorReader
+from rig.driving.sensor_reader import open_sensors
 from rig.driving.straight_move_profile import Way, trapezoidal_profile
 from rig.driving.strut_driver import Driver
 from rig.errors import RigError
@@ -151,7 +151,7 @@ def open_run_equipment(
 
     Raises RigError for settling by limbs that nobody reads.
     """
-    sensing = SensorReader(design.sensors, clock) if design.sensors else None
+    sensing = open_sensors(design.sensors, clock) if design.sensors else None
     channels = set(design.sensors.channels) if design.sensors else set()
     if settling.by == "limbs" and not {f"m{i + 1}" for i in range(6)} <= channels:
         raise RigError("settling by limbs takes a [sensors] table with the channels m1 .. m6")

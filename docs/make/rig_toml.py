@@ -62,6 +62,11 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
         "Two tables `[[mechanism.stage]]` or more, each of a kind above, each on the last; [chains](chains.md) "
         "say more.",
     ),
+    '[mechanism] kind = "file"': (
+        None,
+        'Any other machine, by kinematics that its owner states in a Python file beside: `kind = "file:NAME.py"`. '
+        "[A machine of your own](own-kinematics.md) says what the file must have.",
+    ),
     '[mechanism] kind = "free"': (
         None,
         "Moved by hand or by somebody else: there is nothing to command, and nothing else to state.",

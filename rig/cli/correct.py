@@ -17,7 +17,7 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
 
 if TYPE_CHECKING:
-    from calib.api.correct import CorrectionResult, CorrectOptions
+    from calib.api.correct import CorrectionResult, CorrectOptions, PoseFrames
     from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
     from rig.array_and_json_types import Floats
     from rig.recording.recording_folder import WantedPoses
@@ -75,6 +75,23 @@ def arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="command X + KSF(X), the method's first step, not the exact fixed point",
     )
+    parser.add_argument(
+        "--as",
+        dest="kind",
+        choices=("lengths", "poses", "gcs"),
+        default="lengths",
+        help="what the controller takes: axis values (the default), or poses of a hexapod, frame,x,y,z,rx,ry,rz: "
+        "its own nominal kinematics, that of rig.toml, makes the corrected lengths of them; gcs: "
+        "the same as MOV takes it, frame,X,Y,Z,U,V,W, mm and degrees",
+    )
+    for name, text in (
+        ("work", "frame in the base frame, x,y,z,rx,ry,rz, m and rad"),
+        ("tool", "frame in the platform frame, x,y,z,rx,ry,rz, m and rad"),
+        ("pivot", "point in the tool frame, x,y,z, m, that a turn leaves where it is (SPI)"),
+    ):
+        parser.add_argument(
+            f"--{name}", metavar="NUMBERS", help=f"of --as poses and gcs: the controller's {name} {text}"
+        )
     input_options_and_output_display.add_user_effect_files_option(parser)
     add_overwrite_option(parser)
     add_json_result_option(parser)
@@ -87,10 +104,14 @@ def run(arguments: Namespace) -> None:
     from rig.recording.recording_table_loading_and_writing import write_poses
 
     if arguments.forward and (
-        arguments.uncorrected or arguments.single_step or arguments.skip_unreachable or arguments.sensors
+        arguments.uncorrected
+        or arguments.single_step
+        or arguments.skip_unreachable
+        or arguments.sensors
+        or arguments.kind != "lengths"
     ):
         raise RigError(
-            "--uncorrected, --single-step, --skip-unreachable and --sensors apply to commands for wanted "
+            "--uncorrected, --single-step, --skip-unreachable, --sensors and --as poses apply to commands for wanted "
             "poses, not to --forward"
         )
     calibration = input_options_and_output_display.calibration_of_arguments(arguments)
@@ -121,7 +142,33 @@ def _options(arguments: Namespace, wanted: WantedPoses) -> CorrectOptions:
         arguments.skip_unreachable,
         arguments.uncorrected,
         arguments.single_step,
+        _pose_frames(arguments),
     )
+
+
+def _pose_frames(arguments: Namespace) -> PoseFrames | None:
+    """Frames of a controller that takes poses, None for lengths. Raises RigError for what is no frame."""
+    from calib.api.correct import PoseFrames
+    from rig.model.pose import pose
+
+    given = {name: getattr(arguments, name) for name in ("work", "tool", "pivot")}
+    if arguments.kind == "lengths":
+        if any(text is not None for text in given.values()):
+            raise RigError("--work, --tool and --pivot apply to --as poses")
+        return None
+    numbers = {}
+    for name, text in given.items():
+        count = 3 if name == "pivot" else 6
+        try:
+            numbers[name] = parse_numbers(text.split(",")) if text is not None else [0.0] * count
+        except ValueError:
+            numbers[name] = []
+        if len(numbers[name]) != count:
+            raise RigError(f"--{name} takes {count} numbers separated by commas, m and rad, not {text!r}")
+    import numpy as np
+
+    work, tool = (pose(numbers[name][:3], numbers[name][3:]) for name in ("work", "tool"))
+    return PoseFrames(work, tool, np.array(numbers["pivot"]), arguments.kind == "gcs")
 
 
 def _start(text: str) -> Floats | None:

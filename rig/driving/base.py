@@ -1,10 +1,11 @@
-"""Base classes for a file of the user's own: a protocol with its emulator, or a camera."""
+"""Base classes for a file of the user's own: a protocol with its emulator, a camera, or sensors."""
 
 from rig.driving.cameras.camera_interface_and_grabbing import CameraError, Frame
 from rig.driving.cameras.user_camera import UserCamera
 from rig.driving.emulators.line_emulator import LineEmulator
 from rig.driving.protocols.line_protocol import LineProtocol
 from rig.driving.protocols.protocol_interface import Dialogue, Segment, State, Verdict
+from rig.driving.sensor_reader import UserSensors
 
 __all__ = [
     "CameraError",
@@ -15,5 +16,6 @@ __all__ = [
     "Segment",
     "State",
     "UserCamera",
+    "UserSensors",
     "Verdict",
 ]

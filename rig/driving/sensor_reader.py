@@ -1,6 +1,6 @@
-"""Sensors read from a port: a line of numbers per reading."""
+"""Sensors read from a port, a line of numbers per reading, or by a program of the user's own."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -8,12 +8,15 @@ from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.request_and_answer_exchange_with_controller import Port
 from rig.driving.serial_port import SerialPort
-from rig.errors import NoAnswer
+from rig.driving.user_programs import fail_at_class, guard_call, load_user_class
+from rig.errors import NoAnswer, RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
+from rig.model.controller_protocol_list_and_port_name_check import is_user_program
 from rig.model.design import SensorPort
 
 WAIT = 2.0  # s for a line
 LONGEST = 4096  # bytes
+GROUP = "rig.sensors"  # of entry points
 
 
 class SensorReader:
@@ -68,3 +71,46 @@ class SensorReader:
                 f"{len(self._stated.channels)} numbers"
             )
         return dict(zip(self._stated.channels, values))
+
+
+class UserSensors:
+    """Base class of sensors or an instrument of the user's own. channels : names as [sensors] states them."""
+
+    def __init__(self, channels: tuple[str, ...]) -> None:
+        self.channels = channels
+
+    def read(self) -> Mapping[str, float]:
+        """{channel: value} measured after this call."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Let go of the device."""
+
+
+class UserSensorReader(SensorReader):
+    """Sensors that a class in a user's file or package reads; see SensorReader."""
+
+    def __init__(self, stated: SensorPort) -> None:
+        """Raises FileError or RigError where the program cannot be used."""
+        kind, path = load_user_class(stated.port, UserSensors, GROUP, "sensors")
+        if kind.read is UserSensors.read:
+            raise fail_at_class(path, kind, "lacks read, which returns {channel: value}")
+        self._stated, self._path, self._owner = stated, path, kind.__name__
+        self._user = guard_call(kind, path, RigError, self._owner)(stated.channels)
+
+    def read(self) -> dict[str, float]:
+        found = guard_call(self._user.read, self._path, NoAnswer, self._owner)()
+        channels = self._stated.channels
+        values = {name: float(found[name]) for name in channels if name in found}
+        wrong = [name for name in channels if not np.isfinite(values.get(name, np.nan))]
+        if wrong:
+            raise NoAnswer(f"{self._path}: {self._owner}.read gave no number for {', '.join(wrong)}")
+        return values
+
+    def close(self) -> None:
+        guard_call(self._user.close, self._path, RigError, self._owner)()
+
+
+def open_sensors(stated: SensorPort, clock: Clock) -> SensorReader:
+    """The sensors of a rig.toml, opened. Raises LinkLost for a port, FileError or RigError for a program."""
+    return UserSensorReader(stated) if is_user_program(stated.port) else SensorReader(stated, clock)

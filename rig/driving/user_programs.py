@@ -1,4 +1,4 @@
-"""Classes that a user's own file, or the entry point of an installed package, gives for a protocol or a camera.
+"""Classes that a user's own file, or the entry point of a package, gives for a protocol, a camera or sensors.
 
 Both are programs and are run: only by what drives the controller or opens the camera, never by reading a rig.toml.
 """
@@ -28,6 +28,7 @@ def require_own_rig_toml(path: Path, design: Design) -> None:
     is not the operator of this machine.
     """
     sources = [design.controller.protocol if design.controller else "", *(c.source or "" for c in design.cameras)]
+    sources += [design.sensors.port] if design.sensors else []
     programs = [stated for stated in sources if is_user_program(stated) or stated.startswith("command:")]
     if not programs:
         return

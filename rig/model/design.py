@@ -17,10 +17,9 @@ from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free
 class Controller:
     """What drives the axes.
 
-    protocol : one of PROTOCOLS, or "file:PATH" or "package:NAME" of a user's own; baudrate : bits per second
-    port : device, or URL socket://, rfc2217://, loop://
-    usb : serial number or hardware id by which to find the port again, or ""
-    axes : the controller's names of the axes, in the mechanism's order, () for the protocol's own
+    protocol : "grblhal", "gcs", "linuxcnc", "struts", or a user's "file:NAME.py" or "package:NAME"
+    baudrate : bits per second; port : device, or URL socket://, rfc2217://, loop://
+    usb : serial number or hardware id of the port, or ""; axes : the controller's names of them, () for usual ones
     homing : whether the controller can home; without, the position that it reads at the start is believed
     zero : (n,) m, an axis's length where the controller reads 0; home : (n,) m, lengths after homing, or None
     max_speed : (n,) m/s; max_acceleration : (n,) m/s^2, None for what the controller itself allows
@@ -111,7 +110,8 @@ class MeasuringLimbs:
 
 @dataclass(frozen=True, slots=True)
 class SensorPort:
-    """Where further sensors are read. port : device, or URL socket://, rfc2217://; baudrate : bits per second
+    """Where further sensors are read. port : device, URL socket://, rfc2217://, or a user's "file:NAME.py" or
+    "package:NAME"; baudrate : bits per second
     ask : line that makes them answer, "" where they send by themselves; channels : names as in sensors.csv, in the
         order of the numbers in a line"""
 
@@ -182,7 +182,7 @@ class Camera:
     distortion : (4, 5, 8, 12 or 14,) OpenCV order; pose : T_base_camera, OpenCV axes
     shutter : "global" or "rolling"; row_time : s, from one row of the image to the next, for a rolling one
     mount : "fixed", "moving" (a pose in every frame) or "hand": the platform carries it, and pose is T_platform_camera
-    source : what a run opens it by, for example "uvc:0", or None; see rig.driving.cameras.KINDS
+    source : what a run opens it by, for example "uvc:0" or "file:cam.py", or None
     capture : how it is set
     """
 

@@ -2,13 +2,15 @@
 
 Answers carry no number. After a silence the line is brought in step by `*IDN?`, whose answer cannot be taken for
 another. Source: PI GCS 2.0 manuals (e.g. SM151E, MS204E): `#5`, `#7`, `#24` are single bytes; an answer of several
-lines has a blank before all line feeds but the last.
+lines has a blank before all line feeds but the last. Poses of a hexapod's controller: PI MS207E (H-820), 3.7.4.
 """
 
 import re
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.driving.controller_limits import ControllerLimits
@@ -249,3 +251,20 @@ def _is_error(lines: Sequence[str]) -> bool:
 
 def _reason(error: int) -> str:
     return f"error {error} ({ERRORS.get(error, 'see its manual')})"
+
+
+HEXAPOD_AXES = ("X", "Y", "Z", "U", "V", "W")
+ORDER, MM = "XYZ", 1e3  # of SciPy: about axes that move along, in the order U, V, W; per m
+
+
+def gcs_values_of_pose(T: RigidTransform) -> Floats:
+    """(..., 6) X, Y, Z in mm and U, V, W in degrees of poses (...), as a hexapod's controller takes them."""
+    return np.concatenate([MM * T.translation, T.rotation.as_euler(ORDER, degrees=True)], axis=-1)
+
+
+def pose_of_gcs_values(values: ArrayLike) -> RigidTransform:
+    """Poses (...) of (..., 6) X, Y, Z in mm and U, V, W in degrees."""
+    values = np.asarray(values, float)
+    return RigidTransform.from_components(
+        values[..., :3] / MM, Rotation.from_euler(ORDER, values[..., 3:], degrees=True)
+    )

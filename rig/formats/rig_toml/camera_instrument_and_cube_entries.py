@@ -1,13 +1,14 @@
 """Tables [[camera]], [instrument], [experiment] and [turned] (cubes) of rig.toml, read; [[camera]] written."""
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import fields, replace
+from pathlib import PurePosixPath
 
 import numpy as np
 
 from rig.formats.checked_entries import Entries
-from rig.formats.rig_toml.user_program_entries import user_program_text
 from rig.model.controller_protocol_list_and_port_name_check import USER_PROGRAMS, is_user_program
 from rig.model.design import (
     DISTORTION_TERMS,
@@ -330,3 +331,23 @@ def replace_target_markers(text: str, markers: dict[str, tuple[Marker, ...]]) ->
             rows.append(row)
         table["marker"] = rows
     return tomlkit.dumps(document)
+
+
+ENTRY_POINT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")  # of a package's entry point
+
+
+def user_program_text(table: Entries, key: str, stated: str) -> str:
+    """A stated "file:PATH" with PATH joined to the folder of rig.toml, or "package:NAME" as it is. Raises FileError."""
+    kind, _, place = stated.partition(":")
+    if kind == "package":
+        if not ENTRY_POINT.fullmatch(place):
+            table.fail(f"{table.name(key)}: expected package:NAME, an entry point's name, not {stated!r}", key)
+        return stated
+    path = PurePosixPath(place)
+    if path.is_absolute() or path.suffix != ".py" or not place.isprintable():
+        table.fail(
+            f"{table.name(key)}: expected file:NAME.py, a path relative to this file's folder, not {stated!r}",
+            key,
+            value=stated,
+        )
+    return f"{kind}:{table.file.parent / path}"

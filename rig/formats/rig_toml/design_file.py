@@ -7,9 +7,8 @@ from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries, Required
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import camera_instrument_and_cube_entries
-from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table
+from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table, user_program_text
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_table
-from rig.formats.rig_toml.user_program_entries import user_program_text
 from rig.model.controller_protocol_list_and_port_name_check import is_user_program, port_problem
 from rig.model.design import (
     DICTIONARIES,
@@ -182,9 +181,9 @@ def _sensors(table: Entries) -> SensorPort:
             "channels",
             value=channels,
         )
-    return SensorPort(
-        _port(table), table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels)
-    )
+    stated = table.text("port")
+    port = user_program_text(table, "port", stated) if is_user_program(stated) else _port(table)
+    return SensorPort(port, table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels))
 
 
 def _platform(table: Entries) -> Platform:

@@ -1,9 +1,17 @@
 """Conformance: every protocol passes; one that is unsafe fails at what is unsafe in it."""
 
+import re
+
 import pytest
 
 from rig.cli.command_line import main
+from rig.driving.cameras import open_camera
+from rig.driving.clock import SystemClock
 from rig.driving.emulators.conformance import check_conformance, conformance_design
+from rig.driving.sensor_reader import open_sensors
+from rig.model.design import SensorPort
+from tests.conftest import ROOT
+from tests.rig.driving.cameras.test_cameras import camera
 from tests.rig.driving.protocols.test_user_protocol import TEMPLATE, written
 
 UNSAFE = {  # what stands in place of what, which check fails
@@ -66,6 +74,17 @@ def test_a_new_protocol_is_written_and_tested(tmp_path, monkeypatch, capsys):
     assert main(["emulate", "--conform", "--protocol", "bad.py", "--moves", "20"]) == 1
     told = capsys.readouterr()
     assert "FAILED  stops while it moves: urgent_stop did not slow" in told.out and "checks failed" in told.err
+
+
+def test_the_page_shows_the_file_that_is_written_and_a_camera_that_works(tmp_path):
+    page = (ROOT / "docs" / "own-protocols.md").read_text(encoding="utf-8")
+    protocol, camera_file, sensors_file = re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    assert protocol == TEMPLATE
+    (tmp_path / "cam.py").write_text(camera_file)
+    assert (open_camera(camera(f"file:{tmp_path}/cam.py"), SystemClock()).grab().image == 128).all()
+    (tmp_path / "gauge.py").write_text(sensors_file)
+    stated = SensorPort(f"file:{tmp_path}/gauge.py", 115200, "", ("gauge", "air_temperature_C"))
+    assert open_sensors(stated, SystemClock()).read() == {"gauge": 0.0012, "air_temperature_C": 20.4}
 
 
 @pytest.mark.parametrize("words", [["--conform"], [], ["--new", "a b"], ["--conform", "--protocol", "grbhal"]])

@@ -9,7 +9,7 @@ import pytest
 
 from rig.driving import user_programs
 from rig.driving.emulators.fault_trials import emulated_bench
-from rig.driving.protocols.protocol_selection import protocol_of_controller
+from rig.driving.protocols.protocol_selection_and_user_protocols import protocol_of_controller
 from rig.errors import ControllerFault, FileError, RigError
 from tests.conftest import ROOT
 

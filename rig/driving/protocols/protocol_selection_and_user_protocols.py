@@ -1,4 +1,4 @@
-"""A protocol of the user's own: loaded, checked, and guarded so that what fails names the file and the line."""
+"""Selection of the protocol that rig.toml states; one of the user's own is loaded, checked, and guarded."""
 
 import inspect
 from collections.abc import Callable
@@ -6,11 +6,16 @@ from functools import wraps
 from pathlib import Path
 from typing import ParamSpec, cast
 
+from rig.driving.protocols.gcs import GCS
+from rig.driving.protocols.grblhal import GrblHAL
 from rig.driving.protocols.line_protocol import LineProtocol, state_problem
-from rig.driving.protocols.protocol_interface import Dialogue, State, Verdict
+from rig.driving.protocols.linuxcnc import LinuxCNC
+from rig.driving.protocols.own_strut_protocol import Struts
+from rig.driving.protocols.protocol_interface import Dialogue, Protocol, State, Verdict
 from rig.driving.user_programs import fail_at_class, guard_call, load_user_class, missing_member
 from rig.errors import ControllerFault, FileError
 from rig.formats.user_python_file import class_literal, read_user_text
+from rig.model.controller_protocol_list_and_port_name_check import is_user_program
 from rig.model.design import Controller
 
 P = ParamSpec("P")
@@ -24,6 +29,29 @@ RESULTS: dict[str, type[object]] = {
 }
 PLAIN = ("move_line", "encode", "decode", "event")  # methods that ask nothing
 TEXTS = ("name", "accepted", "refused", "stop_line")  # that a class must state
+
+
+def protocol_of_controller(controller: Controller, axis_count: int) -> Protocol:
+    """The Protocol of a controller that drives `axis_count` axes. A program of the user's own is run for it.
+
+    Raises ValueError for a protocol that there is not, FileError and RigError for a program that cannot be used
+    """
+    if is_user_program(controller.protocol):
+        return load_user_protocol(controller, axis_count)
+    if controller.protocol == "grblhal":
+        return GrblHAL(controller.axes or tuple("XYZABC"[:axis_count]))
+    if controller.protocol == "gcs":
+        return GCS(controller.axes, axis_count)
+    if controller.protocol == "struts":
+        return Struts(axis_count, controller.watchdog)
+    if controller.protocol == "linuxcnc":
+        return LinuxCNC(
+            controller.axes or tuple("XYZABC"[:axis_count]),
+            controller.kinematics,
+            controller.password,
+            controller.enable_password,
+        )
+    raise ValueError(f"no protocol {controller.protocol!r}")
 
 
 def load_user_protocol(controller: Controller, count: int) -> LineProtocol:
