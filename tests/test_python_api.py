@@ -13,7 +13,8 @@ import calib
 import rig
 import synthetic
 import vision
-from rig.cli.command_list import COMMANDS, module_of_command
+from rig.cli.command_line import module_of_command
+from rig.cli.command_list import COMMANDS
 from rig.errors import RigError
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording.recording_table_loading_and_writing import write_poses

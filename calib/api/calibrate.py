@@ -40,8 +40,8 @@ from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import L
 from calib.report import platform_and_lens_calibration_pages as platform_page
 from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from rig.array_and_json_types import Floats, Json
+from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_text_parsing import Kinds
-from rig.effects.texts.user_effect_file_loading import Plugin, catalogue_with_files
 from rig.errors import RigError
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (

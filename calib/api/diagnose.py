@@ -31,8 +31,8 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
 from calib.experiment.experiment_questions_and_information import Question, camera_information_shares
 from calib.files import calibration_provenance_and_used_frames
 from calib.samples.pose_samples import Sampled, sample_recording
+from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_text_parsing import Kinds, parse_effect_and_place, require_known_effect
-from rig.effects.texts.user_effect_file_loading import Plugin, catalogue_with_files
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.model.design import PERMITTED, TURN, Design, quarter_turns_of_cubes

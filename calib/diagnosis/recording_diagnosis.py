@@ -42,9 +42,8 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
 from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import Repeats, Suggestion
 from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
 from calib.samples.pose_samples import Sampled
-from rig.effects.catalogue.effect_list import ALL
+from rig.effects.catalogue.effect_list import ALL, Plugin
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.user_effect_file_loading import Plugin
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model.design import Design
 from rig.recording.recording_folder import Recording, RecordingPart

@@ -14,15 +14,7 @@ from pathlib import Path
 from shutil import get_terminal_size
 from typing import NoReturn, TextIO, TypeVar, cast
 
-from rig.cli.command_list import (
-    COMMANDS,
-    EARLIER_NAMES,
-    FAMILIES,
-    grouped_command_text,
-    join_command_words,
-    module_of_command,
-    name_in_manifests,
-)
+from rig.cli.command_list import COMMANDS, EARLIER_NAMES, FAMILIES
 from rig.cli.shared.argument_parser_and_common_options import Parser, add_common_options, join_negative_numbers
 from rig.errors import RigError
 from rig.formats.output_files import STANDARD_OUTPUT, CommandOutputs
@@ -41,6 +33,31 @@ WRITTEN = (
 )  # arguments that name what is written; all else is read
 
 S = TypeVar("S", bound=int | str | None)  # an exit status
+
+
+def name_in_manifests(name: str) -> str:
+    """Name of a command in manifests of outputs: the earlier one if it has one, so that its earlier outputs are its."""
+    return next((earlier for earlier, present in EARLIER_NAMES.items() if present == name), name)
+
+
+def module_of_command(name: str) -> str:
+    """Name of the module in rig.cli of a command."""
+    return name.replace("-", "_").replace(" ", "_")
+
+
+def join_command_words(words: list[str]) -> tuple[list[str], str | None]:
+    """Words of a command line with the command's name as one of them: (words, the earlier name if one was used).
+
+    `new design --radius 0.3` becomes `new design` and the rest, and so does `design --radius 0.3`. The second word is
+    the command's where the two together are one: a file of that name is written ./design.
+    """
+    at = next((i for i, word in enumerate(words) if not word.startswith("-")), None)
+    if at is None:
+        return words, None
+    if words[at] in EARLIER_NAMES:
+        return [*words[:at], EARLIER_NAMES[words[at]], *words[at + 1 :]], words[at]
+    both = " ".join(words[at : at + 2])
+    return ([*words[:at], both, *words[at + 2 :]] if both in COMMANDS else words), None
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -86,7 +103,7 @@ def command_line_parser(expanded_commands: Collection[str], words: tuple[str, ..
         usage="rig [-h] [--version] COMMAND ...",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         description="Vision-measured calibration of robots that move a platform on struts, and of arms.\n\n"
-        + grouped_command_text(get_terminal_size((80, 24)).columns),
+        + ("" if expanded_commands else _grouped_commands()),
         epilog="`rig COMMAND --help` describes one. A recording is a folder with rig.toml, frames.csv,\n"
         "commands.csv and images or corners.csv; SI units and radians throughout.\n\n"
         "exit status: 0 done; 1 refused, with the reason; 2 wrong usage; 3 the verdict is bad\n"
@@ -101,6 +118,13 @@ def command_line_parser(expanded_commands: Collection[str], words: tuple[str, ..
             sub.set_defaults(run=_add_arguments(sub, name))
             parser.command, sub.words = sub, words
     return parser
+
+
+def _grouped_commands() -> str:
+    """All commands by group, as the help of `rig` lists them."""
+    from rig.cli.command_list import grouped_command_text
+
+    return grouped_command_text(get_terminal_size((80, 24)).columns)
 
 
 def nested_command_parser() -> Parser:

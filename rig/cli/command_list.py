@@ -81,31 +81,6 @@ EARLIER_NAMES = {
 }
 
 
-def name_in_manifests(name: str) -> str:
-    """Name of a command in manifests of outputs: the earlier one if it has one, so that its earlier outputs are its."""
-    return next((earlier for earlier, present in EARLIER_NAMES.items() if present == name), name)
-
-
-def module_of_command(name: str) -> str:
-    """Name of the module in rig.cli of a command."""
-    return name.replace("-", "_").replace(" ", "_")
-
-
-def join_command_words(words: list[str]) -> tuple[list[str], str | None]:
-    """Words of a command line with the command's name as one of them: (words, the earlier name if one was used).
-
-    `new design --radius 0.3` becomes `new design` and the rest, and so does `design --radius 0.3`. The second word is
-    the command's where the two together are one: a file of that name is written ./design.
-    """
-    at = next((i for i, word in enumerate(words) if not word.startswith("-")), None)
-    if at is None:
-        return words, None
-    if words[at] in EARLIER_NAMES:
-        return [*words[:at], EARLIER_NAMES[words[at]], *words[at + 1 :]], words[at]
-    both = " ".join(words[at : at + 2])
-    return ([*words[:at], both, *words[at + 2 :]] if both in COMMANDS else words), None
-
-
 def grouped_command_text(width: int) -> str:
     """All commands by group, as the help of `rig` lists them; commands of two words below the first. width : columns"""
     from textwrap import wrap

@@ -16,9 +16,9 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
 )
 from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import Suggestion
 from calib.diagnosis.recording_diagnosis import Diagnosis
+from rig.effects.catalogue.effect_list import Plugin
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_file_from_formula import Written
-from rig.effects.texts.user_effect_file_loading import Plugin
 from rig.recording.recording_folder import RecordingPart
 
 SCHEMA = "diagnosis/1"

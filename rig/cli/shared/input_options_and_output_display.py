@@ -20,8 +20,8 @@ from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable
 if TYPE_CHECKING:
     from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
     from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbSource
+    from rig.effects.catalogue.effect_list import Plugin
     from rig.effects.texts.effect_text_parsing import Kinds
-    from rig.effects.texts.user_effect_file_loading import Plugin
     from rig.recording.recording_folder import Recording
     from rig.report.verdict_and_refutations_by_later_recordings import Refutation, State
 
@@ -340,7 +340,7 @@ def known_effects(effect_files: tuple[Plugin, ...]) -> Kinds:
         from rig.effects.catalogue.effect_list import BY_NAME
 
         return BY_NAME
-    from rig.effects.texts.user_effect_file_loading import catalogue_with_files
+    from rig.effects.catalogue.effect_list import catalogue_with_files
 
     return catalogue_with_files(effect_files)
 

@@ -2,6 +2,8 @@
 
 import textwrap
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -82,6 +84,34 @@ ALL: tuple[type[Effect], ...] = (
     EncoderInterpolation,
 )
 BY_NAME: dict[str, type[Effect]] = {effect.name: effect for effect in ALL}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plugin:
+    """A file of effects. sha256 : of its bytes; kinds : classes of its effects."""
+
+    path: Path
+    sha256: str
+    kinds: tuple[type[Effect], ...]
+
+
+def catalogue_with_files(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
+    """Catalogue {name: class} with the effects of user files (plugins) added. Raises FileError for a name twice."""
+    out: dict[str, type[Effect]] = dict(BY_NAME)
+    where: dict[str, Path] = {}
+    for plugin in plugins:
+        for kind in plugin.kinds:
+            if kind.name in out:
+                from rig.errors import FileError
+                from rig.formats.user_python_file import line_of_class
+
+                raise FileError(
+                    plugin.path,
+                    f"there is an effect {kind.name!r} already, in {where[kind.name]}",
+                    line_of_class(plugin.path.read_text(encoding="utf-8"), kind.__name__),
+                )
+            out[kind.name], where[kind.name] = kind, plugin.path
+    return out
 
 
 def effect_of_tolerance(tolerance: Tolerance | tuple[float, float]) -> type[Effect]:

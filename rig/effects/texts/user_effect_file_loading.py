@@ -6,8 +6,8 @@ computed, is reported with file and line.
 
 import inspect
 import keyword
-from collections.abc import Callable, Iterable
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from collections.abc import Callable
+from dataclasses import MISSING, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
 from typing import TypeVar
@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rig.effects.catalogue.effect_list import BY_NAME, STAGES
+from rig.effects.catalogue.effect_list import BY_NAME, STAGES, Plugin
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.framework.effect_parameters_and_covariates import Context, Parameter
@@ -40,35 +40,10 @@ EXAMPLE = {
 T = TypeVar("T", bound=ArrayLike)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Plugin:
-    """A file of effects. sha256 : of its bytes; kinds : classes of its effects."""
-
-    path: Path
-    sha256: str
-    kinds: tuple[type[Effect], ...]
-
-
 def load_effect_file(path: Path) -> Plugin:
     """Load a user's effect file as a Plugin. Raises FileError, with the line, where it cannot be read, run or used."""
     text, digest = read_user_text(path)
     return Plugin(path, digest, effects_of_source(text, path))
-
-
-def catalogue_with_files(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
-    """Catalogue {name: class} with the effects of user files (plugins) added. Raises FileError for a name twice."""
-    out: dict[str, type[Effect]] = dict(BY_NAME)
-    where: dict[str, Path] = {}
-    for plugin in plugins:
-        for kind in plugin.kinds:
-            if kind.name in out:
-                raise FileError(
-                    plugin.path,
-                    f"there is an effect {kind.name!r} already, in {where[kind.name]}",
-                    line_of_class(plugin.path.read_text(encoding="utf-8"), kind.__name__),
-                )
-            out[kind.name], where[kind.name] = kind, plugin.path
-    return out
 
 
 def effects_of_source(text: str, path: Path) -> tuple[type[Effect], ...]:

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from rig.cli.command_line import main
-from rig.effects.catalogue.effect_list import ALL
+from rig.effects.catalogue.effect_list import ALL, catalogue_with_files
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text_parsing import parse_effect
-from rig.effects.texts.user_effect_file_loading import catalogue_with_files, load_effect_file
+from rig.effects.texts.user_effect_file_loading import load_effect_file
 from rig.errors import FileError
 from rig.formats.machine_json import effect_from_dict, effect_to_dict
 from rig.model import motion_simulation
