@@ -10,6 +10,7 @@ from tests.bench import (
     diagnosis,
     driving,
     edge_fit_width,
+    false_findings,
     formula_search,
     forward_kinematics,
     geometry_profile_load_method,
@@ -59,4 +60,5 @@ NAMED = {
     "verify": verify,
     "accusations": accusations,
     "masks": masks,
+    "false_findings": false_findings,
 }  # minutes: only where they are named

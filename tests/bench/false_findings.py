@@ -1,0 +1,111 @@
+"""Quiet recordings of the independent truth at pose level: how many of them a diagnosis finds something in.
+
+python -m tests.bench false_findings [--recordings N] [--seed S]
+
+Nothing is hidden in them. Every fourth is of an arm, two struts or a chain; every fifth has 5 % of wild rows, every
+seventh a noise that its rig.toml states half as large, every eleventh 25 configurations alone.
+"""
+
+import argparse
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from scipy.stats import beta
+
+from calib.api.diagnose import diagnose
+from rig.errors import RigError
+from rig.recording import recording_folder
+from tests.truth import PLANS, draw, record
+from tests.truth.wild import spoilt
+
+RECORDINGS = 20
+KINDS = {"hexapod": 100, "arm": 100, "planar2": 80, "chain": 80}  # configurations that are visited
+OTHERS = ("arm", "planar2", "chain")
+
+
+@dataclass(frozen=True)
+class Quiet:
+    """One recording. number, of the campaign; seed; kind, plan; spoils : what is unusual about it"""
+
+    number: int
+    seed: int
+
+    @property
+    def kind(self) -> str:
+        """Kind of the machine."""
+        return OTHERS[self.number // 4 % len(OTHERS)] if self.number % 4 == 3 else "hexapod"
+
+    @property
+    def spoils(self) -> str:
+        """What is unusual about the recording."""
+        return (
+            "wild rows"
+            if self.number % 5 == 4
+            else "noise stated by half"
+            if self.number % 7 == 6
+            else "25 configurations"
+            if self.number % 11 == 10
+            else "plain"
+        )
+
+    def findings(self) -> list[str]:
+        """Names and places of what the diagnosis finds or leaves unknown. Raises RigError where it refuses."""
+        plan = PLANS[self.number % len(PLANS)]
+        count = 14 if plan == "ladders" else 25 if self.spoils == "25 configurations" else KINDS[self.kind]
+        case = draw(self.seed + self.number, "none", "none", plan, self.kind, count=count)
+        if self.spoils == "wild rows":
+            case = spoilt(case, self.seed + self.number)[0]
+        if self.spoils == "noise stated by half":
+            case = replace(case, sigma=(case.sigma[0] / 2, case.sigma[1] / 2))
+        with tempfile.TemporaryDirectory() as folder:
+            found = diagnose(recording_folder.load_recording(record(case, Path(folder) / "rec"))).found
+        return [f"{effect.name} at {effect.place}" for effect in found.effects] + [
+            f"unknown at {left.place} by {left.depends_on}" for left in found.left
+        ]
+
+
+def campaign(count: int, seed: int, report: bool = False) -> tuple[Counter[str], Counter[str], Counter[str]]:
+    """(recordings, false ones, refused ones), each by what is unusual. report : whether each false one is printed"""
+    done, false, refused = Counter[str](), Counter[str](), Counter[str]()
+    for number in range(count):
+        one = Quiet(number, seed)
+        what = one.spoils if one.kind == "hexapod" else f"{one.kind}, {one.spoils}"
+        try:
+            found = one.findings()
+        except RigError as error:
+            refused[what] += 1
+            if report:
+                print(f"{number} {what}: refused: {str(error)[:150]}", flush=True)
+            continue
+        done[what] += 1
+        false[what] += bool(found)
+        if found and report:
+            print(f"{number} {what}: {'; '.join(found[:4])}", flush=True)
+    return done, false, refused
+
+
+def rows(count: int = RECORDINGS, seed: int = 31000, report: bool = False) -> Iterator[tuple[str, str, str]]:
+    """Yield (figure, reached, wanted)."""
+    start = time.process_time()
+    done, false, refused = campaign(count, seed, report)
+    for what in sorted(done):
+        yield f"quiet recordings, {what}: with a finding", f"{false[what]} of {done[what]}", ""
+    n, k = done.total(), false.total()
+    high = float(beta.ppf(0.95, k + 1, n - k)) if k < n else 1.0
+    yield "all: with a finding (95 % upper bound of the share)", f"{k} of {n} (< {high:.2%})", "<= 3 of 1000"
+    yield "refused, with the reason", f"{refused.total()} of {count}", ""
+    yield "one recording, of one processor", f"{(time.process_time() - start) / count:.2f} s", ""
+
+
+def main(words: list[str]) -> None:
+    """Run a campaign of the size that the words of a command line state, and print each false finding."""
+    parser = argparse.ArgumentParser(prog="python -m tests.bench false_findings")
+    parser.add_argument("--recordings", type=int, default=RECORDINGS)
+    parser.add_argument("--seed", type=int, default=31000)
+    asked = parser.parse_args(words)
+    for figure, reached, wanted in rows(asked.recordings, asked.seed, True):
+        print(f"{figure:78} {reached:>34}   {wanted}", flush=True)
