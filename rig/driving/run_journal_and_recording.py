@@ -24,7 +24,7 @@ import numpy as np
 from rig.errors import FileError, RigError
 from rig.formats.local_and_remote_input_files import BINARY
 from rig.formats.output_files import write_text
-from rig.formats.output_files.locks_of_files_and_folders import lock_open_file, sync_folder
+from rig.formats.output_files.locks_of_files_and_folders import HeldLock, lock_open_file, sync_folder
 
 Lengths = tuple[float, ...]
 
@@ -156,6 +156,8 @@ class Journal:
     taken away.
     """
 
+    _lock: HeldLock | None = None
+
     def __init__(self, path: Path) -> None:
         """Open the journal at a path, made if it is not there. Raises RigError where another process has it, FileError
         where it is damaged.
@@ -163,7 +165,6 @@ class Journal:
         self.path = Path(path)
         new = not self.path.exists()
         self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND | BINARY, 0o644)
-        self._lock = None
         try:
             try:
                 self._lock = lock_open_file(self._file, self.path)

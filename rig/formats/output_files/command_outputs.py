@@ -96,7 +96,7 @@ class CommandOutputs:
             self._own(path)
         for given in self.inputs:
             real = Path(os.path.realpath(given))
-            if staged.place in real.parents and str(real.relative_to(staged.place)) in staged.known.files:
+            if staged.place in real.parents and real.relative_to(staged.place).as_posix() in staged.known.files:
                 raise RigError(
                     f"{path} holds {given}, which this command reads; it remains unchanged, name another folder"
                 )
