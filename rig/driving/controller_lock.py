@@ -182,12 +182,12 @@ def _addresses(url: str) -> set[str]:
 
 def _device(path: str) -> set[str]:
     """Words for a device: its real path, and its number where it is there."""
-    words = {f"path {os.path.realpath(path)}"}
+    words = {f"path {os.path.normcase(os.path.realpath(path))}"}  # COM3 and com3 are one
     try:
         there = os.stat(path)
     except (OSError, ValueError):
         return words
-    if stat.S_ISCHR(there.st_mode):
+    if stat.S_ISCHR(there.st_mode) and hasattr(os, "major"):  # on Windows a port has one name and no number
         words.add(f"device {os.major(there.st_rdev)}:{os.minor(there.st_rdev)}")
     return words
 

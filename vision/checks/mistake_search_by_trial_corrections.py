@@ -25,6 +25,7 @@ UNEXPLAINED = 5.0  # px; a misfit that nothing explains, places of markers neith
 ALIKE = 1.5  # times the least misfit: of mistakes that explain as much, the one that leaves cameras as stated is meant
 LIKELY = 0.85  # proof of a mistake that explains all: figures that are impossible by themselves go first
 HALF = 0.5  # of the squares that a wrong size may leave: of hundreds of corners that is no chance
+CORNER = 2.0  # times its edges' that a corner moves, at angles of 60 degrees; less at all wider ones
 BIASES = (-0.5, -0.35, -0.2, 0.2, 0.35, 0.5)  # px
 BETTER = 0.35  # of the misfit that a mistake named may leave
 DONE = 0.5  # px; a mistake that leaves less explains all
@@ -198,7 +199,7 @@ def _sized(first: Trial) -> tuple[list[Mistake], Trial]:
         best.misfit**2 > HALF * first.misfit**2
         or abs(share - 1) < targets.PRINTED
         or not _stands(first.seen, best)
-        or _edges(first) < best.misfit
+        or _edges(first, best.misfit) < best.misfit
     ):
         return [], first
     who = next((t for t in first.seen.design.targets if body in (None, t.body)), None)
@@ -215,8 +216,12 @@ def _sized(first: Trial) -> tuple[list[Mistake], Trial]:
     ], best
 
 
-def _edges(first: Trial) -> float:
-    """Misfit (px) that a common edge bias leaves: black that spreads alike in every image is due to the cameras."""
+def _edges(first: Trial, wanted: float) -> float:
+    """Misfit (px) that a common edge bias leaves: black that spreads alike in every image is due to the cameras.
+    wanted : px; where no bias can leave so little, a bound is given and nothing is tried
+    """
+    if (bound := first.misfit - CORNER * max(BIASES)) > wanted:
+        return bound
 
     def put(bias: float) -> SampledRecording:
         seen, names = first.seen, np.array(first.seen.corners.camera)
