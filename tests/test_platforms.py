@@ -61,3 +61,60 @@ def test_a_module_a_test_and_a_fixture_are_skipped(tmp_path, body, outcome):
     )
     assert outcome in done.stdout.splitlines()[-1], done.stdout
     assert ("needs the module gone_module (what this test lacks)" in done.stdout) is ("skipped" in outcome)
+
+
+def without_posix(code, folder):
+    """A finished process that has no more of the standard library than Windows has; kernels are cached in the tree."""
+    before = "from tests.system_without_posix import import_every_module, take_posix_away\ntake_posix_away()\n"
+    return subprocess.run(
+        [sys.executable, "-c", before + code],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "HOME": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+
+
+@POSIX
+def test_every_module_is_imported_without_what_windows_lacks(tmp_path):
+    done = without_posix("print(import_every_module())", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 400
+
+
+COMMANDS = """
+from rig.cli.command_line import main
+for words in (
+    "new r --defaults --radius 300mm --quiet",
+    "simulate r/rig.toml --plan sobol:24 --seed 3 --truth truth.json --out rec --quiet",
+    "check rec",
+    "measure rec --out measured --quiet",
+    "calibrate measured --out calibration.json --quiet",
+    "correct calibration.json --poses wanted.csv --out commands.csv",
+    "simulate r/rig.toml --machine truth.json --plan commands:commands.csv --seed 4 --out after --quiet",
+    "verify calibration.json after --wanted wanted.csv",
+    "view measured --page view.html",
+    "export calibration.json --format csv --out geometry.csv",
+    "diagnose measured --out diagnosis",
+):
+    status = main(words.split())
+    assert status in (0, 3), (words, status)
+"""
+WANTED = "frame,x,y,z,rx,ry,rz\n" + "".join(f"{i},0.0{i},0.01,0.45,0.0,0.0{i},0.0\n" for i in range(4))
+
+
+@POSIX
+def test_the_way_of_files_is_gone_without_what_windows_lacks(tmp_path):
+    (tmp_path / "wanted.csv").write_text(WANTED)
+    done = without_posix(COMMANDS, tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr, done.stderr
+    for name in (
+        "calibration.json",
+        "commands.csv",
+        "after/corners.csv",
+        "measured/poses.csv",
+        "diagnosis/diagnosis.json",
+    ):
+        assert (tmp_path / name).stat().st_size > 0
+    assert not list(tmp_path.rglob(".rig-new-*")) and not list(tmp_path.rglob(".rig-*.part"))

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
+from threadpoolctl import threadpool_limits
 
 from calib.drift.visit_equations_and_reference import base_motion_columns
 from calib.models.platform.identification import PRIOR
@@ -267,5 +268,6 @@ def check(path: Path | str, detect: bool = False) -> CheckResult:
         found += more
         corners = corners or seen
     if corners is not None:
-        found += find_corner_mistakes(recording, corners, thorough=True)
+        with threadpool_limits(1):  # threads in products as small as these make it some ten times as long
+            found += find_corner_mistakes(recording, corners, thorough=True)
     return CheckResult(sort_mistakes(found), uneven_cube_layout_remarks(recording.design))

@@ -8,7 +8,6 @@ import sys
 import time
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from signal import SIGKILL
 from subprocess import CompletedProcess
 
 from rig.array_and_json_types import Json
@@ -21,7 +20,8 @@ from rig.formats.number_parsing_and_rounding import parse_whole_number
 
 ONE_THREAD = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
 ROOT = Path(__file__).parents[2]  # children run the code that runs here, wherever they stand
-INTERRUPTED = (130, -2, -9, -15)  # exit statuses of a process that somebody stopped
+KILLED = -9  # exit status of a process that was killed (SIGKILL)
+INTERRUPTED = (130, -2, KILLED, -15)  # exit statuses of a process that somebody stopped
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -143,7 +143,7 @@ def _child(command: list[str | Path]) -> CompletedProcess[str]:
     """
     words = [sys.executable, "-P", "-m", blind_case_process.__name__, str(os.getpid()), *map(str, command)]
     done = run_child_process(words, _environment())
-    return run_child_process(words, _environment()) if done.returncode == -SIGKILL else done
+    return run_child_process(words, _environment()) if done.returncode == KILLED else done
 
 
 def _environment() -> dict[str, str]:

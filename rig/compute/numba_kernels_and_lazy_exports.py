@@ -64,6 +64,8 @@ def private_folder_or_user_cache(folder: Path) -> Path:
 def is_private_folder(folder: Path) -> bool:
     """Whether a folder is private: nobody but this user and root can write to it or replace it."""
     found = Path(os.path.realpath(folder))
+    if not hasattr(os, "getuid"):  # Windows, where modes say nothing and the user's own profile is closed to others
+        return found.is_relative_to(os.path.realpath(Path.home()))
     there = [place.stat() for place in (found, *found.parents) if place.exists()]
     own = there[0].st_uid in (0, os.getuid()) and not there[0].st_mode & 0o022
     return own and not any(above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX for above in there[1:])
@@ -86,6 +88,8 @@ def user_cache_folder(reason: str) -> Path:
             why = "can be written to by others"
     except OSError:
         pass  # no home, or one that cannot be written: the next place is tried
+    if not hasattr(os, "getuid"):
+        return _folder_for_this_run()
     folder = Path(tempfile.gettempdir()) / f"rig-kernels-{os.getuid()}"
     try:
         folder.mkdir(mode=0o700)
@@ -93,8 +97,13 @@ def user_cache_folder(reason: str) -> Path:
     except FileExistsError:
         there = folder.lstat()
         if not stat.S_ISDIR(there.st_mode) or there.st_uid != os.getuid() or there.st_mode & 0o077:
-            folder = Path(tempfile.mkdtemp(prefix="rig-kernels-"))
-            _print_note(f"compiled code is kept in {folder}, for this run: NUMBA_CACHE_DIR names a permanent folder")
+            return _folder_for_this_run()
+    return folder
+
+
+def _folder_for_this_run() -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="rig-kernels-"))
+    _print_note(f"compiled code is kept in {folder}, for this run: NUMBA_CACHE_DIR names a permanent folder")
     return folder
 
 

@@ -4,7 +4,7 @@ Threads within the products of matrices as small as here cost more than they bri
 """
 
 import hashlib
-import multiprocessing
+import os
 import pickle
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -215,7 +215,7 @@ def parallel_map(
     if there is not None:
         return there.map(function, items, progress)
     count = min(worker_count(), len(items) // items_per_process)
-    if count < 2 or nested or "fork" not in multiprocessing.get_all_start_methods():
+    if count < 2 or nested or not hasattr(os, "fork"):
         out = []
         for thing in items:
             out.append(function(thing))

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -26,6 +27,8 @@ from rig.errors import RigError
 ENDED = 3
 SHARES = 4  # parts of what is left for each worker, so that none is waited for long
 MOST = 4  # things of a part: what is lost with a worker, and by which progress goes on
+LOOK = 0.5  # s between looks at whether the parent is there
+SIGKILL = 9  # of Linux
 PR_SET_PDEATHSIG = 1  # of prctl(2): the signal that comes when the parent is gone
 
 Progress = Callable[[int, int], object]  # called with (done, of)
@@ -215,14 +218,25 @@ def terminate_child_processes() -> None:
 
 
 def end_when_parent_ends(parent_pid: int) -> None:
-    """Make this process end when its parent process (parent_pid) ends; Linux.
-    Raises OSError where it will not.
+    """Make this process end when its parent process (parent_pid) ends: by the system on Linux, elsewhere by a thread.
+    Raises OSError where it will not. On Windows that takes a process that multiprocessing started.
     """
-    if sys.platform == "linux" and ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0):
+    if sys.platform == "linux" and ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, SIGKILL, 0, 0, 0):
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))
     if os.getppid() != parent_pid:  # it was gone before that
         os._exit(1)
+    if sys.platform != "linux":
+        threading.Thread(target=_end_after_parent, args=(parent_pid,), daemon=True).start()
+
+
+def _end_after_parent(parent_pid: int) -> None:
+    if parent := multiprocessing.parent_process():
+        parent.join()
+    else:
+        while os.getppid() == parent_pid:
+            time.sleep(LOOK)
+    os._exit(1)
 
 
 def _each(function: Callable[[T], R], things: Sequence[T]) -> list[R]:
@@ -235,7 +249,8 @@ def _begin(parent: int, rest: bytes) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who interrupts the run ends its processes as well
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
     end_when_parent_ends(parent)
     gc.freeze()  # what was inherited is not gone through again, which would copy it
     start, given = pickle.loads(rest)
@@ -252,13 +267,15 @@ def _interrupts_wait() -> Iterator[None]:
     put_off: list[FrameType | None] = []
     handler = signal.getsignal(signal.SIGINT)
     here = threading.current_thread() is threading.main_thread() and callable(handler)
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    masks = hasattr(signal, "pthread_sigmask")  # where not (Windows), SIGINT comes to the main thread alone
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
     if here:  # another thread, whose signals are not blocked, may take it, and this one would handle it
         signal.signal(signal.SIGINT, lambda number, frame: put_off.append(frame))
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if masks:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         if here:
             signal.signal(signal.SIGINT, handler)
     if put_off and callable(handler):

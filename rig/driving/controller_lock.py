@@ -1,50 +1,28 @@
 """Controller lock: one process drives a controller; who holds the lock, and how that process is stopped.
 
-The lock is a listening socket in Linux's abstract namespace, named by the device: it is no file, so that no folder,
-environment or umask decides who sees it and nothing can be planted in its place, and the kernel says which process
-listens.
+The lock is a listening socket, named by the device (see controller_lock_sockets).
 """
 
 import hashlib
 import os
-import pwd
 import select
 import signal
 import socket
 import stat
-import struct
+import sys
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 from rig.driving.clock import Clock
+from rig.driving.controller_lock_sockets import LOOK, LockHolder, bound_lock_socket, connect_to_lock_holder, greet
 from rig.errors import LinkLost, RigError
 
 KILLED = 2.0  # s in which a process that was killed is gone
-LOOK = 0.05  # s between looks at whether the other has ended
+KILL: int = getattr(signal, "SIGKILL", signal.SIGTERM)  # Windows ends a process at once by either
 STOP = b"stop"  # what is sent to a process that this user may not signal
-LOOKS = 20  # at a lock that is held and does not listen
-WAITING = 4096  # callers that may wait; the system may allow fewer
 _held: set[socket.socket] = set()  # of this process, which no forked child may hold on to
-
-
-@dataclass(frozen=True, slots=True)
-class LockHolder:
-    """A process that drives. name : of the lock; pid : 0 where it runs in another process namespace; uid : of its
-    user
-    """
-
-    name: bytes
-    pid: int
-    uid: int
-
-    def __str__(self) -> str:
-        own = self.uid == os.getuid()
-        return (f"process {self.pid}" if self.pid else "a process in another container") + (
-            "" if own else f" of user {_user(self.uid)}"
-        )
 
 
 class ControllerLock:
@@ -54,11 +32,15 @@ class ControllerLock:
     """
 
     def __init__(self, port: str, usb: str = "") -> None:
-        self._sockets: list[socket.socket] = []
+        self._sockets: dict[socket.socket, str] = {}
+        self._wake, self._woken = socket.socketpair()  # ends the wait of the thread
+        _held.update((self._wake, self._woken))
         self._open = True
         try:
             for name in lock_names(port, usb):
-                self._sockets.append(_bound(name, port or usb))
+                held = bound_lock_socket(name, port or usb)
+                self._sockets[held] = name
+                _held.add(held)
         except BaseException:
             self._close()
             raise
@@ -70,14 +52,13 @@ class ControllerLock:
 
     def __exit__(self, *_: object) -> None:
         self._open = False
-        for held in self._sockets:
-            with suppress(OSError):  # closed, in a forked child
-                held.shutdown(socket.SHUT_RDWR)
+        with suppress(OSError):  # closed, in a forked child
+            self._wake.send(b"\0")
         self._thread.join()
         self._close()
 
     def _close(self) -> None:
-        for held in self._sockets:
+        for held in (*self._sockets, self._wake, self._woken):
             _held.discard(held)
             held.close()
 
@@ -86,7 +67,9 @@ class ControllerLock:
         does.
         """
         while self._open:
-            for held in select.select(self._sockets, [], [])[0]:
+            for held in select.select([*self._sockets, self._woken], [], [])[0]:
+                if held is self._woken:
+                    return
                 try:
                     caller = held.accept()[0]
                 except OSError:  # closed; or out of open files, which may pass
@@ -94,23 +77,26 @@ class ControllerLock:
                     continue
                 with caller:
                     caller.settimeout(LOOK)
-                    if self._open and _received(caller) == STOP:
-                        os.kill(os.getpid(), signal.SIGTERM)
+                    if self._open and _received(self._sockets[held], caller) == STOP:
+                        _end_this_process()
 
 
 def stop_lock_holder(port: str, clock: Clock, timeout: float, usb_id: str = "") -> int | None:
     """Stop the process that holds a controller's lock: it halts the struts and ends, or is killed after `timeout`.
 
     timeout : s after which one that has not is killed. It is asked by SIGTERM, as a shell's background job ignores
-    SIGINT; one of another user over its lock
+    SIGINT; over its lock where it is another user's or the system does not say whose
     Returns its number, or None where nobody drives. Raises RigError where it does not let go
     """
     names = lock_names(port, usb_id)
     holder = next((found for name in names if (found := _lock_holder(name))), None)
     if holder is None:
         return None
-    for number, wait in ((signal.SIGTERM, timeout), (signal.SIGKILL, KILLED)):
-        _ask(holder, number, port or usb_id)
+    for kill, wait in ((False, timeout), (True, KILLED)):
+        if kill:
+            _kill(holder, port or usb_id)
+        else:
+            _ask_to_end(holder)
         end = clock.now() + wait
         while clock.now() <= end:
             if _lock_holder(holder.name) != holder:
@@ -121,7 +107,7 @@ def stop_lock_holder(port: str, clock: Clock, timeout: float, usb_id: str = "") 
     )
 
 
-def lock_names(port: str, usb_id: str = "") -> list[bytes]:
+def lock_names(port: str, usb_id: str = "") -> list[str]:
     """Names of all locks of the controller at a port: by device, path, network address and USB number."""
     words = set()
     if usb_id:
@@ -136,74 +122,47 @@ def lock_names(port: str, usb_id: str = "") -> list[bytes]:
         words |= _addresses(port)
     elif port:
         words |= _device(port)
-    return sorted(b"\0rig-driver-" + hashlib.sha256(os.fsencode(word)).hexdigest()[:32].encode() for word in words)
+    return sorted(f"rig-driver-{hashlib.sha256(os.fsencode(word)).hexdigest()[:32]}" for word in words)
 
 
-def _lock_holder(name: bytes) -> LockHolder | None:
+def _lock_holder(name: str) -> LockHolder | None:
     """The process that holds a lock, or None. Raises RigError where it does not identify itself."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as caller:
-        caller.setblocking(False)
-        try:
-            caller.connect(name)
-        except ConnectionRefusedError:
-            return None
-        except BlockingIOError:
-            raise RigError("another process holds the controller and does not identify itself") from None
-        return _peer(name, caller)
+    found = connect_to_lock_holder(name)
+    if found is None:
+        return None
+    found[0].close()
+    return found[1]
 
 
-def _peer(name: bytes, connected: socket.socket) -> LockHolder:
-    pid, uid, _ = struct.unpack("iII", connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
-    return LockHolder(name, pid, uid)
-
-
-def _bound(name: bytes, port: str) -> socket.socket:
-    """A lock, held. Raises RigError naming the process that has it."""
-    held = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    for _ in range(LOOKS):
-        try:
-            held.bind(name)
-            break
-        except OSError:
-            if (holder := _lock_holder(name)) is not None:
-                held.close()
-                raise RigError(f"{holder} is driving the controller at {port}; `rig stop` ends what it does") from None
-        time.sleep(LOOK)  # another is beginning or ending just now
-    else:
-        held.close()
-        raise RigError(f"another process holds the controller at {port} and does not identify itself")
-    held.listen(WAITING)
-    held.setblocking(False)
-    _held.add(held)
-    return held
-
-
-def _ask(holder: LockHolder, number: signal.Signals, port: str) -> None:
-    """Have a process end: by a signal where that is permitted, else over its lock. Raises RigError where neither can
-    end it.
+def _ask_to_end(holder: LockHolder) -> None:
+    """Ask a process to halt and end: by SIGTERM where the system says which it is and permits that, else over its
+    lock.
     """
-    try:
-        if holder.pid:
-            os.kill(holder.pid, number)
+    if holder.pid and holder.uid is not None:
+        try:
+            os.kill(holder.pid, signal.SIGTERM)
             return
-    except ProcessLookupError:
-        return  # it has ended by itself
-    except PermissionError:
-        pass  # another user's: it is asked over its lock
-    if number != signal.SIGTERM:
+        except ProcessLookupError:
+            return  # it has ended by itself
+        except PermissionError:
+            pass  # another user's
+    if (found := connect_to_lock_holder(holder.name)) is not None:
+        with found[0] as caller:
+            if found[1] == holder:
+                caller.send(STOP)
+
+
+def _kill(holder: LockHolder, port: str) -> None:
+    """Kill a process. Raises RigError where that is not permitted or its number is not known."""
+    with suppress(PermissionError, ProcessLookupError):
+        if holder.pid:
+            os.kill(holder.pid, KILL)
+            return
+    if _lock_holder(holder.name) == holder:
         raise RigError(
-            f"{holder} drives the controller at {port} and does not stop; only {_user(holder.uid)} or root "
-            "can kill it: "
+            f"{holder} drives the controller at {port} and does not stop; only {holder.user} or root can kill it: "
             "use the rig's own emergency stop"
         )
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as caller:
-        caller.setblocking(False)
-        try:
-            caller.connect(holder.name)
-            if _peer(holder.name, caller) == holder:
-                caller.send(STOP)
-        except ConnectionRefusedError:
-            return  # it has ended by itself
 
 
 def _addresses(url: str) -> set[str]:
@@ -223,28 +182,30 @@ def _addresses(url: str) -> set[str]:
 
 def _device(path: str) -> set[str]:
     """Words for a device: its real path, and its number where it is there."""
-    words = {f"path {os.path.realpath(path)}"}
+    words = {f"path {os.path.normcase(os.path.realpath(path))}"}  # COM3 and com3 are one
     try:
         there = os.stat(path)
     except (OSError, ValueError):
         return words
-    if stat.S_ISCHR(there.st_mode):
+    if stat.S_ISCHR(there.st_mode) and hasattr(os, "major"):  # on Windows a port has one name and no number
         words.add(f"device {os.major(there.st_rdev)}:{os.minor(there.st_rdev)}")
     return words
 
 
-def _received(caller: socket.socket) -> bytes:
+def _received(name: str, caller: socket.socket) -> bytes:
     try:
+        greet(name, caller)
         return caller.recv(len(STOP))
     except OSError:  # silent, or gone
         return b""
 
 
-def _user(uid: int) -> str:
-    try:
-        return pwd.getpwuid(uid).pw_name
-    except KeyError:
-        return str(uid)
+def _end_this_process() -> None:
+    """End as SIGTERM does."""
+    if sys.platform == "win32":  # whose os.kill ends a process without its handlers
+        signal.raise_signal(signal.SIGTERM)
+    else:
+        os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _let_go() -> None:
@@ -254,4 +215,5 @@ def _let_go() -> None:
     _held.clear()
 
 
-os.register_at_fork(after_in_child=_let_go)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_let_go)

@@ -24,11 +24,11 @@ from rig.driving.run_journal_and_recording import (
     Remark,
     Resumed,
     Row,
-    sync_folder_to_disk,
 )
 from rig.driving.run_steps_and_progress import Progress, Step, interrupted_move_result, progress_from_journal
 from rig.driving.straight_move_profile import Way
 from rig.errors import MotionError, RigError, Stopped
+from rig.formats.output_files.locks_of_files_and_folders import sync_folder
 
 
 class Machine(Protocol):
@@ -218,7 +218,7 @@ class RunOperator:
         for folder in {
             place for name in names.values() for place in (self._folder / name).parents if self._folder in place.parents
         }:
-            sync_folder_to_disk(folder)
+            sync_folder(folder)
         t = float(np.mean([frame.t for frame in frames.values()])) - self._origin if frames else self.now()
         self.write(
             Exposed(

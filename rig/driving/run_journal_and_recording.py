@@ -10,7 +10,6 @@ move that another process saw the end of) they are taken to have moved evenly. A
 the middle of their exposures: the struts stand meanwhile, and the journal keeps each camera's own.
 """
 
-import fcntl
 import json
 import os
 import zlib
@@ -23,7 +22,9 @@ from typing import ClassVar
 import numpy as np
 
 from rig.errors import FileError, RigError
+from rig.formats.local_and_remote_input_files import BINARY
 from rig.formats.output_files import write_text
+from rig.formats.output_files.locks_of_files_and_folders import HeldLock, lock_open_file, sync_folder
 
 Lengths = tuple[float, ...]
 
@@ -155,16 +156,18 @@ class Journal:
     taken away.
     """
 
+    _lock: HeldLock | None = None
+
     def __init__(self, path: Path) -> None:
         """Open the journal at a path, made if it is not there. Raises RigError where another process has it, FileError
         where it is damaged.
         """
         self.path = Path(path)
         new = not self.path.exists()
-        self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+        self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND | BINARY, 0o644)
         try:
             try:
-                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                self._lock = lock_open_file(self._file, self.path)
             except OSError:
                 raise RigError(f"{self.path} is being written by another run; end that one first") from None
             self.rows, whole = read_journal(self.path)
@@ -173,9 +176,9 @@ class Journal:
                 os.ftruncate(self._file, whole)
             if new or self.torn:
                 os.fsync(self._file)
-                sync_folder_to_disk(self.path.parent)
+                sync_folder(self.path.parent)
         except BaseException:
-            os.close(self._file)
+            self.close()
             raise
 
     def append(self, row: Row) -> None:
@@ -192,6 +195,8 @@ class Journal:
     def close(self) -> None:
         """Let go of the file."""
         os.close(self._file)
+        if self._lock is not None:
+            self._lock.close()
 
     def __enter__(self) -> "Journal":
         return self
@@ -247,15 +252,6 @@ def _tuples(value: object) -> object:
     return tuple(_tuples(part) for part in value) if isinstance(value, list) else value
 
 
-def sync_folder_to_disk(folder: Path) -> None:
-    """Sync a folder's entries to disk (fsync)."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
 APART = 1e-6  # s; rows of commands.csv lie at least so far apart
 
 
@@ -275,12 +271,12 @@ class GrowingRecording:
                 texts[name] = texts.get(name, "") + line
         for name, text in texts.items():
             write_text(self.folder / name, text)
-        sync_folder_to_disk(self.folder)
+        sync_folder(self.folder)
 
     def add(self, row: Row) -> None:
         """Add what a row means to the files. Raises RigError where the disk takes no more."""
         for name, text in self._lines(row):
-            handle = os.open(self.folder / name, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+            handle = os.open(self.folder / name, os.O_WRONLY | os.O_APPEND | os.O_CREAT | BINARY, 0o644)
             try:
                 if os.write(handle, text.encode()) != len(text.encode()):
                     raise RigError(f"{self.folder / name}: the disk took only part of a line; is it full?")

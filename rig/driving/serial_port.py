@@ -1,10 +1,8 @@
 """Serial port of a controller, opened for one process alone; it imports nothing that takes time."""
 
-import fcntl
 import io
 import os
 import select
-import termios
 from contextlib import suppress
 from typing import Any
 
@@ -56,6 +54,9 @@ class SerialPort:
             self._waitable = None
         self._device = None if "://" in url else self._waitable
         if self._device is not None and _ends_with_us(self._device):
+            import fcntl  # on Windows a port has no descriptor, and the system itself opens it for one process alone
+            import termios
+
             fcntl.ioctl(self._device, termios.TIOCEXCL)
 
     def write(self, data: bytes) -> None:
@@ -85,6 +86,9 @@ class SerialPort:
 
     def close(self) -> None:
         if self._device is not None:
+            import fcntl
+            import termios
+
             with suppress(OSError):  # unplugged: nothing is left to unlock
                 fcntl.flock(self._device, fcntl.LOCK_UN)  # a forked child may hold the same open file a little longer
                 fcntl.ioctl(self._device, termios.TIOCNXCL)

@@ -148,6 +148,7 @@ def _refused(address: str, error: Exception) -> FileError:
     return FileError(address, f"cannot be read: {str(error) or type(error).__name__}")
 
 
+BINARY: int = getattr(os, "O_BINARY", 0)  # of os.open on Windows, which else translates ends of lines
 LARGEST = 1 << 28  # bytes of a text file
 SHOWN = 80  # characters of a value that a message repeats
 KINDS = (
@@ -166,11 +167,12 @@ def open_regular_file(path: Path, missing_message: str = "no such file") -> Bina
     Raises FileError where it is missing, no regular file or cannot be opened
     """
     try:
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        handle = os.open(path, os.O_RDONLY | BINARY | getattr(os, "O_NONBLOCK", 0))
     except FileNotFoundError:
         raise FileError(path, missing_message) from None
     except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
-        raise FileError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        reason = KINDS[0][1] if isinstance(error, PermissionError) and path.is_dir() else None  # Windows opens none
+        raise FileError(path, reason or f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
     mode = os.fstat(handle).st_mode
     if not stat.S_ISREG(mode):
         os.close(handle)

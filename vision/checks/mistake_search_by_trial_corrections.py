@@ -9,7 +9,7 @@ import scipy
 from scipy.spatial.transform import RigidTransform
 
 from rig.checks import Mistake, command_and_pose_disagreements, sort_mistakes
-from rig.model.design import Camera, Design, move_edges_inward
+from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners
 from vision.checks import camera_mistakes_in_rig_toml as cameras
@@ -25,7 +25,6 @@ UNEXPLAINED = 5.0  # px; a misfit that nothing explains, places of markers neith
 ALIKE = 1.5  # times the least misfit: of mistakes that explain as much, the one that leaves cameras as stated is meant
 LIKELY = 0.85  # proof of a mistake that explains all: figures that are impossible by themselves go first
 HALF = 0.5  # of the squares that a wrong size may leave: of hundreds of corners that is no chance
-BIASES = (-0.5, -0.35, -0.2, 0.2, 0.35, 0.5)  # px
 BETTER = 0.35  # of the misfit that a mistake named may leave
 DONE = 0.5  # px; a mistake that leaves less explains all
 SEARCH = 20  # mistakes that are tried before a measurement; not seconds, of which a slow machine would try fewer
@@ -198,7 +197,7 @@ def _sized(first: Trial) -> tuple[list[Mistake], Trial]:
         best.misfit**2 > HALF * first.misfit**2
         or abs(share - 1) < targets.PRINTED
         or not _stands(first.seen, best)
-        or _edges(first) < best.misfit
+        or conventions.least_misfit_with_edge_bias(first, best.misfit) < best.misfit
     ):
         return [], first
     who = next((t for t in first.seen.design.targets if body in (None, t.body)), None)
@@ -213,26 +212,6 @@ def _sized(first: Trial) -> tuple[list[Mistake], Trial]:
             LIKELY * (1 - best.misfit / first.misfit),
         )
     ], best
-
-
-def _edges(first: Trial) -> float:
-    """Misfit (px) that a common edge bias leaves: black that spreads alike in every image is due to the cameras."""
-
-    def put(bias: float) -> SampledRecording:
-        seen, names = first.seen, np.array(first.seen.corners.camera)
-        c = seen.corners
-        order = np.lexsort((c.corner, c.marker, c.frame, names))
-        uv = c.uv.copy()
-        quads = order.reshape(-1, 4)
-        uv[quads] = move_edges_inward(c.uv[quads], bias) if bias else c.uv[quads]
-        return seen.with_corners(uv=uv)
-
-    if (
-        len(first.seen.corners.frame) % 4
-        or (np.bincount(first.seen.corners.corner, minlength=4) * 4 != len(first.seen.corners.frame)).any()
-    ):
-        return first.misfit
-    return min(measure_trial(put(bias)).misfit for bias in BIASES)
 
 
 def _tried(first: Trial, most: int) -> tuple[list[tuple[str, str, Trial]], bool]:

@@ -3,7 +3,6 @@
 import os
 import select
 import socket
-import tty
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -178,13 +177,19 @@ class Wire(Protocol):
 
 
 class Terminal:
-    """A pseudo-terminal. name : of the end to open; link : a symlink that is kept pointing at it, or None."""
+    """A pseudo-terminal. name : of the end to open; link : a symlink that is kept pointing at it, or None.
+    Raises RigError where the system has none.
+    """
 
     def __init__(self, link: Path | None = None) -> None:
+        if not hasattr(os, "openpty"):
+            raise RigError("this system has no pseudo-terminals: state a TCP address for the emulator (--tcp)")
         self._link, self._next = link, os.openpty()
         self.plug()
 
     def plug(self) -> None:
+        import tty
+
         self._master, self._slave = self._next
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)

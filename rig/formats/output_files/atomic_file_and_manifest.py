@@ -16,9 +16,11 @@ from pathlib import Path
 
 from rig.errors import FileError
 from rig.formats import local_and_remote_input_files
-from rig.formats.local_and_remote_input_files import require_schema
+from rig.formats.local_and_remote_input_files import BINARY, require_schema
+from rig.formats.output_files.locks_of_files_and_folders import sync_open_folder
 
 STANDARD_OUTPUT = Path("/dev/stdout")  # what `-` stands for
+NO_LINK: int = getattr(os, "O_NOFOLLOW", 0)  # O_EXCL alone follows none where that is missing
 PART = ".rig-{}.part"  # name of a temporary; its length does not depend on the file's
 
 
@@ -45,7 +47,7 @@ def write_bytes(path: str | PathLike[str], data: bytes) -> None:
     """
     try:
         there = path_status(path)
-        own = _own_stream(there)
+        own = _own_stream(there) if there is not None or Path(path) != STANDARD_OUTPUT else 1
         if there is not None and stat.S_ISDIR(there.st_mode):
             raise FileError(path, "is a folder, not a file to write")
         if own is not None:
@@ -96,7 +98,7 @@ def _own_stream(there: os.stat_result | None) -> int | None:
 
 
 def _straight(path: str | PathLike[str], data: bytes) -> None:
-    descriptor = os.open(path, os.O_WRONLY | os.O_NOCTTY | os.O_CLOEXEC)
+    descriptor = os.open(path, os.O_WRONLY | BINARY | getattr(os, "O_NOCTTY", 0))
     try:
         _all(descriptor, data)
     finally:
@@ -107,13 +109,12 @@ def _replace(place: Path, data: bytes, there: os.stat_result | None) -> None:
     """Put data at a place that is no link. there : status of the regular file that it takes the place of, or None"""
     if there is not None and not os.access(place, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-    folder = os.open(place.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    part = PART.format(secrets.token_hex(8))
+    folder = _open_folder(place.parent)
+    base = place.parent if folder is None else Path()
+    part = base / PART.format(secrets.token_hex(8))
     try:
         mode = 0o666 if there is None else stat.S_IMODE(there.st_mode)
-        descriptor = os.open(
-            part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode, dir_fd=folder
-        )
+        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_LINK | BINARY, mode, dir_fd=folder)
         try:
             try:
                 if there is not None:
@@ -122,31 +123,32 @@ def _replace(place: Path, data: bytes, there: os.stat_result | None) -> None:
                 os.fsync(descriptor)
             finally:
                 os.close(descriptor)
-            os.replace(part, place.name, src_dir_fd=folder, dst_dir_fd=folder)
+            os.replace(part, base / place.name, src_dir_fd=folder, dst_dir_fd=folder)
         except BaseException:
             os.unlink(part, dir_fd=folder)
             raise
-        sync_folder(folder)
+        if folder is not None:
+            sync_open_folder(folder)
     finally:
-        os.close(folder)
+        if folder is not None:
+            os.close(folder)
+
+
+def _open_folder(folder: Path) -> int | None:
+    """A folder held open, so that none that takes its place meanwhile is written to; None where the system opens no
+    folders.
+    """
+    return os.open(folder, os.O_RDONLY | os.O_DIRECTORY) if os.open in os.supports_dir_fd else None
 
 
 def _alike(descriptor: int, there: os.stat_result) -> None:
     """Give a new file the owner and the mode of the one whose place it takes; who is not root makes files of his own
     only.
     """
-    if os.geteuid() == 0:
+    if hasattr(os, "geteuid") and os.geteuid() == 0:
         os.fchown(descriptor, there.st_uid, there.st_gid)
-    os.fchmod(descriptor, stat.S_IMODE(there.st_mode))
-
-
-def sync_folder(folder_descriptor: int) -> None:
-    """Sync an open folder's entries to disk, where its file system supports that."""
-    try:
-        os.fsync(folder_descriptor)
-    except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.EROFS):
-            raise
+    if hasattr(os, "fchmod"):  # elsewhere (Windows) a mode says no more than whether a file may be written
+        os.fchmod(descriptor, stat.S_IMODE(there.st_mode))
 
 
 def _all(descriptor: int, data: bytes) -> None:

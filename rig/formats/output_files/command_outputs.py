@@ -16,7 +16,8 @@ from rig.formats.output_files.atomic_file_and_manifest import (
     path_status,
     write_text,
 )
-from rig.formats.output_files.staged_folder import GROWING, StagedFolder, lock_folder, remove_stale_staged_files
+from rig.formats.output_files.locks_of_files_and_folders import HeldLock
+from rig.formats.output_files.staged_folder import GROWING, StagedFolder, lock_unused_folder, remove_stale_staged_files
 
 
 class CommandOutputs:
@@ -37,7 +38,7 @@ class CommandOutputs:
         self.data: tuple[str, ...] = ()
         self.pages: list[Path] = []  # that are in their places by now
         self._staged: dict[Path, StagedFolder] = {}
-        self._growing: list[tuple[Path, int]] = []
+        self._growing: list[tuple[Path, HeldLock]] = []
         self.in_use = False
 
     def __enter__(self) -> "CommandOutputs":
@@ -60,12 +61,12 @@ class CommandOutputs:
                 staged.discard()
             for folder, lock in self._growing:
                 (folder / GROWING).rmdir()
-                os.close(lock)
+                lock.close()
 
     def _as_named(self, text: str) -> str:
         """A message with the places where files would have been, not where they waited."""
         for staged in self._staged.values():
-            text = text.replace(f"{staged.folder}/", f"{staged.place}/")
+            text = text.replace(f"{staged.folder}{os.sep}", f"{staged.place}{os.sep}")
         return text
 
     def finish(self) -> None:
@@ -95,7 +96,7 @@ class CommandOutputs:
             self._own(path)
         for given in self.inputs:
             real = Path(os.path.realpath(given))
-            if staged.place in real.parents and str(real.relative_to(staged.place)) in staged.known.files:
+            if staged.place in real.parents and real.relative_to(staged.place).as_posix() in staged.known.files:
                 raise RigError(
                     f"{path} holds {given}, which this command reads; it remains unchanged, name another folder"
                 )
@@ -174,7 +175,7 @@ class CommandOutputs:
         self.in_use = True
         remove_stale_staged_files(path)
         (path / GROWING).mkdir(exist_ok=True)
-        self._growing.append((path, lock_folder(path / GROWING, wait=False)))
+        self._growing.append((path, lock_unused_folder(path / GROWING)))
         write_text(path / MANIFEST, FolderManifest(self._origin(False), load_manifest(path).files).text())
         return path
 

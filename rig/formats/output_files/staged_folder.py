@@ -1,7 +1,5 @@
 """Staged folder: files written aside, then moved into the folder together with its manifest."""
 
-import errno
-import fcntl
 import os
 import secrets
 import shutil
@@ -18,33 +16,24 @@ from rig.formats.output_files.atomic_file_and_manifest import (
     is_recording_table,
     load_manifest,
     path_status,
-    sync_folder,
     write_text,
 )
+from rig.formats.output_files.locks_of_files_and_folders import HeldLock, lock_folder, sync_folder
 
 NEW = ".rig-new-"
 GROWING = f"{NEW}growing"  # stands in a folder, locked, while a command writes there in place
-UNLOCKED = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)  # file systems that know no locks
 
 
-def lock_folder(folder: Path, wait: bool) -> int:
-    """Lock a folder: an open descriptor that holds the lock until it is closed.
-
-    Raises RigError where another process holds it and `wait` is false, OSError where the folder cannot be opened
+def lock_unused_folder(folder: Path) -> HeldLock:
+    """Lock a folder where nobody writes. Raises RigError where another process does, OSError where the folder cannot be
+    opened.
     """
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        return lock_folder(folder, wait=False)
     except BlockingIOError:
-        os.close(descriptor)
         raise RigError(
             f"another rig command is writing in {folder.parent if folder.name.startswith(NEW) else folder}"
         ) from None
-    except OSError as error:
-        if error.errno not in UNLOCKED:
-            os.close(descriptor)
-            raise
-    return descriptor
 
 
 class StagedFolder:
@@ -67,7 +56,7 @@ class StagedFolder:
                 self.folder.mkdir()
                 self.lock = lock_folder(self.folder, wait=True)
             finally:
-                os.close(lock)
+                lock.close()
         except BaseException:
             self._unmake()
             raise
@@ -77,7 +66,7 @@ class StagedFolder:
         in place.
         """
         if (self.place / GROWING).exists():
-            os.close(lock_folder(self.place / GROWING, wait=False))
+            lock_unused_folder(self.place / GROWING).close()
         if self.known.origin is None and not any(entry != self.folder for entry in self.place.iterdir()):
             write_text(self.place / MANIFEST, FolderManifest(origin).text())
             self.marked = True
@@ -89,7 +78,7 @@ class StagedFolder:
         lock = lock_folder(self.place, wait=True)
         try:
             known = load_manifest(self.place)
-            new = sorted(str(path.relative_to(self.folder)) for path in self.folder.rglob("*") if not path.is_dir())
+            new = sorted(path.relative_to(self.folder).as_posix() for path in _files(self.folder))
             if not new and not self.whole:
                 return
             stale = self._stale(known, new)
@@ -115,12 +104,12 @@ class StagedFolder:
         except OSError as error:
             raise FileError(self.place, f"cannot be written: {error.strerror}") from None
         finally:
-            os.close(lock)
+            lock.close()
 
     def discard(self) -> None:
         """Take away what is still staged, and folders that were made for nothing."""
         shutil.rmtree(self.folder, ignore_errors=True)
-        os.close(self.lock)
+        self.lock.close()
         if self.marked and not any(entry.name != MANIFEST for entry in self.place.iterdir()):
             (self.place / MANIFEST).unlink()
         self._unmake()
@@ -135,7 +124,7 @@ class StagedFolder:
             for name in filter(
                 is_recording_table, os.listdir(place) if "images" not in folder.parts and place.is_dir() else ()
             ):
-                stale += [str(path.relative_to(self.place)) for path in _files(place / name)]
+                stale += [path.relative_to(self.place).as_posix() for path in _files(place / name)]
         return sorted({name for name in stale if name not in new and os.path.lexists(self.place / name)})
 
     def _refuse(self, known: FolderManifest, new: list[str], stale: list[str], inputs: list[Path], force: bool) -> None:
@@ -161,7 +150,7 @@ class StagedFolder:
 
     def _move(self, new: list[str], stale: list[str]) -> None:
         os.replace(self.folder / f"{NEW}before", self.place / MANIFEST)
-        _sync(self.place)
+        sync_folder(self.place)
         for name in stale:
             os.unlink(self.place / name)
         touched = {self.place}
@@ -173,9 +162,9 @@ class StagedFolder:
         for name in stale:
             _prune((self.place / name).parent, self.place)
         for folder in touched:
-            _sync(folder)
+            sync_folder(folder)
         os.replace(self.folder / f"{NEW}after", self.place / MANIFEST)
-        _sync(self.place)
+        sync_folder(self.place)
 
     def _unmake(self) -> None:
         for folder in self.fresh:
@@ -188,18 +177,10 @@ def remove_stale_staged_files(folder: Path) -> None:
     for left in folder.glob(f"{NEW}*"):
         try:
             lock = lock_folder(left, wait=False)
-        except (RigError, OSError):
+        except OSError:
             continue  # whose it is lives, or it is no folder of ours
         shutil.rmtree(left, ignore_errors=True)
-        os.close(lock)
-
-
-def _sync(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        sync_folder(descriptor)
-    finally:
-        os.close(descriptor)
+        lock.close()
 
 
 def _missing(place: Path) -> list[Path]:

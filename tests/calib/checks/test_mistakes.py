@@ -19,6 +19,7 @@ from rig.recording.recording_folder import Commands
 from tests.calib.checks.cases import Case
 from tests.calib.checks.good import make, recorded
 from tests.calib.checks.matrix import CASES
+from tests.conftest import BENCH
 
 QUICK = (
     "lengths in mm",
@@ -186,3 +187,29 @@ def test_a_recording_is_only_read(good, tmp_path):
     said("check", folder)
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
     assert np.isfinite(recording_folder.load_recording(folder).corners.uv).all()
+
+
+def test_corners_are_checked_by_one_thread_in_each_product(monkeypatch):
+    from threadpoolctl import threadpool_info, threadpool_limits
+
+    import calib
+    from calib.api import recording_check_combination_and_displacement_removal as api
+
+    threads = []
+
+    def search(*_, **__):
+        threads.extend(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+        return ()
+
+    monkeypatch.setattr(api, "find_corner_mistakes", search)
+    with threadpool_limits(2):
+        calib.check(BENCH / "fit")
+    assert threads and set(threads) == {1}
+
+
+def test_an_edge_bias_is_not_tried_where_it_cannot_explain(monkeypatch):
+    from vision.checks import corner_and_lens_convention_trials as trials
+
+    monkeypatch.setattr(trials, "measure_trial", lambda *_: pytest.fail("a trial was measured"))
+    first = trials.Trial(20.0, None, None, None)
+    assert trials.least_misfit_with_edge_bias(first, 0.04) == 19.0

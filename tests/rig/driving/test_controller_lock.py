@@ -4,12 +4,15 @@ import fcntl
 import os
 import shutil
 import signal
+import socket
 import struct
 import subprocess
 import sys
+import threading
 
 import pytest
 
+from rig.driving import controller_lock_sockets as sockets
 from rig.driving import serial_port as ports
 from rig.driving.clock import SystemClock
 from rig.driving.controller_lock import ControllerLock, lock_names, stop_lock_holder
@@ -18,6 +21,7 @@ from rig.errors import LinkLost, RigError
 from rig.model.controller_protocol_list_and_port_name_check import port_problem
 from tests.conftest import ROOT
 
+TCP = "import rig.driving.controller_lock_sockets as sockets\nsockets.ABSTRACT = False\n"  # as off Linux
 HOLD = (
     "import sys, signal\nfrom rig.driving.controller_lock import ControllerLock\nfrom rig.errors import RigError\n"
     "def end(*_): raise KeyboardInterrupt\nsignal.signal(signal.SIGTERM, end)\n"
@@ -48,6 +52,13 @@ def device():
         os.close(end)
 
 
+@pytest.fixture(params=["abstract", "tcp"])
+def before_all(request, monkeypatch):
+    """What a process runs first, so that locks are those of Linux, or those of other systems."""
+    monkeypatch.setattr(sockets, "ABSTRACT", request.param == "abstract")
+    return "" if request.param == "abstract" else TCP
+
+
 def python(code, *words, env=None, before=()):
     whole = {"PYTHONPATH": str(ROOT), **(env or {})}
     return subprocess.Popen(
@@ -55,21 +66,23 @@ def python(code, *words, env=None, before=()):
     )
 
 
-def one_is_refused_and_stopped(device, link, *, users=((), (), ())):
-    first = python(HOLD, device, env=ENVIRONMENTS[0], before=users[0])
+def one_is_refused_and_stopped(device, link, *, users=((), (), ()), first_lines=""):
+    first = python(first_lines + HOLD, device, env=ENVIRONMENTS[0], before=users[0])
     assert first.stdout.readline() == "held\n"
-    second = python(HOLD, str(link), env=ENVIRONMENTS[1], before=users[1])
+    second = python(first_lines + HOLD, str(link), env=ENVIRONMENTS[1], before=users[1])
     refused = second.communicate()[0]
     assert f"process {first.pid}" in refused and "is driving" in refused
-    assert python(STOP, str(link), env=ENVIRONMENTS[2], before=users[2]).communicate()[0] == f"{first.pid}\n"
+    assert (
+        python(first_lines + STOP, str(link), env=ENVIRONMENTS[2], before=users[2]).communicate()[0] == f"{first.pid}\n"
+    )
     assert first.communicate()[0] == "ended\n"
 
 
 def test_a_second_process_is_refused_whatever_its_environment_and_the_first_is_stopped_from_a_bare_one(
-    device, tmp_path
+    device, tmp_path, before_all
 ):
     (tmp_path / "link").symlink_to(device)
-    one_is_refused_and_stopped(device, tmp_path / "link")
+    one_is_refused_and_stopped(device, tmp_path / "link", first_lines=before_all)
 
 
 @pytest.mark.slow
@@ -81,7 +94,7 @@ def test_a_hundred_times_of_a_hundred(device, tmp_path):
 
 @pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("setpriv"), reason="takes root, to become somebody else")
 @pytest.mark.parametrize("users", [((), NOBODY, NOBODY), (NOBODY, (), ())])
-def test_users_are_refused_and_stopped_by_each_other(device, users):
+def test_users_are_refused_and_stopped_by_each_other(device, users, before_all):
     if subprocess.run(
         [*NOBODY, sys.executable, "-c", "import rig.driving.controller_lock"],
         capture_output=True,
@@ -89,11 +102,11 @@ def test_users_are_refused_and_stopped_by_each_other(device, users):
         env={"PYTHONPATH": str(ROOT)},
     ).returncode:
         pytest.skip("this Python is out of other users' reach")
-    one_is_refused_and_stopped(device, device, users=users)
+    one_is_refused_and_stopped(device, device, users=users, first_lines=before_all)
 
 
-def test_processes_that_begin_at_once_are_one(device):
-    several = [python(HOLD, device) for _ in range(5)]
+def test_processes_that_begin_at_once_are_one(device, before_all):
+    several = [python(before_all + HOLD, device) for _ in range(5)]
     try:
         said = [process.stdout.readline() for process in several]
         assert said.count("held\n") == 1 and sum("is driving" in line for line in said) == 4
@@ -112,7 +125,7 @@ def test_one_device_has_one_name_whatever_path_or_address_leads_there(device, tm
     assert not set(lock_names(device)) & set(lock_names(device + "0"))
 
 
-def test_who_only_looks_stops_nobody_and_a_forked_child_holds_nothing(device):
+def test_who_only_looks_stops_nobody_and_a_forked_child_holds_nothing(device, before_all):
     with ControllerLock(device):
         for _ in range(50):
             with pytest.raises(RigError, match=f"process {os.getpid()} is driving"):
@@ -127,8 +140,23 @@ def test_who_only_looks_stops_nobody_and_a_forked_child_holds_nothing(device):
         os.waitpid(child, 0)
 
 
-def test_a_killed_process_leaves_nothing(device):
-    first = python(HOLD, device)
+def answer(listening):
+    with listening.accept()[0] as caller:
+        caller.sendall(b"SSH-2.0\n")
+
+
+def test_a_port_of_another_program_is_no_lock(device, monkeypatch):
+    monkeypatch.setattr(sockets, "ABSTRACT", False)
+    with socket.create_server(sockets._address(lock_names(device)[0])) as other:
+        thread = threading.Thread(target=answer, args=(other,))
+        thread.start()
+        with pytest.raises(RigError, match="in use by another program"):
+            ControllerLock(device)
+        thread.join()
+
+
+def test_a_killed_process_leaves_nothing(device, before_all):
+    first = python(before_all + HOLD, device)
     assert first.stdout.readline() == "held\n"
     first.kill()
     first.communicate()
