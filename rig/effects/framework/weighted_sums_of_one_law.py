@@ -107,7 +107,8 @@ class WeightedSum(Effect):
         off = np.zeros(len(even)) if empty else np.asarray(coefficients) / whole - even
         low, high = next(p.bounds for p in cls.parameters if p.name == "shares")
         over = float(np.max(np.where(off > 0, off / (high - even), off / (low - even))))
-        shares = even + off / max(over, 1.0)  # members that cancel have shares beyond any bound
+        # members that cancel have shares beyond any bound; what rounding leaves beyond it is cut off
+        shares = np.clip(even + off / max(over, 1.0), low, high)
         return cls(candidate.place, **{cls.whole: whole, cls.scale: node[cls.scale], "shares": tuple(shares.tolist())})
 
     @classmethod

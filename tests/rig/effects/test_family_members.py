@@ -100,3 +100,7 @@ def test_members_that_cancel_have_shares_within_their_bounds():
     node = {"time_constant": 1800.0, COUNT: 2}
     made = check_effect_place_and_parameter_bounds(candidate.effect(node, np.array([-2.19e-5, 2.29e-5])))
     assert made.shares[0] == pytest.approx(-5) and sum(made.shares) == pytest.approx(1)
+    rng = np.random.default_rng(7)
+    for size in rng.normal(size=2000):  # the scaled shares end at the bound but for rounding
+        small = 1 + 0.05 * rng.random()
+        check_effect_place_and_parameter_bounds(candidate.effect(node, 1e-5 * size * np.array([-small, 1.0])))
