@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.sparse.linalg import LinearOperator
 
+from calib.diagnosis.engine.factored_columns import FactoredColumns
 from rig.array_and_json_types import Floats, Integers
 
 RANK = 1e-11  # of the greatest eigenvalue; nuisances below are none
@@ -70,7 +71,7 @@ class Column:
 
     @property
     def whole(self) -> tuple[Floats, ...]:
-        """The parts where every block has one. Raises ValueError where one has none"""
+        """The parts, arrays or what multiplies as one does. Raises ValueError where a block has none"""
         parts = tuple(part for part in self.parts if part is not None)
         if len(parts) < len(self.parts):
             raise ValueError("a basis says of every block what it is there, zeros where it is nothing")
@@ -106,29 +107,32 @@ class LinearModel:
     columns: Column
     half: Floats | None
     size: int
-    _by_frames: list[tuple[Floats, Floats]] = field(init=False, default_factory=list)
+    _frame_products: dict[int, tuple[Floats, Floats]] = field(init=False, default_factory=dict)
 
     @property
     def frames(self) -> int:
         """How many frames there are."""
         return len(self.blocks[0].edges) - 1
 
-    def by_frames(self) -> tuple[Floats, Floats]:
-        """((F, p) of each frame's residuals on an explicit basis, (F, p, p) of its rows on themselves), made once.
-
-        Raises ValueError for a model whose basis is not explicit.
+    def frame_products(self, number: int) -> tuple[Floats, Floats]:
+        """Products of a block's table, of which the basis' part is combined: ((F, p) of each frame's rows with their
+        residuals, (F, p, p) with themselves), made once.
         """
-        if self.half is not None:
-            raise ValueError("only a model whose nuisances' basis is explicit has it frame by frame")
-        if not self._by_frames:
-            p = self.columns.count
-            rho, gram = np.zeros((self.frames, p)), np.zeros((self.frames, p, p))
-            for block, part in zip(self.blocks, self.columns.whole):
-                for f, (a, b) in enumerate(zip(block.edges[:-1], block.edges[1:])):
-                    rho[f] += part[a:b].T @ block.residual[a:b]
-                    gram[f] += part[a:b].T @ part[a:b]
-            self._by_frames.append((rho, gram))
-        return self._by_frames[0]
+        if number not in self._frame_products:
+            block, (table, _) = self.blocks[number], self.factors(number)
+            rho, gram = np.zeros((self.frames, table.shape[1])), np.zeros((self.frames, *table.shape[1:] * 2))
+            for f, (a, b) in enumerate(zip(block.edges[:-1], block.edges[1:])):
+                rho[f] = table[a:b].T @ block.residual[a:b]
+                gram[f] = table[a:b].T @ table[a:b]
+            self._frame_products[number] = rho, gram
+        return self._frame_products[number]
+
+    def factors(self, number: int) -> tuple[Floats, Floats | None]:
+        """(table (m, p), (p, r) by which it is combined to a block's part of the basis, None for as it is)."""
+        part: object = self.columns.whole[number]
+        if isinstance(part, FactoredColumns):
+            return part.table, part.turn
+        return self.columns.whole[number], self.half
 
     def gram(self, some: Floats) -> Floats:
         """(p, p) of an explicit basis' rows of some frames (F,) bool on themselves."""
@@ -172,34 +176,41 @@ class LinearModel:
         found = self.project(column)
         own = np.diag(found.gram)
         seen = own > RANK * (own + (found.onto**2).sum(axis=0))  # of the others rounding alone is left
-        half = np.zeros((len(own), 0))
+        half: Floats = np.zeros((len(own), 0))
         if seen.any():
-            part = orthonormal_combinations(found.gram[np.ix_(seen, seen)])
-            half = np.zeros((len(own), part.shape[1]))
-            half[seen] = part
+            visible = orthonormal_combinations(found.gram[np.ix_(seen, seen)])
+            half = np.zeros((len(own), visible.shape[1]))
+            half[seen] = visible
         lost, z = found.onto @ half, half.T @ found.right
-        more = [
-            (0 if part is None else part @ half) - basis @ lost for basis, part in zip(self.columns.whole, column.parts)
-        ]
-        blocks = tuple(replace(block, residual=block.residual - part @ z) for block, part in zip(self.blocks, more))
-        columns = Column(tuple(np.column_stack([basis, part]) for basis, part in zip(self.columns.whole, more)))
-        return LinearModel(blocks, columns, None, self.size - half.shape[1])
+        bases: list[Floats | LinearOperator] = []
+        residuals = []
+        for basis, part, block in zip(self.columns.whole, column.parts, self.blocks):
+            factored: object = basis
+            moved = np.zeros(len(basis)) if part is None else part @ (half @ z)
+            residuals.append(block.residual - (moved - basis @ (lost @ z)))
+            if isinstance(factored, FactoredColumns):
+                nothing = np.zeros((len(basis), 0)), lost, half[:0]
+                bases.append(factored.beside(*nothing) if part is None else factored.beside(part, lost, half))
+            else:
+                bases.append(np.column_stack([basis, (0 if part is None else part @ half) - basis @ lost]))
+        blocks = tuple(replace(block, residual=residual) for block, residual in zip(self.blocks, residuals))
+        return LinearModel(blocks, Column(tuple(bases)), None, self.size - half.shape[1])
 
-    def _few(self) -> bool:
-        """Whether the products of a frame's basis, which is explicit, are fewer numbers than its rows."""
-        return self.half is None and self.columns.count * self.frames <= sum(
-            int(block.edges[-1]) for block in self.blocks
-        )
+    def _few(self, number: int) -> bool:
+        """Whether the products of frames' rows, which are explicit, are fewer numbers than a block's rows."""
+        return self.half is None and self.factors(number)[0].shape[1] * self.frames <= self.blocks[number].edges[-1]
 
     def leakage(self, reach: Floats, onto: Floats) -> Floats:
         """(F, q): per frame, the product of Q onto^T with the residual plus Q reach. reach : (r,); onto : (q, r)"""
-        if self._few():
-            projections, grams = self.by_frames()
-            return (projections + grams @ reach) @ onto.T
-        back, size = (onto.T, reach) if self.half is None else (self.half @ onto.T, self.half @ reach)
         out = np.zeros((self.frames, len(onto)))
-        for block, part in zip(self.blocks, self.columns.whole):
-            moved = (part @ np.column_stack([back, size]))[block.frames_rows]
+        for number, block in enumerate(self.blocks):
+            table, turn = self.factors(number)
+            back, size = (onto.T, reach) if turn is None else (turn @ onto.T, turn @ reach)
+            if self._few(number):
+                projections, grams = self.frame_products(number)
+                out += (projections + grams @ size) @ back
+                continue
+            moved = (table @ np.column_stack([back, size]))[block.frames_rows]
             pushed = moved[:, :-1] * (block.residual[block.frames_rows] + moved[:, -1])[:, None]
             pushed = np.concatenate([pushed, np.zeros((1, len(onto)))])  # where the last frames have no rows
             out += np.add.reduceat(pushed, block.edges[:-1], axis=0) * (np.diff(block.edges) > 0)[:, None]
@@ -207,12 +218,15 @@ class LinearModel:
 
     def carried(self, onto: Floats) -> Floats:
         """(F, q, q): per frame, the products of Q onto^T with itself. onto : (q, r)"""
-        if self._few():
-            return onto @ (self.by_frames()[1] @ onto.T)
-        back = onto.T if self.half is None else self.half @ onto.T
         out = np.zeros((self.frames, len(onto), len(onto)))
-        for block, part in zip(self.blocks, self.columns.whole):
-            moved = (part @ back)[block.frames_rows]
+        for number, block in enumerate(self.blocks):
+            table, turn = self.factors(number)
+            back = onto.T if turn is None else turn @ onto.T
+            if self._few(number):
+                grams = self.frame_products(number)[1]
+                out += back.T @ np.tensordot(grams, back, 1)
+                continue
+            moved = (table @ back)[block.frames_rows]
             each = np.unique(np.diff(block.edges))
             if len(each) == 1:
                 moved = moved.reshape(self.frames, int(each[0]), len(onto))

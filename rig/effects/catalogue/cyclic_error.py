@@ -1,5 +1,6 @@
 """Cyclic error: periodic in the screw or gear, it repeats with every turn."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -7,7 +8,13 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import Context, Covariate, Node, Parameter
+from rig.effects.framework.effect_parameters_and_covariates import (
+    Context,
+    Covariate,
+    Node,
+    Parameter,
+    quadrature_columns,
+)
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.model.effect_places_and_part_tolerances import Place
 
@@ -58,10 +65,10 @@ class CyclicError(Effect):
         return Covariate(self.order * self.angle(motion) / (2 * np.pi) % 1, "turn of the drive times order")
 
     @classmethod
-    def columns(cls, candidate: Candidate, node: Node, motion: Motion) -> Floats:
-        effect = cls(candidate.place, **node)
-        angle = effect.order * effect.angle(motion) + effect.phase
-        return effect.axes(motion.places)[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1)
+    def columns_of_nodes(cls, candidate: Candidate, nodes: Sequence[Node], motion: Motion) -> Floats:
+        effects, one = [cls(candidate.place, **node) for node in nodes], cls(candidate.place)
+        own = one.axes(motion.places) > 0
+        return quadrature_columns(one.angle(motion), own, [e.order for e in effects], [e.phase for e in effects])
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:

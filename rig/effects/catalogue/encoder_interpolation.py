@@ -1,5 +1,6 @@
 """Encoder interpolation: a scale's signals are interpolated wrongly, the same in each of its many periods."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -15,6 +16,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     Node,
     Parameter,
     draw_number,
+    quadrature_columns,
 )
 from rig.effects.framework.machine_motion_and_play import Motion
 
@@ -62,13 +64,11 @@ class EncoderInterpolation(Effect):
         return Covariate(self.periods * motion.stroke % 1, "period of the scale, share of a turn")
 
     @classmethod
-    def columns(cls, candidate: Candidate, node: Node, motion: Motion) -> Floats:
-        effect = cls(candidate.place, **node)
-        own = effect.axes(motion.places) > 0
-        angle = 2 * np.pi * effect.periods * motion.stroke[:, own] + effect.phase
-        out = np.zeros((*motion.stroke.shape, 2))
-        out[:, own, 0], out[:, own, 1] = np.sin(angle), np.cos(angle)
-        return out
+    def columns_of_nodes(cls, candidate: Candidate, nodes: Sequence[Node], motion: Motion) -> Floats:
+        effects, own = [cls(candidate.place, **node) for node in nodes], cls(candidate.place).axes(motion.places) > 0
+        return quadrature_columns(
+            motion.stroke, own, [2 * np.pi * e.periods for e in effects], [e.phase for e in effects]
+        )
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:

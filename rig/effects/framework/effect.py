@@ -72,7 +72,7 @@ class Candidate:
     def deviation(self, node: Node, motion: Motion) -> Floats:
         """(n, axes, q) m or rad per unit of each linear parameter that the axes deviate at a Motion; (n, axes, 1) whole
         where the size is part of the node. For effects that change neither time nor path: see Effect.follow."""
-        return self.kind.columns(self, node, motion)
+        return self.kind.columns_of_nodes(self, [node], motion)[0]
 
 
 class Effect:
@@ -297,12 +297,13 @@ class Effect:
         """(n, axes, q): see Candidate.deviation. The model is linear in these, so a small step of each suffices."""
         if not candidate.linear:
             return candidate.effect(node, np.zeros(0)).deviation(motion)[..., None]
-        out = []
-        for j, column in enumerate(candidate.linear):
-            unit = np.zeros(len(candidate.linear))
-            unit[j] = column.step
-            out.append(candidate.effect(node, unit).deviation(motion) / column.step)
-        return np.stack(out, axis=-1)
+        units = np.diag([column.step for column in candidate.linear])
+        return np.stack([candidate.effect(node, u).deviation(motion) / u.sum() for u in units], axis=-1)
+
+    @classmethod
+    def columns_of_nodes(cls, candidate: Candidate, nodes: Sequence[Node], motion: Motion) -> Floats:
+        """(k, n, axes, q) `columns` of several nodes (k,); a grid of thousands is made at once where an effect can."""
+        return np.stack([cls.columns(candidate, node, motion) for node in nodes])
 
     @classmethod
     def of_numbers(cls, place: str, numbers: Sequence[float] | Floats) -> Self:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rig.array_and_json_types import Floats
+from rig.array_and_json_types import Booleans, Floats
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
@@ -265,3 +265,13 @@ def parameter_values(
             values[name] = float(c)
     values.pop(COUNT, None)
     return {**values, **{name: tuple(v.tolist()) for name, v in vectors.items()}}
+
+
+def quadrature_columns(travel: Floats, own: Booleans, rates: Sequence[float], phases: Sequence[float]) -> Floats:
+    """(k, n, axes, 2) sine and cosine of rate * travel (n, axes) + phase, of rates and phases (k,), at own axes
+    (axes,).
+    """
+    angle = np.array(rates)[:, None, None] * travel[:, own] + np.array(phases)[:, None, None]
+    out = np.zeros((len(rates), *travel.shape, 2))
+    out[:, :, own, 0], out[:, :, own, 1] = np.sin(angle), np.cos(angle)
+    return out

@@ -84,7 +84,7 @@ def test_a_model_by_its_columns_leaks_what_one_by_its_basis_does(searched):
     rng = np.random.default_rng(0)
     reach, onto = rng.normal(size=Q.shape[1]), rng.normal(size=(3, Q.shape[1]))
     assert linear.leakage(reach, onto) == pytest.approx(basis.leakage(reach, onto), abs=1e-9)
-    projections, grams = basis.by_frames()  # as a model of few nuisances is asked
+    projections, grams = basis.frame_products(0)  # as a model of few nuisances is asked
     assert linear.leakage(reach, onto) == pytest.approx((projections + grams @ reach) @ onto.T, abs=1e-9)
     few = LinearModel(linear.blocks, Column((np.ascontiguousarray(Q[:, :2]),)), None, linear.size)
     assert few.leakage(reach[:2], onto[:, :2]) == pytest.approx(

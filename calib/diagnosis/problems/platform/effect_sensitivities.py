@@ -1,5 +1,6 @@
 """Sensitivities of axes and corners to effects and their parameters: the columns of the linear model."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import cast
 
@@ -37,8 +38,7 @@ class Sensitivities:
 
         motion : Motion with the admitted effects, so that it need not be made again
         """
-        kind = candidate.kind
-        if not kind.retimes() and kind.sway is Effect.sway:
+        if self._is_plain(candidate):
             return candidate.spec.deviation(node, motion)
         if not candidate.spec.linear:
             return self._change(candidate.effect(node, np.zeros(0)), motion)[..., None]
@@ -48,6 +48,16 @@ class Sensitivities:
             unit[j] = step
             out.append(self._change(candidate.effect(node, unit), motion) / step)
         return np.stack(out, axis=-1)
+
+    def deviations(self, candidate: PlatformCandidate, nodes: Sequence[Node], motion: Motion) -> Floats:
+        """(k, F, axes, q) the same of several nodes (k,)."""
+        if self._is_plain(candidate):
+            return candidate.kind.columns_of_nodes(candidate.spec, nodes, motion)
+        return np.stack([self.deviation(candidate, node, motion) for node in nodes])
+
+    def _is_plain(self, candidate: PlatformCandidate) -> bool:
+        """Whether a candidate lengthens axes, and does nothing else."""
+        return not candidate.kind.retimes() and candidate.kind.sway is Effect.sway
 
     def _change(self, effect: Effect, motion: Motion) -> Floats:
         kind, k = type(effect), self.point

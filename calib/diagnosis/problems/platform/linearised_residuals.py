@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.diagnosis.engine.factored_columns import FactoredColumns
 from calib.diagnosis.engine.linear_model import Block, Column, LinearModel, orthonormal_combinations
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corners import (
@@ -318,10 +319,11 @@ def _weighed(
         if np.abs(new - scatter).max() < 1e-8:
             break
         scatter = new
-    Q = Column((np.concatenate(thread_map(lambda part: part[:, 1:] @ half[:seen], parts)), basis))
+    onto = np.concatenate([np.zeros((1, half.shape[1])), half[:seen]])  # the residual is no nuisance
+    Q = Column((FactoredColumns(table, onto), basis))
     blocks = (
-        Block("corners", "px", table[:, 0] - Q.parts[CORNERS] @ z, 2 * frames.edges),
-        Block("closures", k.axis_unit, rows[:, 0] - Q.parts[CLOSURES] @ z, np.arange(F + 1) * axes),
+        Block("corners", "px", table[:, 0] - table @ (onto @ z), 2 * frames.edges),
+        Block("closures", k.axis_unit, rows[:, 0] - basis @ z, np.arange(F + 1) * axes),
     )
     size = len(table) - (frames.local.shape[1] * F if len(table) else 0) + F * axes - basis.shape[1]
     to_rows = W @ closures.to_length if axes else closures.to_length

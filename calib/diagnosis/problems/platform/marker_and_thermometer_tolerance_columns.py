@@ -72,7 +72,7 @@ class ToleranceModel:
         already.
         """
         basis, inner = model.linear.columns.whole, self.inner.reshape(-1, len(self.sigma))
-        onto = (self.corners.T @ basis[CORNERS]).T + basis[CLOSURES].T @ self.closures
+        onto = basis[CORNERS].T @ self.corners + basis[CLOSURES].T @ self.closures
         right = self.corners.T @ model.corner_residual + self.closures.T @ model.closure_residual
         gram = (self.corners.T @ self.corners).toarray() - inner.T @ inner + self.closures.T @ self.closures
         return Projection(onto, right, gram - onto.T @ onto)

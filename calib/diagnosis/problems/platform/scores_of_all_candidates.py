@@ -19,7 +19,7 @@ from calib.diagnosis.problems.platform import vibration_frequency
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore, Reach
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
-from rig.array_and_json_types import Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.compute.worker_processes import Progress
@@ -142,11 +142,13 @@ def corner_displacement_inner_products(model: LinearisedModel, pixels: Floats) -
     """
     k, axes, c = model.point, model.point.axes, model.corners
     basis, closures = model.linear.columns.whole, model.closure_residual
+    table, turn = model.linear.factors(CORNERS)
     F, a, p = model.frames, pixels.shape[2], model.linear.columns.count
-    beta, gamma, kappa = np.zeros((F, a)), np.zeros((F, a, a)), np.zeros((F, a, p))
+    beta, gamma, kappa = np.zeros((F, a)), np.zeros((F, a, a)), np.zeros((F, a, table.shape[1]))
+    onto = np.zeros((F, a, p))  # of the closures
     rows = np.flatnonzero(np.any(pixels.reshape(len(pixels), -1), axis=1)[c.order])
     V = np.einsum("nij,njk->nik", c.whiten[rows], pixels[c.order[rows]]) / c.sigma
-    y, Q, local = (part.reshape(len(c.order), 2, -1) for part in (model.corner_residual, basis[CORNERS], c.local))
+    y, Q, local = (part.reshape(len(c.order), 2, -1) for part in (model.corner_residual, table, c.local))
     frame = k.observed.observations.frame[c.order[rows]]
     edges = np.searchsorted(frame, np.arange(F + 1))
     for f in np.unique(frame):
@@ -160,8 +162,8 @@ def corner_displacement_inner_products(model: LinearisedModel, pixels: Floats) -
             moved, here = model.closures.to_rows[f] @ own, slice(f * axes, (f + 1) * axes)
             beta[f] += moved.T @ closures[here]
             gamma[f] += moved.T @ moved
-            kappa[f] += moved.T @ basis[CLOSURES][here]
-    return FrameProducts(beta, gamma, kappa)
+            onto[f] = moved.T @ basis[CLOSURES][here]
+    return FrameProducts(beta, gamma, (kappa if turn is None else kappa @ turn) + onto)
 
 
 def constant_displacement_normal_equations(
@@ -178,11 +180,13 @@ def constant_displacement_normal_equations(
         model.linear.columns.whole,
         np.repeat(k.observed.observations.frame[displaced_corners], 2),
     )
-    b, raw, K = V.T @ model.corner_residual[both], V.T @ V, np.empty((q, basis[CORNERS].shape[1]))
+    table, turn = model.linear.factors(CORNERS)
+    b, raw, K = V.T @ model.corner_residual[both], V.T @ V, np.empty((q, table.shape[1]))
     if q > FEW:
-        K[:] = (basis[CORNERS][both].T @ V).T
+        K[:] = (table[both].T @ V).T
     else:
-        _row_projection(basis[CORNERS], both, V, K)
+        _row_projection(table, both, V, K)
+    K = K if turn is None else K @ turn
     own = np.empty((model.frames, c.local.shape[1], q))
     _row_projection_by_frame(c.local, both, frame, V, own)
     G = raw - np.tensordot(own, own, ((0, 1), (0, 1)))
@@ -223,10 +227,10 @@ def _along_axes(
         solver = inner.solve_nonnegative
     normals = []
     for start in range(0, len(candidate.grid), CHUNK):
-        weights = np.stack(
-            [sensitivities.deviation(candidate, node, motion) for node in candidate.grid[start : start + CHUNK]]
-        )
-        moved = np.atleast_1d(weights.any(axis=(0, 1, 3)))
+        weights = sensitivities.deviations(candidate, candidate.grid[start : start + CHUNK], motion)
+        k, F, axes, q = weights.shape
+        sums: Floats = np.ones(k * F) @ np.abs(weights).reshape(k * F, -1)
+        moved: Booleans = np.any(sums.reshape(axes, q) > 0, axis=1)
         moved |= not moved.any()
         normals.append(inner.normal_equations_by_direction_weights(products.confined(moved), weights[:, :, moved]))
     solved = solver(inner.Normal(*(np.concatenate(part) for part in zip(*normals))))
