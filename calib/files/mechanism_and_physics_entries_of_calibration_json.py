@@ -4,7 +4,9 @@ Pose space maps included.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -17,11 +19,11 @@ from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.machine_json import effects_from_entries
-from rig.formats.rig_toml.mechanism_entries import file_mechanism_dict, file_mechanism_from_entries
+from rig.formats.rig_toml.mechanism_entries import mechanism_of_file
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
 from rig.model.effect_places_and_part_tolerances import Place
-from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
+from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Hexapod, Planar2
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,
     Parallel,
@@ -170,6 +172,31 @@ def mechanism_from_entries(table: Entries, stated: bool = False) -> Commanded:
             table.fail(f"{table.name('stages')} of a chain are two or more, got {len(stages)}", "stages")
         return Chain(tuple(_stage_in(stage, stated) for stage in stages))
     return _stage_in(table, stated)
+
+
+def file_mechanism_dict(mechanism: FileMechanism) -> Json:
+    """dict of a mechanism of a kinematics file, as JSON holds it: the file by name and hash, and its parameters."""
+    stated = mechanism.stated
+    return {
+        "kind": mechanism.kind,
+        "file": Path(mechanism.file).name,
+        "sha256": stated.sha256,
+        "parameters": mechanism.parameters.tolist(),
+        "parameter_names": list(stated.names),
+    }
+
+
+def file_mechanism_from_entries(table: Entries) -> FileMechanism:
+    """Mechanism of a kinematics file from its JSON entries, the file beside. Raises FileError for another file."""
+    table.text("kind", (FileMechanism.kind,))
+    nominal = mechanism_of_file(table, "file", table.text("file"))
+    if table.text("sha256") != nominal.stated.sha256:
+        table.fail(
+            f"{table.name('file')}: {nominal.file} is not the kinematics file that this was made with: its text has "
+            "changed; make this file anew",
+            "sha256",
+        )
+    return replace(nominal, parameters=table.array("parameters", nominal.parameters.shape, length_limit=LARGEST_RIG))
 
 
 def _stage_in(table: Entries, stated: bool) -> Struts | Arm:

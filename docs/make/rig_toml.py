@@ -59,6 +59,11 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
         "Two tables `[[mechanism.stage]]` or more, each of a kind above, each on the last; [chains](chains.md) "
         "say more.",
     ),
+    '[mechanism] kind = "file:NAME.py"': (
+        None,
+        "A machine of another kind, by a Python file beside this one that states its axes, parameters and inverse "
+        "kinematics; [kinematics of your own](own-kinematics.md) says more.",
+    ),
     '[mechanism] kind = "free"': (
         None,
         "Moved by hand or by somebody else: there is nothing to command, and nothing else to state.",

@@ -1,12 +1,12 @@
 """Table [mechanism] of rig.toml: hexapod, planar pair, arm, chain or free, read with checks."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
-from rig.array_and_json_types import Booleans, Floats, Json
+from rig.array_and_json_types import Booleans, Floats
 from rig.errors import FileError
 from rig.formats.checked_entries import LARGEST_RIG, Entries, nearest_known_word
 from rig.formats.local_and_remote_input_files import read_text, short_repr
@@ -183,31 +183,6 @@ def mechanism_of_file(table: Entries, key: str, name: str) -> FileMechanism:
     path = table.file.parent / name
     source = read_text(path, LARGEST_SOURCE, f"no such file, which {table.name(key)} of {table.file} names")
     return nominal_mechanism(str(path), source)
-
-
-def file_mechanism_dict(mechanism: FileMechanism) -> Json:
-    """dict of a mechanism of a kinematics file, as JSON holds it: the file by name and hash, and its parameters."""
-    stated = mechanism.stated
-    return {
-        "kind": mechanism.kind,
-        "file": Path(mechanism.file).name,
-        "sha256": stated.sha256,
-        "parameters": mechanism.parameters.tolist(),
-        "parameter_names": list(stated.names),
-    }
-
-
-def file_mechanism_from_entries(table: Entries) -> FileMechanism:
-    """Mechanism of a kinematics file from its JSON entries, the file beside. Raises FileError for another file."""
-    table.text("kind", (FileMechanism.kind,))
-    nominal = mechanism_of_file(table, "file", table.text("file"))
-    if table.text("sha256") != nominal.stated.sha256:
-        table.fail(
-            f"{table.name('file')}: {nominal.file} is not the kinematics file that this was made with: its text has "
-            "changed; make this file anew",
-            "sha256",
-        )
-    return replace(nominal, parameters=table.array("parameters", nominal.parameters.shape, length_limit=LARGEST_RIG))
 
 
 def write_kinematics_file(folder: Path, mechanism: Mechanism) -> None:
