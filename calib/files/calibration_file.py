@@ -30,7 +30,7 @@ from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_text_parsing import Kinds
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
-from rig.formats.output_files import STANDARD_OUTPUT, write_text
+from rig.formats.output_files import write_text
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 
 SCHEMA = "calibration/1"
@@ -54,7 +54,16 @@ NOT_HELD_OUT = HeldOut(
 
 
 def save(path: Path | str, calibration: Calibration) -> None:
-    """Save a Calibration as calibration.json, whole or not at all."""
+    """Save a Calibration as calibration.json, whole or not at all, and beside it the kinematics file it is of.
+
+    Raises FileError where another kinematics file of that name is there
+    """
+    write_kinematics_file(Path(path).parent, calibration.correction.nominal)
+    write_calibration(path, calibration)
+
+
+def write_calibration(path: Path | str, calibration: Calibration) -> None:
+    """Write calibration.json alone, whole or not at all."""
     correction = calibration.correction
     model = model_of(correction.nominal)
     tree = {
@@ -80,8 +89,6 @@ def save(path: Path | str, calibration: Calibration) -> None:
         "provenance": calibration.provenance,
     }
     write_text(path, json.dumps(tree, indent=1) + "\n")
-    if Path(path) != STANDARD_OUTPUT:
-        write_kinematics_file(Path(path).parent, correction.nominal)
 
 
 def load(path: Path | str, effect_kinds: Kinds = BY_NAME) -> Calibration:

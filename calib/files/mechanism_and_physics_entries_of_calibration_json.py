@@ -163,6 +163,18 @@ def mechanism_dict(mechanism: Commanded) -> Json:
     return {"kind": mechanism.kind, **{name: json_data(getattr(mechanism, name)) for name in SHAPES[mechanism.kind]}}
 
 
+def mechanism_from_entries(table: Entries, stated: bool = False) -> Commanded:
+    """Mechanism from its JSON entries. stated : whether it is the nominal one. Raises FileError for anything else."""
+    if "file" in table.tree:
+        return file_mechanism_from_entries(table)
+    if table.text("kind", (*READERS, CHAIN)) == CHAIN:
+        stages = table.tables("stages")
+        if len(stages) < 2:
+            table.fail(f"{table.name('stages')} of a chain are two or more, got {len(stages)}", "stages")
+        return Chain(tuple(_stage_in(stage, stated) for stage in stages))
+    return _stage_in(table, stated)
+
+
 def file_mechanism_dict(mechanism: FileMechanism) -> Json:
     """dict of a mechanism of a kinematics file, as JSON holds it: the file by name and hash, and its parameters."""
     stated = mechanism.stated
@@ -186,18 +198,6 @@ def file_mechanism_from_entries(table: Entries) -> FileMechanism:
             "sha256",
         )
     return replace(nominal, parameters=table.array("parameters", nominal.parameters.shape, length_limit=LARGEST_RIG))
-
-
-def mechanism_from_entries(table: Entries, stated: bool = False) -> Commanded:
-    """Mechanism from its JSON entries. stated : whether it is the nominal one. Raises FileError for anything else."""
-    if "file" in table.tree:
-        return file_mechanism_from_entries(table)
-    if table.text("kind", (*READERS, CHAIN)) == CHAIN:
-        stages = table.tables("stages")
-        if len(stages) < 2:
-            table.fail(f"{table.name('stages')} of a chain are two or more, got {len(stages)}", "stages")
-        return Chain(tuple(_stage_in(stage, stated) for stage in stages))
-    return _stage_in(table, stated)
 
 
 def _stage_in(table: Entries, stated: bool) -> Struts | Arm:

@@ -62,10 +62,10 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
         "Two tables `[[mechanism.stage]]` or more, each of a kind above, each on the last; [chains](chains.md) "
         "say more.",
     ),
-    '[mechanism] kind = "file"': (
+    '[mechanism] kind = "file:NAME.py"': (
         None,
-        'Any other machine, by kinematics that its owner states in a Python file beside: `kind = "file:NAME.py"`. '
-        "[A machine of your own](own-kinematics.md) says what the file must have.",
+        "A machine of another kind, by a Python file beside this one that states its axes, parameters and inverse "
+        "kinematics; [kinematics of your own](own-kinematics.md) says more.",
     ),
     '[mechanism] kind = "free"': (
         None,

@@ -28,6 +28,7 @@ from rig.errors import RigError
 if TYPE_CHECKING:
     from calib.api.calibrate import CalibrateOptions
     from calib.api.correction_over_configuration_or_pose_space import ExtendOptions
+    from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 
 WAYS = ("linear", "simplex", "delaunay", "axes", "radial", "polynomial", "auto")
 SPACES = ("configuration", "pose", "both")
@@ -110,6 +111,17 @@ def _add_extension_options(parser: ArgumentParser) -> None:
     )
 
 
+def _write_kinematics_file(arguments: Namespace, mechanism: Mechanism) -> None:
+    """Write the kinematics file of a mechanism beside calibration.json, where it is not there already."""
+    from rig.formats.output_files import STANDARD_OUTPUT
+    from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
+
+    places = [arguments.out.with_name(name) for name in mechanism.files if arguments.out != STANDARD_OUTPUT]
+    for place in places:
+        folder = place.parent if place.exists() else arguments.outputs.file(place).parent
+        write_kinematics_file(folder, mechanism)
+
+
 def run(arguments: Namespace) -> None:
     """Run `rig calibrate`: calibrate a machine from recordings and write calibration.json."""
     progress = Progress()
@@ -123,12 +135,13 @@ def run(arguments: Namespace) -> None:
     )
 
     out = arguments.outputs.file(arguments.out)
+    _write_kinematics_file(arguments, recordings[0].design.mechanism)
     page = arguments.outputs.stage_file(out, ".html")
     links = page_links(arguments, arguments.out.with_suffix(".html")) if page else []
     separate = page is not None and has_axis_correction_summands(recordings[0].design)
     values = arguments.outputs.file(arguments.out.with_name(_values_name(arguments.out))) if separate else None
     result = calibrate(recordings, options, progress, notice_printer(progress))
-    calibration_file.save(out, result.calibration)
+    calibration_file.write_calibration(out, result.calibration)
     if page:
         progress("drawing the page", 0, 1)
         result.write_page(page, links)

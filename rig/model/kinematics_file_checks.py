@@ -116,6 +116,7 @@ def _with_derivatives(file: KinematicsFile, poses: Floats) -> KinematicsFile:
             f"parameter {file.names[free[k]]!r} changes no axis at any pose about home: give it the tolerance 0",
             "parameters",
         )
+    size = np.maximum(size, np.finfo(float).tiny)  # a freedom that moves no axis is singular, which is checked next
     by_complex = replace(file, complex_step=True)
     try:
         exact: Floats | None = _derivatives(by_complex, poses)

@@ -70,8 +70,10 @@ class Candidate:
         return self.kind.composed(self, node, coefficients)
 
     def deviation(self, node: Node, motion: Motion) -> Floats:
-        """(n, axes, q) m or rad per unit of each linear parameter that the axes deviate at a Motion; (n, axes, 1) whole
-        where the size is part of the node. For effects that change neither time nor path: see Effect.follow."""
+        """Deviation of axes (n, axes, q) m or rad per unit of each linear parameter; whole where the node has the size.
+
+        For effects that change neither time nor path, see Effect.follow.
+        """
         return self.kind.columns_of_nodes(self, [node], motion)[0]
 
 
@@ -79,10 +81,9 @@ class Effect:
     """Base of all effects.
 
     places : kinds of place it can sit at ("axis": a strut or a joint); experiment : what would expose it
-    joint_experiment : the same of a joint, where it differs; action : what an owner can do about it, with "{axis}" too
+    joint_experiment : the same of a joint, if another; action : what an owner can do about it, with "{axis}" too
     on_pose : its deviation depends on the pose; sudden : it happens at one time, and may be over soon
-    discrete : found by looking at what corners were set aside, not by its derivative
-    moving : shows only in exposures on the way
+    discrete : found from the corners set aside, not by its derivative; moving : shows only in exposures on the way
     rolls : rows of an image are exposed one after the other
     form : what the model is a function of, where that is simple: the axis' own travel ("slope", "sinusoid" or
     "profile"), its "load", or a moment ("step")

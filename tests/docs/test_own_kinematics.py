@@ -1,0 +1,27 @@
+"""The page on kinematics of one's own: its file is the example's, and its commands run."""
+
+import shutil
+
+from tests.cli import run
+from tests.conftest import ROOT
+
+PAGE, EXAMPLES = ROOT / "docs" / "own-kinematics.md", ROOT / "docs" / "kinematics"
+
+
+def test_the_page_shows_the_example():
+    assert f"```python\n{(EXAMPLES / 'delta.py').read_text()}```" in PAGE.read_text()
+
+
+def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
+    for end in ("py", "toml"):
+        shutil.copy(EXAMPLES / f"delta.{end}", tmp_path)
+    (tmp_path / "wanted.csv").write_text("frame,x,y,z,rx,ry,rz\n0,0.01,0.02,0.1,0,0,0\n1,-0.02,0,0.08,0,0,0.001\n")
+    monkeypatch.chdir(tmp_path)
+    lines = [line.split()[1:] for line in PAGE.read_text().splitlines() if line.startswith("    rig ")]
+    assert len(lines) == 7
+    said = ""
+    for words in lines:
+        done = run(*words)
+        said += done.stdout + done.stderr
+    assert "2 of 2 poses written" in said and "a machine of 3 axes cannot compensate every error" in said
+    assert (tmp_path / "REC" / "delta.py").read_text() == (EXAMPLES / "delta.py").read_text()
