@@ -87,14 +87,12 @@ class Effect:
     rolls : rows of an image are exposed one after the other
     form : what the model is a function of, where that is simple: the axis' own travel ("slope", "sinusoid" or
     "profile"), its "load", or a moment ("step")
-    own_axis : depends on the axis' own position alone, 1 for the simplest such model
-    once : a second at a place would be the first
+    own_axis : depends on the axis' own position alone, 1 for the simplest such model; once : there is one at a place
     lasting : the machine does it again the next time, so that commands can undo it; not what happened at one moment
     tolerance : of manufacturing, within which it is no fault
     cardans : [actuator] joints, those of struts' ends, one of which it needs; empty where it needs no cardan
     whole_turns : it needs the travel of one turn of its axis' screw
-    fixed_mount : at a camera, it takes one whose mount does not move with the machine
-    flat : markers stay flat with it, as drawn images have them
+    fixed_mount : at a camera, it takes one whose mount does not move; flat : markers stay flat, as drawn images have them
     warps : takes in every smooth displacement fixed in a camera's image
     view : how residuals in the image show it: "displacement", "map", "time", "scale", "outward", "markers" or "targets"
     """
