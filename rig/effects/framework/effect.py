@@ -92,7 +92,7 @@ class Effect:
     tolerance : of manufacturing, within which it is no fault
     cardans : [actuator] joints, those of struts' ends, one of which it needs; empty where it needs no cardan
     whole_turns : it needs the travel of one turn of its axis' screw
-    fixed_mount : at a camera, it takes one whose mount does not move; flat : markers stay flat, as drawn images have them
+    fixed_mount : at a camera, it takes one whose mount does not move; flat : markers stay flat, as drawn ones are
     warps : takes in every smooth displacement fixed in a camera's image
     view : how residuals in the image show it: "displacement", "map", "time", "scale", "outward", "markers" or "targets"
     """
