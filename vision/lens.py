@@ -152,10 +152,12 @@ def lens_parameter_names(distortion: Floats) -> tuple[str, ...]:
 
 
 def _flat(points: Floats, matrix: Floats, distortion: Floats) -> tuple[Floats, Floats, Floats]:
-    """(points (n, 3), matrix (3, 3), all terms (14,)), as kernels take them."""
+    """(points (n, 3), matrix (3, 3), all terms (14,)), as kernels take them: one read-only would be compiled for
+    anew.
+    """
     terms = np.zeros(14)
     terms[: len(distortion)] = distortion
-    return np.ascontiguousarray(np.reshape(points, (-1, 3)), float), np.ascontiguousarray(matrix, float), terms
+    return np.ascontiguousarray(np.reshape(points, (-1, 3)), float), np.array(matrix, float), terms
 
 
 def _on_sensor(distorted: Floats, matrix: Floats, tilt: Floats) -> Floats:

@@ -317,8 +317,9 @@ def _fit_square(crop: Floats, marker: Printed, m: int, s: float, manner: FitSett
     )
     if not square_homography(quad, lens, centre, n, g) or not corners_of_homography(g, n, corners, work.J):
         return WANDERED
+    # a plain False would be a type of its own, and what takes it compiled once more
     lit, limit, away, collected, part, count, used, whole, tabulated = (
-        False,
+        bool(np.bool_(False)),
         UNLIMITED,
         np.inf,
         s,

@@ -230,7 +230,7 @@ def _refine(view: View, matrix: Floats, inliers: Booleans, least: float) -> _Ref
     try:
         scale = refine_pose(
             (view.points, view.ideal, view.covariance, view.camera),
-            view.T_camera_world,
+            np.ascontiguousarray(view.T_camera_world),  # a view of another layout would be compiled for once more
             view.focal,
             matrix,
             inliers,
