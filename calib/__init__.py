@@ -6,8 +6,8 @@ out, `correct` a calibration and wanted poses to the commands that give them, `v
 another recording, `certify` states what is promised by recordings that it was not made from, `watch` holds small visits
 against it day by day, `investigate` goes all of that by itself, `why` takes data of any form and a model to five lines.
 `learn` takes poses one at a time, `accept_limbs` compares measuring limbs with vision, `close_loops` more lengths than
-six with each other, `analyse_workspace` says what a calibration does to the workspace, `export` writes for other programs, `plan_run` begins a run of the machine.
-`load` and `save` are of calibration.json.
+six with each other, `analyse_workspace` says what a calibration does to the workspace, `export` writes for other
+programs, `plan_run` begins a run of the machine. `load` and `save` are of calibration.json.
 """
 
 from typing import TYPE_CHECKING

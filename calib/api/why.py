@@ -297,8 +297,8 @@ def _require_commands(recording: Recording, data: Path) -> None:
         raise RigError(
             f'{data} is a recording of kind "{recording.design.mechanism.kind}": {cameras} '
             f"camera{'s' if cameras != 1 else ''} watched a body in {seen} frames that nothing commanded, so that no "
-            f"command can be wrong. `rig measure {data} --out DIR` gives its poses, `rig diagnose {data} --out DIR` what "
-            "cameras and targets leave out"
+            f"command can be wrong. `rig measure {data} --out DIR` gives its poses, `rig diagnose {data} --out DIR` "
+            "what cameras and targets leave out"
         )
     if recording.commands is None:
         raise RigError(f"{data}: there is no commands.csv, so nothing was commanded and nothing can be wrong")

@@ -78,8 +78,8 @@ def _of_folder(data: Path, rig: Path, design: Design, joint_names: Sequence[str]
     if not tables:
         raise FileError(data, f"holds no data that are known ({listed}); it takes {WANTED}")
     raise RigError(
-        f"{data} holds several tables ({listed}): name one that has joint values and poses, or call the two commands.csv "
-        "and poses.csv"
+        f"{data} holds several tables ({listed}): name one that has joint values and poses, or call the two "
+        "commands.csv and poses.csv"
     )
 
 

@@ -107,9 +107,6 @@ def assemble_recording(recipe: Recipe, skip_unreadable: bool = False) -> Importe
         of_commands: list[str] = []
         if commanded is not None and commanded.table.file == recipe.poses.file:
             of_commands = [header for name, header in commanded.table.columns if name in design.mechanism.axes]
-        of_commands = (
-            [header for name, header in commanded.table.columns if name in design.mechanism.axes] if both else []
-        )
         posed = read_poses(recipe.poses, design, partial(_commanded, exposed, commanded), like, of_commands)
         exposed, posed = _placed(exposed, posed, commanded)
     if exposed is None:
