@@ -5,7 +5,6 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from shutil import copytree
 
 import numpy as np
 
@@ -25,8 +24,8 @@ from rig.errors import RigError
 from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions, read_arm_file
 from rig.formats.importers.recipe_of_data import is_recording_folder, recipe_of_data, require_data
 from rig.formats.json_toml_and_yaml_loading import toml_entries
-from rig.formats.local_and_remote_input_files import list_folder, read_text
-from rig.formats.output_files import write_text
+from rig.formats.local_and_remote_input_files import list_folder, read_bytes, read_text
+from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml.design_file import LARGEST, design_of_entries
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import Link, result_html
@@ -35,7 +34,7 @@ from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, igno
 
 QUESTIONS = ("how wrong", "why", "how sure", "what to do", "measure next")
 MENTIONED = 3  # findings in a line
-NOISE = (2e-5, 1e-4)  # m, rad; of an instrument of which nobody states any
+NOISE = (2e-5, 2e-4)  # m, rad; of a laser tracker and its six-degree-of-freedom probe, where nobody states any
 SAME = 1e-9  # rad or m; commands so near are one configuration
 SHARE = 0.01  # of the mean square error, from which on the geometry is part of why
 
@@ -46,7 +45,8 @@ class WhyOptions:
     neither, where the data have their own
 
     position_sigma : m, rotation_sigma : rad, of the instrument that measured an arm's poses; None for NOISE, assumed
-    settings : "KEY=VALUE" as of `rig import --set`
+    settings : "KEY=VALUE" as of `rig import --set`; anyway : whether to go on though a mistake makes results
+    meaningless
     Raises RigError for an arm and a rig.toml both
     """
 
@@ -55,6 +55,7 @@ class WhyOptions:
     position_sigma: float | None = None
     rotation_sigma: float | None = None
     settings: tuple[str, ...] = ()
+    anyway: bool = False
 
     def __post_init__(self) -> None:
         if self.arm.file is not None and self.rig is not None:
@@ -271,15 +272,17 @@ def why(
     require_data(data)
     with tempfile.TemporaryDirectory(prefix="rig-why-") as scratch:
         kept = Path(scratch) if folder is None else folder
-        recording, assumed = _recording_of_data(data, options, kept, notice)
+        recording, assumed = recording_of_data(data, options, kept, notice)
         _require_commands(recording, data)
-        diagnosed = diagnose(recording, DiagnoseOptions(), progress, notice)
+        diagnosed = diagnose(recording, DiagnoseOptions(anyway=options.anyway), progress, notice)
         diagnosis = kept / "diagnosis"
         diagnosis.mkdir()
         diagnosed.write(diagnosis)
         diagnosed.write_page(kept / "diagnosis.html", links)
         with_findings = bool(diagnosed.report.findings) and not recording.design.mechanism.bodies
-        asked = CalibrateOptions(diagnosis=diagnosis) if with_findings else CalibrateOptions(quick=True)
+        asked = CalibrateOptions(
+            diagnosis=diagnosis if with_findings else None, quick=not with_findings, anyway=options.anyway
+        )
         calibrated = calibrate(recording, asked, progress)
         save(kept / "calibration.json", calibrated.calibration)
         try:
@@ -304,8 +307,12 @@ def _require_commands(recording: Recording, data: Path) -> None:
         raise RigError(f"{data}: there is no commands.csv, so nothing was commanded and nothing can be wrong")
 
 
-def _recording_of_data(data: Path, options: WhyOptions, folder: Path, notice: Notice) -> tuple[Recording, bool]:
-    """(the Recording, whether its poses' noise is assumed): loaded as it is, or imported to a folder."""
+def recording_of_data(data: Path, options: WhyOptions, folder: Path, notice: Notice) -> tuple[Recording, bool]:
+    """(the Recording of data, whether its poses' noise is assumed): loaded as it is, or imported to a folder.
+
+    folder : gets a folder `recording`; notice : called with lines on what was read
+    Raises as `why`
+    """
     arm = read_arm_file(options.arm)
     is_recording = is_recording_folder(data)
     if arm is None and options.rig is None:
@@ -326,8 +333,7 @@ def _recording_of_data(data: Path, options: WhyOptions, folder: Path, notice: No
     design = design_of_entries(toml_entries(text, stated))
     into = folder / "recording"
     if is_recording:
-        copytree(data, into)
-        (into / "rig.toml").unlink(missing_ok=True)
+        _copy_without_machine(data, into, notice)
         write_text(into / "rig.toml", text)
         return load(into), arm is not None and options.position_sigma is None
     if arm is not None:
@@ -344,6 +350,17 @@ def _recording_of_data(data: Path, options: WhyOptions, folder: Path, notice: No
     for line in (*imported.said, *map(str, remarks)):
         notice(line)
     return load(into), arm is not None and options.position_sigma is None
+
+
+def _copy_without_machine(data: Path, folder: Path, notice: Notice) -> None:
+    """Copy a recording's files, all but its rig.toml."""
+    for path in sorted(path for path in data.rglob("*") if path.is_file()):
+        if path == data / "rig.toml":
+            notice(f"{path} is not read: the machine is stated otherwise")
+            continue
+        into = folder / path.relative_to(data)
+        into.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(into, read_bytes(path))
 
 
 def _instrument_text(options: WhyOptions, turns: bool) -> str:

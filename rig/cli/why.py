@@ -13,7 +13,7 @@ from rig.cli.shared.argument_parser_and_common_options import (
     parse_tolerance,
     print_json,
 )
-from rig.cli.shared.input_options_and_output_display import Progress
+from rig.cli.shared.input_options_and_output_display import Progress, add_anyway_option
 from rig.report.verdict_and_refutations_by_later_recordings import exit_status
 
 
@@ -35,7 +35,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="standard deviation of a measured coordinate, of --urdf and --dh (default 20um, assumed)",
     )
     parser.add_argument(
-        "--rotation-sigma", metavar="0.1mrad", type=_angle, help="the same of a rotation (default 0.1mrad, assumed)"
+        "--rotation-sigma", metavar="0.1mrad", type=_angle, help="the same of a rotation (default 0.2mrad, assumed)"
     )
     parser.add_argument(
         "--set",
@@ -48,6 +48,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--out", metavar="DIR", type=Path, help="keeps the recording, calibration.json, and the diagnosis with its page"
     )
+    add_anyway_option(parser)
     add_overwrite_option(parser)
     add_json_option(parser)
 
@@ -79,6 +80,7 @@ def run(arguments: Namespace) -> int:
         arguments.position_sigma,
         arguments.rotation_sigma,
         tuple(arguments.settings),
+        arguments.anyway,
     )
     out = arguments.out
     folder = None if out is None else arguments.outputs.folder(out)
