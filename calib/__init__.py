@@ -4,10 +4,10 @@ A verb a step, each with options and a result that shows itself: `plan` chooses 
 for mistakes in a recording (rig.load), `calibrate` takes one to its calibration, `diagnose` to what its model leaves
 out, `correct` a calibration and wanted poses to the commands that give them, `verify` holds a calibration against
 another recording, `certify` states what is promised by recordings that it was not made from, `watch` holds small visits
-against it day by day, `investigate` goes all of that by itself. `learn` takes poses one at a time, `accept_limbs`
-compares measuring limbs with vision, `close_loops` more lengths than six with each other, `analyse_workspace` says
-what a calibration does to the workspace, `export` writes for other programs, `plan_run` begins a run of the machine.
-`load` and `save` are of calibration.json.
+against it day by day, `investigate` goes all of that by itself, `why` takes data of any form and a model to five lines.
+`learn` takes poses one at a time, `accept_limbs` compares measuring limbs with vision, `close_loops` more lengths than
+six with each other, `analyse_workspace` says what a calibration does to the workspace, `export` writes for other
+programs, `plan_run` begins a run of the machine. `load` and `save` are of calibration.json.
 """
 
 from typing import TYPE_CHECKING
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from calib.api.recording_check_combination_and_displacement_removal import check as check
     from calib.api.verify_and_watch import verify as verify
     from calib.api.verify_and_watch import watch as watch
+    from calib.api.why import WhyOptions as WhyOptions
+    from calib.api.why import why as why
     from calib.api.workspace_change_by_calibration import analyse_workspace as analyse_workspace
     from calib.certificate.certificate_contents import CertifyOptions as CertifyOptions
     from calib.experiment.investigation_machine import InvestigateOptions as InvestigateOptions
@@ -54,6 +56,7 @@ __all__ = [
     "certify",
     "watch",
     "investigate",
+    "why",
     "learn",
     "accept_limbs",
     "close_loops",
@@ -68,6 +71,7 @@ __all__ = [
     "CorrectOptions",
     "CertifyOptions",
     "InvestigateOptions",
+    "WhyOptions",
     "LearnOptions",
     "AcceptLimbsOptions",
     "LoopClosureOptions",
@@ -97,6 +101,7 @@ __getattr__ = lazy_getattr(
         "analyse_workspace": "calib.api.workspace_change_by_calibration",
         "investigate": "calib.api.investigate",
         "InvestigateOptions": "calib.experiment.investigation_machine",
+        **dict.fromkeys(("why", "WhyOptions"), "calib.api.why"),
         **dict.fromkeys(("load", "save"), "calib.files.calibration_file"),
         "CertifyOptions": "calib.certificate.certificate_contents",
     },

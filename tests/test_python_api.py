@@ -28,6 +28,7 @@ CALLS = {
         for verb in ("plan", "calibrate", "correct", "diagnose", "certify", "investigate")
     },
     "check": "calib.api.recording_check_combination_and_displacement_removal:check",
+    "why": "calib.api.why:why",
     **{verb: f"calib.api.verify_and_watch:{verb}" for verb in ("verify", "watch")},
     "simulate": "synthetic.api:simulate",
     "measure": "vision.api:measure",
@@ -48,7 +49,7 @@ CALLS = {
     "doctor": "rig.compute.installation_inventory:installation_inventory",
     "effects": "rig.effects.texts.effect_file_from_formula:new_effect_from_suggestion_or_example",
     "effects document": "rig.api:effect_catalogue",
-    "completion": "rig.cli.shared.argument_parser_and_common_options:completion_script",
+    "doctor completion": "rig.cli.shared.argument_parser_and_common_options:completion_script",
     "print": "synthetic.print_sheets:write_sheets",
     "print check": "vision.printed_marker_size:measure_printed_marker_scale",
     **dict.fromkeys(("new design", "new"), "rig.planning.layout.shipped_arm_layout:hexapod_two_strut_or_arm_rig_toml"),

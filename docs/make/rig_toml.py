@@ -200,6 +200,8 @@ HANGS_ON_ANOTHER = {
     ("[controller]", "max_speed"): "`[actuator]` `max_speed`",
     ("[[target.marker]]", "margin"): "an eighth of `side`",
     ("[[target.marker]]", "pose"): "found from the recording",
+    ('[mechanism] kind = "arm"', "base"): "the frame of poses itself",
+    ('[mechanism] kind = "arm"', "tool"): "the last frame itself",
 }
 KINDS_OF_GET = {
     "homing": "true or false",
@@ -250,7 +252,8 @@ def samples() -> list[dict[str, Any]]:
         tomllib.loads(shipped_arm_layout.shipped_arm_rig_toml(name)) for name in shipped_arm_layout.shipped_arm_names()
     ]
     joint = {"joint": "prismatic", "theta": 0.0, "d": 0.0, "a": 0.0, "alpha": 0.0, "limits": [0.0, 0.2]}
-    arms.append({"schema": "rig/1", "mechanism": {"kind": "arm", "joints": [joint]}})
+    stands = {"position": [0.0, 0.0, 0.1], "rotvec": [0.0, 0.0, 0.0]}
+    arms.append({"schema": "rig/1", "mechanism": {"kind": "arm", "joints": [joint], "base": stands, "tool": stands}})
     return [whole, listed, *arms, {**whole, "mechanism": {"kind": "free"}, "controller": None}]
 
 

@@ -29,6 +29,8 @@ GROUPS = {
         "bounds.",
     },
     "trust": {
+        "why": "Data and a model, as a CSV and a URDF -> five lines: how wrong, why, how sure, what to do, what to "
+        "measure next.",
         "verify": "A calibration verified by a recording not used for it: error before and after.",
         "certify": "What a calibration promises of all poses in a volume, from recordings held out: a certificate.",
         "watch": "Small visits compared with a calibration day by day: whether it still holds, what changed, what to "
@@ -61,7 +63,7 @@ GROUPS = {
         "covariance.",
         "export": "A calibrated geometry for other programs: genhexkins, URDF, JSON, CSV.",
         "doctor": "Requirements of rig on this computer: packages, OpenGL, cameras, ports, space, threads.",
-        "completion": "The script that makes bash, zsh or fish complete rig's commands and options.",
+        "doctor completion": "The script that makes bash, zsh or fish complete rig's commands and options.",
     },
 }
 COMMANDS = {name: text for group in GROUPS.values() for name, text in group.items()}
@@ -71,6 +73,7 @@ EARLIER_NAMES = {
     "catalogue": "effects document",
     "check-print": "print check",
     "closure": "limbs closures",
+    "completion": "doctor completion",
     "design": "new design",
     "index": "view index",
     "insitu": "limbs test",

@@ -1,9 +1,15 @@
-"""rig new design: write the rig.toml of a new design from a radius or an arm name: cameras and cubes placed."""
+"""rig new design: write the rig.toml of a new design from a radius, an arm's name, its URDF or its table of rows."""
 
+import sys
 from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rig.cli.shared.argument_parser_and_common_options import add_overwrite_option, file_or_stdout
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
+
+if TYPE_CHECKING:
+    from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -19,6 +25,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="a shipped arm's nominal figures, with an instrument that measures it: puma560, ur10, "
         "panda, stanford, scara, gantry",
     )
+    add_own_arm_options(parser)
     parser.add_argument(
         "--seen",
         choices=("cubes", "hand"),
@@ -49,11 +56,37 @@ def arguments(parser: ArgumentParser) -> None:
     add_overwrite_option(parser)
 
 
+def add_own_arm_options(parser: ArgumentParser) -> None:
+    """Add the options that name a file of one's own arm: a URDF or a table of Denavit-Hartenberg rows."""
+    parser.add_argument("--urdf", metavar="FILE.urdf", type=Path, help="your own arm, with the URDF's exact kinematics")
+    parser.add_argument("--tip", metavar="LINK", help="of --urdf, the link that is measured; by default its only end")
+    parser.add_argument("--root", metavar="LINK", help="of --urdf, the link in which poses are; by default its first")
+    parser.add_argument(
+        "--dh",
+        metavar="FILE.csv",
+        type=Path,
+        help="your own arm, as a table of Denavit-Hartenberg rows with a header: theta, d, a, alpha, optional joint "
+        "(revolute, prismatic), name, lower, upper; units in the header, as alpha_deg, d_mm",
+    )
+    parser.add_argument("--modified", action="store_true", help="of --dh, rows in Craig's convention")
+    parser.add_argument("--units", metavar="mm,deg", help="of --dh, where the header states none (default m,rad)")
+
+
+def arm_file_options(arguments: Namespace) -> "ArmFileOptions":
+    """ArmFileOptions of the arguments that `add_own_arm_options` adds. Raises RigError"""
+    from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions
+
+    names = ("urdf", "tip", "root", "dh", "modified", "units")
+    return ArmFileOptions(**{name: getattr(arguments, name) for name in names})
+
+
 def run(arguments: Namespace) -> None:
     """Run `rig new design`: write the rig.toml of a new design."""
+    from rig.formats.importers.arm_of_urdf_or_dh_table import read_arm_file
     from rig.formats.output_files import write_text
     from rig.planning.layout.shipped_arm_layout import LayoutOptions, hexapod_two_strut_or_arm_rig_toml
 
+    own = read_arm_file(arm_file_options(arguments))
     options = LayoutOptions(
         mechanism=arguments.mechanism,
         arm=arguments.arm,
@@ -65,8 +98,11 @@ def run(arguments: Namespace) -> None:
         dictionary=arguments.dictionary,
         limbs=arguments.limbs,
         name=arguments.name,
+        own_arm=None if own is None else own.rig_toml(arguments.name),
     )
     text = hexapod_two_strut_or_arm_rig_toml(options)
+    for line in () if own is None else own.lines:
+        print(line, file=sys.stderr)
     if arguments.out is None:
         print(text, end="")
         return

@@ -23,7 +23,12 @@ if TYPE_CHECKING:
     from vision.recording_adjustment import Measurement
 
 PROGRESS = ("auto", "lines", "none")
-PRINTED = ("completion", "doctor", "effects", "status")  # what they print is all they are for, so they cannot be quiet
+PRINTED = (
+    "doctor completion",
+    "doctor",
+    "effects",
+    "status",
+)  # what they print is all they are for, so they cannot be quiet
 
 SHARED = (
     "calibrate",

@@ -1,6 +1,6 @@
 """Pose table of another program: units, rotation vectors, quaternions or Euler angles."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from decimal import Decimal
 
@@ -21,8 +21,8 @@ from rig.formats.importers.foreign_table_columns import (
 from rig.formats.importers.import_recipe import EULER, ForeignTable
 from rig.formats.importers.units_and_timestamps import ANGLES, LENGTHS, ambiguity_error
 from rig.model.design import Design
-from rig.model.mechanisms import hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
+from rig.model.mechanisms import hexapod, kinematics_of
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, is_hexapod
 
 POSITION = {
     "x": ("x", "tx", "px", "posx", "positionx", "xpos"),
@@ -67,16 +67,24 @@ Asked = Callable[[list[Decimal] | None, Floats | None, int], Floats | None]
 
 
 def read_poses(
-    table: ForeignTable, design: Design, commands_of_rows: Asked, are_plausible: Callable[[Floats], bool]
+    table: ForeignTable,
+    design: Design,
+    commands_of_rows: Asked,
+    are_plausible: Callable[[Floats], bool],
+    of_commands: Collection[str] = (),
 ) -> ImportedPoses:
     """Read the poses of a foreign table. Raises RigError where it is ambiguous.
     Raises RigError for what reads well in two ways.
 
     commands_of_rows : of n rows' (times, frame numbers, n) what was commanded, (n, 6) m, or None where that is not
         known
-    are_plausible : whether times (n,) s from the first can be so
+    are_plausible : whether times (n,) s from the first can be so; of_commands : headers of columns that are commands
     """
     cells = read_header_and_cells_of_foreign_table(table, "poses")
+    if of_commands:
+        keep = [k for k, header in enumerate(cells.header) if header not in of_commands]
+        rows = [[row[k] for k in keep] for row in cells.rows]
+        cells = replace(cells, header=tuple(cells.header[k] for k in keep), rows=rows)
     found = find_columns(
         cells, "poses", {**TIME, **FRAME, **POSITION, **VECTOR, **EULERS, **QUATERNION, **NUMBERED}, ("x", "y", "z")
     )
@@ -192,6 +200,41 @@ def _angles(
     return found
 
 
+def _disagreement_with_commands(
+    design: Design, p: Floats, q: Floats | None
+) -> Callable[[Rotation], tuple[float, str]] | None:
+    """How far rotations (n,) at positions p (n, 3) m are from what was commanded, q (n, axes), and that in words; None
+    where it cannot be determined.
+
+    Of an arm the turns between one pose and the next are compared: they depend neither on where the instrument stands
+    nor on where its target sits.
+    """
+    m = design.mechanism
+    if q is None or len(p) < LEAST:
+        return None
+    if is_hexapod(m):
+
+        def of_lengths(R: Rotation) -> tuple[float, str]:
+            off = float(np.sqrt(((hexapod.inverse(RigidTransform.from_components(p, R), m) - q) ** 2).mean()))
+            return off, f"{off * 1e3:.3g} mm"
+
+        return of_lengths
+    if not has_links(m):
+        return None
+    turns = _turns_between_rows(kinematics_of(m).forward(q, m).rotation)
+
+    def of_turns(R: Rotation) -> tuple[float, str]:
+        off = float(np.sqrt(np.mean((_turns_between_rows(R) - turns) ** 2)))
+        return off, f"{np.degrees(off):.2g} degrees"
+
+    return of_turns
+
+
+def _turns_between_rows(R: Rotation) -> Floats:
+    """(n - 1,) rad, angle between each of n rotations and the next."""
+    return (R[:-1].inv() * R[1:]).magnitude()
+
+
 def _by_commands(
     ways: list[Reading], table: ForeignTable, design: Design, p: Floats, q: Floats | None
 ) -> ReadRotations:
@@ -202,21 +245,17 @@ def _by_commands(
     for way in ways:
         if not any((way[2] * other[2].inv()).magnitude().max() < 1e-9 for other in distinct):
             distinct.append(way)
-    m = design.mechanism
-    if q is not None and is_hexapod(m) and len(p) >= LEAST:
-
-        def miss(R: Rotation) -> float:
-            return float(np.sqrt(((hexapod.inverse(RigidTransform.from_components(p, R), m) - q) ** 2).mean()))
-
-        ranked = sorted(distinct, key=lambda way: miss(way[2]))
-        if len(ranked) == 1 or miss(ranked[0][2]) < BETTER * miss(ranked[1][2]):
+    miss = _disagreement_with_commands(design, p, q)
+    if miss is not None:
+        ranked = sorted(distinct, key=lambda way: miss(way[2])[0])
+        if len(ranked) == 1 or miss(ranked[0][2])[0] < BETTER * miss(ranked[1][2])[0]:
             rotation, unit, R = ranked[0]
             return (
                 R,
                 replace(table, rotation=rotation, rotation_unit=unit),
                 (
                     f"{table.file.name}: rotations are {_name(rotation, unit)}, which agree with the "
-                    f"commands to {miss(R) * 1e3:.3g} mm",
+                    f"commands to {miss(R)[1]}",
                 ),
             )
     if len(distinct) == 1:

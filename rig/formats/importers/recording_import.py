@@ -105,7 +105,10 @@ def assemble_recording(recipe: Recipe, skip_unreadable: bool = False) -> Importe
         exposed = _usable(exposed, design, skip_unreadable)
     posed = None
     if recipe.poses is not None:
-        posed = read_poses(recipe.poses, design, partial(_commanded, exposed, commanded), like)
+        of_commands: list[str] = []
+        if commanded is not None and commanded.table.file == recipe.poses.file:
+            of_commands = [header for name, header in commanded.table.columns if name in design.mechanism.axes]
+        posed = read_poses(recipe.poses, design, partial(_commanded, exposed, commanded), like, of_commands)
         exposed, posed = _placed(exposed, posed, commanded)
     if exposed is None:
         raise RigError("there are no observations")

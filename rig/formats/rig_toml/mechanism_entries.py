@@ -215,9 +215,10 @@ def _chain(table: Entries) -> Chain:
 
 
 def _arm(table: Entries) -> Arm:
-    table.refuse_misspelt(("kind", "joints", "limits"))
+    table.refuse_misspelt(("kind", "joints", "limits", "base", "tool"))
     joints, slides = joint_rows_and_kinds(table)
-    return Arm(joints, joint_limits(table, slides), slides=slides)
+    stands = {key: table.pose(key) for key in Arm.placements if key in table.tree}
+    return Arm(joints, joint_limits(table, slides), slides=slides, **stands)
 
 
 def _planar(table: Entries) -> Planar2:

@@ -189,6 +189,7 @@ class LayoutOptions:
     arm : name of a shipped one; seen : None for an instrument, or "cubes" or "hand" as of `arm_layout_rig_toml`
     radius : m, of a hexapod's circle of base joints, of planar2 half the joints' distance
     size : WIDTHxHEIGHT of the images, px; limbs : how many measuring limbs stand next to a hexapod's struts
+    own_arm : rig.toml text of an arm that was read from a file, which is measured by an instrument
     Raises RigError for options that do not belong to each other
     """
 
@@ -202,8 +203,12 @@ class LayoutOptions:
     dictionary: str = "DICT_5X5_100"
     limbs: int = 0
     name: str | None = None
+    own_arm: str | None = None
 
     def __post_init__(self) -> None:
+        if self.own_arm is not None:
+            self._require_own_arm_options()
+            return
         if self.arm is not None or self.mechanism == "arm":
             self._require_arm_options()
             return
@@ -216,6 +221,14 @@ class LayoutOptions:
             raise RigError(f"--limbs takes a number of limbs, not {self.limbs}")
         if self.limbs and self.mechanism == "planar2":
             raise RigError(f"--limbs belong to a hexapod's struts; a {self.mechanism} has none")
+
+    def _require_own_arm_options(self) -> None:
+        other = {"--arm": self.arm, "--radius": self.radius, "--seen": self.seen, "--limbs": self.limbs or None}
+        if self.mechanism != "arm":
+            other["--mechanism"] = self.mechanism
+        for option, value in other.items():
+            if value is not None:
+                raise RigError(f"--urdf and --dh bring an arm's own figures, measured by an instrument; omit {option}")
 
     def _require_arm_options(self) -> None:
         if self.arm is None:
@@ -240,6 +253,8 @@ def hexapod_two_strut_or_arm_rig_toml(options: LayoutOptions) -> str:
 
     Raises RigError as `hexapod_layout_rig_toml`, `two_strut_layout_rig_toml` and `arm_layout_rig_toml`
     """
+    if options.own_arm is not None:
+        return options.own_arm + INSTRUMENT
     if options.arm is not None and options.seen is None:
         return shipped_arm_rig_toml(options.arm)
     size, cameras, cubes, dictionary = options.image_size(), options.cameras, options.cubes, options.dictionary

@@ -149,7 +149,7 @@ def test_no_option_takes_a_name_that_the_command_line_sets():
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_knows_commands_and_options(shell, capsys):
-    assert main(["completion", shell]) == 0
+    assert main(["doctor", "completion", shell]) == 0
     script = capsys.readouterr().out
     assert all(word in script for name in COMMANDS for word in name.split()) and "skip-unreadable" in script
     program = shutil.which(shell)
@@ -158,7 +158,7 @@ def test_completion_knows_commands_and_options(shell, capsys):
 
 
 def test_bash_completes(capsys):
-    main(["completion", "bash"])
+    main(["doctor", "completion", "bash"])
     script = capsys.readouterr().out
     asked = "COMP_WORDS=(rig calibrate --anyw); COMP_CWORD=2; _shtab_rig; "
     done = subprocess.run(["bash", "-c", f'{script}\n{asked}echo "${{COMPREPLY[@]}}"'], capture_output=True, text=True)

@@ -1,0 +1,394 @@
+"""Why a machine is not where its model says: data and a model of it -> five lines, by calibration and diagnosis."""
+
+import math
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.api.calibrate import CalibrateOptions, CalibrationResult, calibrate
+from calib.api.diagnose import DiagnoseOptions, DiagnosisResult, diagnose
+from calib.api.next_experiment import NextExperiment
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import ratio_interval_text
+from calib.certification.held_out_errors import Figures, HeldOut
+from calib.certification.platform_certification import Progress, silent_progress
+from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
+from calib.diagnosis.report.report_sentences import finding_size_text, finding_title
+from calib.files.calibration_file import save
+from calib.models.arm.certification import CertifiedArm
+from rig.api import import_recording, load
+from rig.array_and_json_types import Json
+from rig.errors import RigError
+from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions, read_arm_file
+from rig.formats.importers.recipe_of_data import is_recording_folder, recipe_of_data, require_data
+from rig.formats.json_toml_and_yaml_loading import toml_entries
+from rig.formats.local_and_remote_input_files import list_folder, read_bytes, read_text
+from rig.formats.output_files import write_bytes, write_text
+from rig.formats.rig_toml.design_file import LARGEST, design_of_entries
+from rig.recording.recording_folder import Recording
+from rig.report.pages.page_templates_and_elements import Link
+from rig.report.result_in_console_and_notebook import result_html
+from rig.report.verdict_and_refutations_by_later_recordings import WORST, Verdict
+from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
+
+QUESTIONS = ("how wrong", "why", "how sure", "what to do", "measure next")
+MENTIONED = 3  # findings in a line
+NOISE = (2e-5, 2e-4)  # m, rad; of a laser tracker and its six-degree-of-freedom probe, where nobody states any
+SAME = 1e-9  # rad or m; commands so near are one configuration
+SHARE = 0.01  # of the mean square error, from which on the geometry is part of why
+
+
+@dataclass(frozen=True, slots=True)
+class WhyOptions:
+    """What is known beside the data. arm : file of the arm, a URDF or a table of rows; rig : a rig.toml, None for
+    neither, where the data have their own
+
+    position_sigma : m, rotation_sigma : rad, of the instrument that measured an arm's poses; None for NOISE, assumed
+    settings : "KEY=VALUE" as of `rig import --set`; anyway : whether to go on though a mistake makes results
+    meaningless
+    Raises RigError for an arm and a rig.toml both
+    """
+
+    arm: ArmFileOptions = ArmFileOptions()
+    rig: Path | None = None
+    position_sigma: float | None = None
+    rotation_sigma: float | None = None
+    settings: tuple[str, ...] = ()
+    anyway: bool = False
+
+    def __post_init__(self) -> None:
+        if self.arm.file is not None and self.rig is not None:
+            raise RigError("--urdf or --dh and --rig both state the machine; give only one")
+        for name in ("position_sigma", "rotation_sigma"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value <= 1:
+                raise RigError(f"--{name.replace('_', '-')} takes a size above 0 and up to 1, not {value:g}")
+            if value is not None and self.arm.file is None:
+                raise RigError(f"--{name.replace('_', '-')} belongs to --urdf or --dh; rig.toml has [instrument]")
+
+
+@dataclass(frozen=True, slots=True)
+class Repeats:
+    """Configurations that were visited more than once. count : of them; position : m, rotation : rad, RMS distance of
+    their poses from their mean
+    """
+
+    count: int
+    position: float
+    rotation: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WhyResult:
+    """recording; calibrated : its calibration; diagnosed : its diagnosis; next : the experiment that tells more, None
+    where none can be foretold, and then why in no_next; repeats : Repeats, None without
+    geometry : HeldOut of the geometry alone, None where it was not worked out apart; noise_is_assumed : whether nobody
+    stated the poses' noise
+    """
+
+    recording: Recording
+    calibrated: CalibrationResult
+    diagnosed: DiagnosisResult
+    next: NextExperiment | None
+    no_next: str
+    repeats: Repeats | None
+    geometry: HeldOut | None
+    noise_is_assumed: bool
+
+    @property
+    def verdict(self) -> Verdict:
+        """The worse one of the verdicts on the calibration and on the diagnosis."""
+        return min((self.calibrated.verdict, self.diagnosed.verdict), key=lambda one: WORST.index(one.state))
+
+    def answers(self) -> dict[str, str]:
+        """{question: answer} of QUESTIONS, a line each."""
+        return dict(zip(QUESTIONS, (self._how_wrong(), self._why(), self._how_sure(), self._to_do(), self._measure())))
+
+    def lines(self) -> list[str]:
+        """The five lines."""
+        return [f"{question}: {answer}" for question, answer in self.answers().items()]
+
+    def __str__(self) -> str:
+        return self.lines()[0]
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        return result_html(str(self), self.lines()[1:])
+
+    def tree(self) -> Json:
+        """What `rig why --json` prints."""
+        held = self.calibrated.calibration.held_out
+        return {
+            "schema": "why/1",
+            "verdict": self.verdict.tree(),
+            "unit": {"position": "m", "rotation": "rad"},
+            "answers": self.answers(),
+            "held_out": held and asdict(held),
+            "geometry_alone": self.geometry and asdict(self.geometry),
+            "repeatability": self.repeats and asdict(self.repeats),
+            "noise_is_assumed": self.noise_is_assumed,
+            "findings": [
+                {"effect": one.effect, "place": one.place, "matters": one.matters}
+                for one in self.diagnosed.report.findings
+            ],
+            "next": self.next and self.next.tree(),
+        }
+
+    def _how_wrong(self) -> str:
+        held = self.calibrated.calibration.held_out
+        if held is None:
+            return "unknown: too few distinct configurations were measured to hold any out"
+        return f"the stated model is off by {_size(held.before)}, on {held.before.n} poses that were held out" + (
+            " (where the instrument stands and what it sees are fitted)" if self._is_placed else ""
+        )
+
+    @property
+    def _is_placed(self) -> bool:
+        instrument = self.calibrated.sampled.instrument
+        return instrument is not None and "free" in (instrument.base, instrument.tool)
+
+    def _why(self) -> str:
+        report, held = self.diagnosed.report, self.calibrated.calibration.held_out
+        parts: list[str] = []
+        known = _share(held.before, (self.geometry or held).after) if held is not None else 0.0
+        if self.geometry is not None and held is not None and known > SHARE:
+            parts.append(
+                f"the geometry differs from the stated one ({known:.1%} of the mean square error: "
+                f"{_size(held.before, False)} -> {_size(self.geometry.after, False)})"
+            )
+        elif held is not None and known > SHARE and not report.mattering:
+            parts.append(f"the geometry differs from the stated one ({known:.1%} of the mean square error)")
+        parts += _effect_texts(report.mattering)
+        places = list(dict.fromkeys(one.place for one in report.unknown))
+        if not places and report.unexplained is not None:
+            places = [report.unexplained.place]
+        if places:
+            more = f" and {len(places) - MENTIONED} more" if len(places) > MENTIONED else ""
+            parts.append(f"nothing we know explains the rest (at {', '.join(places[:MENTIONED])}{more})")
+        elif not parts:
+            parts.append("nothing beyond the noise was found")
+        return "; ".join(parts)
+
+    def _how_sure(self) -> str:
+        held, floor = self.calibrated.calibration.held_out, []
+        if self.repeats is not None:
+            floor.append(
+                f"repeatability {_length(self.repeats.position)} RMS over {self.repeats.count} repeated configurations"
+            )
+        if held is None:
+            return "; ".join(["no error could be held out", *floor])
+        stated = ", assumed: --position-sigma and --rotation-sigma state it" if self.noise_is_assumed else ""
+        noise = held.floor[0] if math.isfinite(held.floor[0]) else held.floor[1]
+        unit = _length(noise) if math.isfinite(held.floor[0]) else _angle(noise)
+        floor.append(f"measurement noise {unit}{stated}")
+        return (
+            f"after calibration {_size(held.after)} on the same held-out poses, {ratio_interval_text(held.ratio)}; "
+            f"floor: {'; '.join(floor)}"
+        )
+
+    def _to_do(self) -> str:
+        report, verdict = self.diagnosed.report, self.calibrated.verdict
+        use = "use corrected commands (`rig correct calibration.json --poses wanted.csv --out commands.csv`)"
+        if verdict.state == WORST[0]:
+            return f"do not use the calibration yet: {verdict.why}"
+        strongest = next((one for one in report.mattering if one.action), None)
+        if strongest is None:
+            return use
+        return f"{finding_title(strongest)}: {(strongest.action or '').removesuffix('.')}; until then {use}"
+
+    def _measure(self) -> str:
+        report = self.diagnosed.report
+        if self.next is not None and self.next.experiments:
+            return str(self.next).removeprefix("next: ")
+        if self.next is None and self.no_next:
+            return self.no_next
+        if report.unknown or report.unexplained is not None:
+            depends = report.unexplained.depends_on if report.unexplained is not None else ()
+            what = f"what the rest goes with ({', '.join(depends[:MENTIONED])})" if depends else "possible causes"
+            return f"record {what}: temperature, load, time, in sensors.csv, or each configuration from both directions"
+        return "another recording, by which `rig verify calibration.json REC` holds this against new poses"
+
+
+def _effect_texts(findings: Sequence[FindingEntry]) -> list[str]:
+    """Findings as text, those of one effect at several places together; the first ones alone."""
+    of_effect: dict[str, list[FindingEntry]] = {}
+    for one in findings:
+        of_effect.setdefault(one.effect, []).append(one)
+    out = []
+    for effect, ones in of_effect.items():
+        places = ", ".join(sorted({one.place for one in ones}))
+        among = f", the strongest{finding_size_text(ones[0])}" if len(ones) > 1 else finding_size_text(ones[0])
+        out.append(f"{effect.replace('_', ' ')} at {places}{among}")
+    more = len(out) - MENTIONED
+    return [*out[:MENTIONED], *([f"{more} more effects"] if more > 0 else [])]
+
+
+def _share(before: Figures, after: Figures) -> float:
+    """Share of a mean square error that is gone."""
+    k = 0 if math.isfinite(before.position[0]) else 1
+    first, then = ((one.position, one.rotation)[k][0] for one in (before, after))
+    return max(0.0, 1 - (then / first) ** 2) if first else 0.0
+
+
+def _size(figures: Figures, whole: bool = True) -> str:
+    """Mean and 95 % of an error, in mm and degrees."""
+    parts = []
+    for name, values, mean, text in (
+        ("position", figures.position, figures.mean[0], _length),
+        ("rotation", figures.rotation, figures.mean[1], _angle),
+    ):
+        if math.isfinite(values[0]) and values[0] > 0:
+            if not whole:
+                return text(values[0]) + " RMS"
+            parts.append(f"{text(mean)} on average, 95 % within {text(values[1])}" + (f" ({name})" if parts else ""))
+    return "; ".join(parts)
+
+
+def _length(value: float) -> str:
+    return f"{value * 1e3:.3g} mm"
+
+
+def _angle(value: float) -> str:
+    return f"{math.degrees(value):.2g} degrees"
+
+
+def why(
+    data: Path,
+    options: WhyOptions = WhyOptions(),
+    folder: Path | None = None,
+    progress: Progress | None = None,
+    notice: Notice = ignore_notice,
+    links: Sequence[Link] = (),
+) -> WhyResult:
+    """WhyResult of data: a recording's folder, a table of joint values and poses, a bag, or a folder of such.
+
+    folder : gets the imported recording, calibration.json, diagnosis.json and diagnosis.html; None to keep nothing
+    progress : called with (label, done, of), or None; notice : called with lines on what was read and is unlikely
+    links : of the page
+    Raises FileError for data that cannot be read, RigError without a model of the machine, for data where nothing was
+        commanded and for data whose results would mean nothing, NotEnoughData without poses
+    """
+    require_data(data)
+    with tempfile.TemporaryDirectory(prefix="rig-why-") as scratch:
+        kept = Path(scratch) if folder is None else folder
+        recording, assumed = recording_of_data(data, options, kept, notice)
+        _require_commands(recording, data)
+        diagnosed = diagnose(recording, DiagnoseOptions(anyway=options.anyway), progress, notice)
+        diagnosis = kept / "diagnosis"
+        diagnosis.mkdir()
+        diagnosed.write(diagnosis)
+        diagnosed.write_page(kept / "diagnosis.html", links)
+        with_findings = bool(diagnosed.report.findings) and not recording.design.mechanism.bodies
+        asked = CalibrateOptions(
+            diagnosis=diagnosis if with_findings else None, quick=not with_findings, anyway=options.anyway
+        )
+        calibrated = calibrate(recording, asked, progress)
+        save(kept / "calibration.json", calibrated.calibration)
+        try:
+            following, problem = diagnosed.next_experiment(progress=progress or silent_progress), ""
+        except RigError as error:  # a machine of which no plan can be foretold
+            following, problem = None, f"no plan can be predicted: {error}"
+    geometry = calibrated.done.geometry if isinstance(calibrated.done, CertifiedArm) else None
+    return WhyResult(recording, calibrated, diagnosed, following, problem, _repeats(calibrated), geometry, assumed)
+
+
+def _require_commands(recording: Recording, data: Path) -> None:
+    """Raise RigError for a recording of which nobody commanded anything."""
+    if not recording.design.mechanism.axes:
+        cameras, seen = len(recording.design.cameras), len(recording.exposures.times()[0])
+        raise RigError(
+            f'{data} is a recording of kind "{recording.design.mechanism.kind}": {cameras} '
+            f"camera{'s' if cameras != 1 else ''} watched a body in {seen} frames that nothing commanded, so that no "
+            f"command can be wrong. `rig measure {data} --out DIR` gives its poses, `rig diagnose {data} --out DIR` "
+            "what cameras and targets leave out"
+        )
+    if recording.commands is None:
+        raise RigError(f"{data}: there is no commands.csv, so nothing was commanded and nothing can be wrong")
+
+
+def recording_of_data(data: Path, options: WhyOptions, folder: Path, notice: Notice) -> tuple[Recording, bool]:
+    """(the Recording of data, whether its poses' noise is assumed): loaded as it is, or imported to a folder.
+
+    folder : gets a folder `recording`; notice : called with lines on what was read
+    Raises as `why`
+    """
+    arm = read_arm_file(options.arm)
+    is_recording = is_recording_folder(data)
+    if arm is None and options.rig is None:
+        if is_recording and "rig.toml" in list_folder(data):
+            return load(data), False
+        raise RigError(
+            f"{data} does not state the machine: add --urdf FILE.urdf, --dh FILE.csv (Denavit-Hartenberg rows) or "
+            "--rig rig.toml"
+        )
+    for line in () if arm is None else arm.lines:
+        notice(line)
+    if arm is None:
+        assert options.rig is not None
+        text = read_text(options.rig, LARGEST)
+    else:
+        text = arm.rig_toml() + _instrument_text(options, True)
+    stated = folder / "rig.toml" if options.rig is None else options.rig
+    design = design_of_entries(toml_entries(text, stated))
+    into = folder / "recording"
+    if is_recording:
+        _copy_without_machine(data, into, notice)
+        write_text(into / "rig.toml", text)
+        return load(into), arm is not None and options.position_sigma is None
+    if arm is not None:
+        write_text(stated, text)
+    recipe = recipe_of_data(data, stated, design, () if arm is None else arm.joint_names, options.settings)
+    into.mkdir()
+    imported, remarks = import_recording(recipe, into, data)
+    if arm is not None:
+        stated.unlink()
+        posed = imported.posed
+        if posed is not None and posed.alone:
+            (into / "rig.toml").unlink()
+            write_text(into / "rig.toml", arm.rig_toml() + _instrument_text(options, False))
+    for line in (*imported.said, *map(str, remarks)):
+        notice(line)
+    return load(into), arm is not None and options.position_sigma is None
+
+
+def _copy_without_machine(data: Path, folder: Path, notice: Notice) -> None:
+    """Copy a recording's files, all but its rig.toml."""
+    for path in sorted(path for path in data.rglob("*") if path.is_file()):
+        if path == data / "rig.toml":
+            notice(f"{path} is not read: the machine is stated otherwise")
+            continue
+        into = folder / path.relative_to(data)
+        into.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(into, read_bytes(path))
+
+
+def _instrument_text(options: WhyOptions, turns: bool) -> str:
+    """Text of [instrument]. turns : whether it measures rotations"""
+    position, rotation = (
+        default if value is None else value
+        for value, default in zip((options.position_sigma, options.rotation_sigma), NOISE)
+    )
+    lines = ["[instrument]", 'base = "free"', 'tool = "free"', f"position_sigma = {position!r}   # m"]
+    return "\n".join([*lines, *([f"rotation_sigma = {rotation!r}   # rad"] if turns else []), ""])
+
+
+def _repeats(calibrated: CalibrationResult) -> Repeats | None:
+    """Repeats of a recording's configurations, by what was commanded; None where none was visited twice."""
+    samples = calibrated.sampled.samples
+    _, label, size = np.unique(np.round(samples.commanded / SAME), axis=0, return_inverse=True, return_counts=True)
+    label = label.reshape(-1)
+    again = size[label] > 1
+    if not again.any():
+        return None
+    R, p = samples.T_base_platform.rotation, samples.T_base_platform.translation
+    squares = np.zeros(2)
+    free = 0
+    for k in np.flatnonzero(size > 1):
+        rows = np.flatnonzero(label == k)
+        squares[0] += ((p[rows] - p[rows].mean(axis=0)) ** 2).sum()
+        squares[1] += ((R[rows].mean().inv() * R[rows]).magnitude() ** 2).sum()
+        free += len(rows) - 1
+    position, rotation = np.sqrt(squares / free).tolist()
+    return Repeats(int((size > 1).sum()), position, rotation)

@@ -1,0 +1,96 @@
+"""rig why: data of a machine and a model of it -> five lines: how wrong, why, how sure, what to do, what to measure."""
+
+import sys
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from pathlib import Path
+
+from rig.cli.new_design import add_own_arm_options, arm_file_options
+from rig.cli.shared.argument_parser_and_common_options import (
+    add_json_option,
+    add_overwrite_option,
+    page_links,
+    parse_length,
+    parse_tolerance,
+    print_json,
+)
+from rig.cli.shared.input_options_and_output_display import Progress, add_anyway_option
+from rig.report.verdict_and_refutations_by_later_recordings import exit_status
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of `rig why` to a parser."""
+    parser.epilog = "Exit status 0 if the verdict is good or check, 3 if it is bad."
+    parser.add_argument(
+        "data",
+        metavar="DATA",
+        type=Path,
+        help="a recording, a table of joint values and measured poses, a ROS bag, or a folder of such files",
+    )
+    parser.add_argument("--rig", metavar="rig.toml", type=Path, help="the machine, where DATA does not state it")
+    add_own_arm_options(parser)
+    parser.add_argument(
+        "--position-sigma",
+        metavar="0.02mm",
+        type=parse_length,
+        help="standard deviation of a measured coordinate, of --urdf and --dh (default 20um, assumed)",
+    )
+    parser.add_argument(
+        "--rotation-sigma", metavar="0.1mrad", type=_angle, help="the same of a rotation (default 0.2mrad, assumed)"
+    )
+    parser.add_argument(
+        "--set",
+        dest="settings",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        help="state what files do not, as of `rig import`: commands.unit=deg, poses.unit=mm, poses.rotation=zyx",
+    )
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, help="keeps the recording, calibration.json, and the diagnosis with its page"
+    )
+    add_anyway_option(parser)
+    add_overwrite_option(parser)
+    add_json_option(parser)
+
+
+def _angle(text: str) -> float:
+    kind, value = parse_tolerance(text)
+    if kind != "rotation":
+        raise ArgumentTypeError(f"{text!r} is a length, and this takes an angle, as 0.1mrad")
+    return value
+
+
+def run(arguments: Namespace) -> int:
+    """Run `rig why`: calibrate and diagnose a machine from its data, and print five lines.
+
+    Exit status 3 where the verdict is bad.
+    """
+    from calib.api.why import WhyOptions, why
+
+    progress = Progress()
+    progress("reading the data", 0, 1)
+
+    def notice(line: str) -> None:
+        progress.close()
+        print(line, file=sys.stderr)
+
+    options = WhyOptions(
+        arm_file_options(arguments),
+        arguments.rig,
+        arguments.position_sigma,
+        arguments.rotation_sigma,
+        tuple(arguments.settings),
+        arguments.anyway,
+    )
+    out = arguments.out
+    folder = None if out is None else arguments.outputs.folder(out)
+    links = () if out is None else page_links(arguments, out / "diagnosis.html")
+    result = why(arguments.data, options, folder, progress, notice, links)
+    progress.close()
+    if arguments.json:
+        print_json(result.tree())
+    else:
+        print("\n".join(result.lines()))
+    if out is not None:
+        print(f"written: {out}; look at {out / 'diagnosis.html'}", file=sys.stderr)
+    return exit_status(result.verdict)

@@ -1,0 +1,149 @@
+"""Arm read from a URDF or from a table of Denavit-Hartenberg rows, and the rig.toml text of it."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.errors import RigError
+from rig.formats.importers.denavit_hartenberg_table import load_denavit_hartenberg_table
+from rig.formats.importers.urdf_joint_chain import MOVING, load_joint_chain
+from rig.model.mechanism_geometry_classes import Arm
+from rig.model.mechanisms.denavit_hartenberg_rows_of_joint_axes import denavit_hartenberg_rows_of_joint_axes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadArm:
+    """An Arm read from a file. name : of the machine; joint_names : as the file has them; source : where it comes from
+    lines : what was read of each joint, and what does not count
+    """
+
+    arm: Arm
+    name: str
+    joint_names: tuple[str, ...]
+    source: str
+    lines: tuple[str, ...]
+
+    def rig_toml(self, name: str | None = None) -> str:
+        """rig.toml text of it, with its joints' names as comments. name : of the machine, None for the file's"""
+        arm, lines = self.arm, [f"# {_comment(line)}" for line in self.lines]
+        columns = 5 if arm.rows[:, 4].any() else 4
+        joints = [
+            f"  {json.dumps([*(['prismatic'] if slide else []), *row[:columns]])},  # {axis}: {_comment(name)}"
+            for row, slide, axis, name in zip(arm.rows.tolist(), arm.slides, arm.axes, self.joint_names)
+        ]
+        limits = [f"  [{low!r}, {high!r}]," for low, high in arm.limits.tolist()]
+        stands = [
+            f"{key} = {{ position = {T.translation.tolist()}, rotvec = {T.rotation.as_rotvec().tolist()} }}   # {text}"
+            for key, T, text in (
+                ("base", arm.base, "frame 0 of the rows, in the frame of poses"),
+                ("tool", arm.tool, "what is measured, in the last frame of the rows"),
+            )
+            if not _is_identity(T)
+        ]
+        return "\n".join(
+            [
+                'schema = "rig/1"',
+                f"name = {json.dumps(name or self.name)}",
+                f"# from {_comment(self.source)}",
+                *lines,
+                "",
+                "[mechanism]",
+                'kind = "arm"',
+                "# Denavit-Hartenberg, distal: theta (rad), d (m), a (m), alpha (rad)"
+                + (", Hayati's beta (rad)" if columns == 5 else ""),
+                "joints = [",
+                *joints,
+                "]",
+                "limits = [",
+                *limits,
+                "]",
+                *stands,
+                "",
+            ]
+        )
+
+
+def _comment(text: str) -> str:
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+
+
+def _is_identity(T: RigidTransform) -> bool:
+    return not T.translation.any() and T.rotation.magnitude() == 0
+
+
+@dataclass(frozen=True, slots=True)
+class ArmFileOptions:
+    """The file that states an arm. urdf : with tip and root, links of it, None for its only end and its first
+    dh : table of Denavit-Hartenberg rows, with modified, whether in Craig's convention, and units, as "mm,deg"
+    Raises RigError for options that do not belong to each other
+    """
+
+    urdf: Path | None = None
+    tip: str | None = None
+    root: str | None = None
+    dh: Path | None = None
+    modified: bool = False
+    units: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.urdf is not None and self.dh is not None:
+            raise RigError("--urdf and --dh both state the arm; give only one")
+        if (self.tip is not None or self.root is not None) and self.urdf is None:
+            raise RigError("--tip and --root name links of a URDF; give --urdf FILE.urdf")
+        if (self.modified or self.units is not None) and self.dh is None:
+            raise RigError("--modified and --units apply to a table of Denavit-Hartenberg rows; give --dh FILE.csv")
+
+    @property
+    def file(self) -> Path | None:
+        """The file, None where none is named."""
+        return self.urdf if self.dh is None else self.dh
+
+
+def read_arm_file(options: ArmFileOptions) -> ReadArm | None:
+    """ReadArm of the file that is named, None where none is.
+
+    Raises FileError as rig.formats.importers.urdf_joint_chain.load_joint_chain, and load_denavit_hartenberg_table of
+        rig.formats.importers.denavit_hartenberg_table
+    """
+    if options.urdf is not None:
+        return read_urdf_arm(options.urdf, options.tip, options.root)
+    return None if options.dh is None else read_dh_table_arm(options.dh, options.modified, options.units)
+
+
+def read_urdf_arm(path: Path, tip: str | None = None, root: str | None = None) -> ReadArm:
+    """ReadArm of a URDF's joints from a root link to a tip, whose forward kinematics is the URDF's.
+
+    Raises FileError as rig.formats.importers.urdf_joint_chain.load_joint_chain
+    """
+    chain = load_joint_chain(path, tip, root)
+    placed = denavit_hartenberg_rows_of_joint_axes(*chain.axes_at_zero())
+    moving = chain.moving
+    arm = Arm(
+        placed.rows,
+        np.array([joint.limits for joint in moving]),
+        placed.base,
+        placed.tool,
+        np.array([joint.kind == "prismatic" for joint in moving]),
+    )
+    source = f"{path.name}, link {chain.root} to link {chain.tip}"
+    lines = (*(joint.line_of_text for joint in chain.joints), *chain.remarks)
+    return ReadArm(arm, chain.name, tuple(joint.name for joint in moving), source, lines)
+
+
+def read_dh_table_arm(path: Path, is_modified: bool = False, units: str | None = None) -> ReadArm:
+    """ReadArm of a table of Denavit-Hartenberg rows.
+
+    Raises FileError as rig.formats.importers.denavit_hartenberg_table.load_denavit_hartenberg_table
+    """
+    table = load_denavit_hartenberg_table(path, is_modified, units)
+    arm = Arm(table.placed.rows, table.limits, table.placed.base, table.placed.tool, table.slides)
+    lines = [
+        f"read joint {name}: {MOVING[2] if slide else MOVING[0]}, limits{' assumed' if assumed else ''} "
+        f"{low:.6g} .. {high:.6g} {'m' if slide else 'rad'}"
+        for name, slide, assumed, (low, high) in zip(table.names, table.slides, table.assumed, table.limits)
+    ]
+    convention = "modified (Craig) rows, converted to distal ones" if is_modified else "distal rows"
+    return ReadArm(arm, path.stem, table.names, f"{path.name}, {convention}", tuple(lines))

@@ -1,0 +1,165 @@
+"""rig why: one table and a model of the machine in, five lines out; what cannot be read is refused by name."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib
+from calib.api.why import recording_of_data
+from rig.errors import RigError
+from rig.formats.exporters.urdf_and_sdf import arm_urdf
+from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions
+from rig.model.design import Arm
+from rig.model.pose import pose_to_vector
+from tests.calib import secret_arms
+from tests.cli import run
+
+HALF = np.pi / 2
+NOMINAL = Arm(
+    [[0, 0.3, 0, HALF], [0, 0, 0.4, 0], [0, 0, 0.3, HALF]], [[-3, 3], [-2, 2], [-2.5, 2.5]]
+)  # three joints: few parameters, so that few poses do
+NAMES = ("shoulder", "elbow", "wrist")
+SIGMA = (2e-5, 1e-4)  # m, rad
+WAVE = 1.5e-3  # rad
+
+
+def wave(q):
+    """(n, 3) rad by which the second joint errs, three times a turn."""
+    return np.stack([0 * q[:, 0], WAVE * np.sin(3 * q[:, 1] + 0.4), 0 * q[:, 0]], axis=1)
+
+
+def table(path, header, columns):
+    rows = [",".join(repr(float(x)) for x in row) for row in np.column_stack(columns)]
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return path
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    """A folder with the URDF of an arm, and joint values and poses of another one as one table."""
+    folder = tmp_path_factory.mktemp("why")
+    rng = np.random.default_rng(4)
+    true = secret_arms.secret(NOMINAL, rng)
+    samples = secret_arms.tracked(true, NOMINAL, 60, rng, SIGMA, deviation=wave, again=8)
+    text = arm_urdf(NOMINAL, "three")
+    for axis, name in zip(NOMINAL.axes, NAMES):
+        text = text.replace(f'name="{axis}"', f'name="{name}"')
+    (folder / "arm.urdf").write_text(text)
+    poses = pose_to_vector(samples.T_base_platform)
+    table(folder / "data.csv", f"time_s,{','.join(NAMES)},x,y,z,rx,ry,rz", (samples.t, samples.commanded, poses))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def told(arm):
+    """What the command prints about it, and the folder that it keeps."""
+    done = run("why", arm / "data.csv", "--urdf", arm / "arm.urdf", "--out", arm / "kept")
+    return done, arm / "kept"
+
+
+def test_five_lines_are_right(told):
+    done, kept = told
+    lines = done.stdout.splitlines()
+    assert [line.partition(": ")[0] for line in lines] == ["how wrong", "why", "how sure", "what to do", "measure next"]
+    assert "read joint elbow: revolute, limits -2 .. 2 rad" in done.stderr
+    held = calib.load(kept / "calibration.json").held_out
+    assert (
+        f"off by {held.before.mean[0] * 1e3:.3g} mm on average, 95 % within {held.before.position[1] * 1e3:.3g}"
+        in (lines[0])
+    )
+    assert 3e-4 < held.before.mean[0] < 3e-3  # as large as the errors that were drawn
+    assert "the geometry differs from the stated one" in lines[1] and "joint 2" in lines[1]
+    noise = np.sqrt(3) * SIGMA[0]
+    assert held.after.position[0] < 2 * noise and f"after calibration {held.after.mean[0] * 1e3:.3g} mm" in lines[2]
+    assert "over 8 repeated configurations" in lines[2]
+    assert f"measurement noise {noise * 1e3:.3g} mm, assumed" in lines[2]
+    assert "rig correct calibration.json" in lines[3]
+
+
+def test_out_keeps_what_the_lines_rest_on(told):
+    _, kept = told
+    found = sorted(path.name for path in kept.iterdir())
+    assert {"calibration.json", "diagnosis", "diagnosis.html", "recording"} <= set(found)
+    assert json.loads((kept / "diagnosis" / "diagnosis.json").read_text())["schema"] == "diagnosis/1"
+    assert run("check", kept / "recording").returncode == 0
+
+
+def test_positions_alone_in_another_folder_and_units_by_python(arm, tmp_path):
+    """Two tables without times, in degrees and millimetres, a table of rows in place of the URDF."""
+    rows = [line.split(",") for line in (arm / "data.csv").read_text().split()[1:]]
+    values = np.array(rows, float)
+    table(tmp_path / "commands.csv", ",".join(f"{name} [deg]" for name in NAMES), (np.degrees(values[:, 1:4]),))
+    table(tmp_path / "poses.csv", "x_mm,y_mm,z_mm", (1e3 * values[:, 4:7],))
+    dh = tmp_path / "rows" / "dh.csv"
+    dh.parent.mkdir()
+    dh.write_text("name,alpha_deg,a_mm,d_mm,theta_deg\nshoulder,90,0,300,0\nelbow,0,400,0,0\nwrist,90,300,0,0\n")
+    lines = []
+    options = calib.WhyOptions(ArmFileOptions(dh=dh), position_sigma=SIGMA[0])
+    result = calib.why(tmp_path, options, notice=lines.append)
+    assert "poses.csv has positions alone, no rotations" in lines
+    answers = result.answers()
+    assert "degrees" not in answers["how wrong"] and "assumed" not in answers["how sure"]
+    assert result.calibrated.calibration.held_out.after.position[0] < 3 * np.sqrt(3) * SIGMA[0]
+    tree = json.loads(json.dumps(result.tree(), default=str))
+    assert tree["schema"] == "why/1" and list(tree["answers"]) == list(answers) and not tree["noise_is_assumed"]
+    assert str(result).startswith("how wrong") and result._repr_html_().startswith("<div>")
+
+
+def test_refusals(arm, tmp_path):
+    urdf = ("--urdf", arm / "arm.urdf")
+
+    def refused(*words):
+        return run("why", *words, ok=False).stderr
+
+    assert f"is '{arm / 'data.csv'}' meant?" in refused(arm / "dta.csv", *urdf)
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    assert "is an empty folder; it takes a recording" in refused(empty, *urdf)
+    whole = (arm / "data.csv").read_text()
+    half = tmp_path / "half.csv"
+    half.write_text(whole[: len(whole) // 2 - 7])
+    assert "half.csv:" in refused(half, *urdf) and "cut off" in refused(half, *urdf)
+    assert "add --urdf FILE.urdf, --dh FILE.csv" in refused(arm / "data.csv")
+    assert "is no link; is 'platform' meant?" in refused(arm / "data.csv", *urdf, "--tip", "platfrom")
+    assert "give only one" in refused(arm / "data.csv", *urdf, "--rig", "rig.toml")
+    odd = tmp_path / "data.xlsx"
+    odd.write_text("x")
+    assert "is of no kind that is known" in refused(odd, *urdf)
+    several = tmp_path / "several"
+    several.mkdir()
+    (several / "a.csv").write_text(whole)
+    (several / "b.csv").write_text(whole)
+    assert "holds several tables (a.csv, b.csv)" in refused(several, *urdf)
+    assert not any(path.name == "kept" for path in tmp_path.iterdir())
+
+
+def test_a_recording_that_lacks_its_machine_is_read_with_the_one_that_is_stated(told, tmp_path):
+    _, kept = told
+    bare, lines = tmp_path / "bare", []
+    bare.mkdir()
+    for name in ("commands.csv", "poses.csv", "frames.csv"):
+        (bare / name).write_text((kept / "recording" / name).read_text())
+    with pytest.raises(RigError, match="does not state the machine"):
+        recording_of_data(bare, calib.WhyOptions(), tmp_path, lines.append)
+    options = calib.WhyOptions(rig=kept / "recording" / "rig.toml")
+    found, assumed = recording_of_data(bare, options, tmp_path, lines.append)
+    np.testing.assert_array_equal(found.design.mechanism.joints[:, 1], NOMINAL.joints[:, 1])
+    assert len(found.poses.frame) == 60 and not assumed and not lines
+    (tmp_path / "again").mkdir()
+    recording_of_data(kept / "recording", options, tmp_path / "again", lines.append)
+    assert lines == [f"{kept / 'recording' / 'rig.toml'} is not read: the machine is stated otherwise"]
+
+
+def test_a_body_that_nobody_commands_is_refused_by_what_it_is(shared):
+    said = run("why", shared / "recordings" / "tumbling-block", ok=False).stderr
+    assert 'is a recording of kind "free": 1 camera watched a body in 542 frames that nothing commanded' in said
+    assert "rig measure" in said
+
+
+def test_options():
+    with pytest.raises(RigError, match="--position-sigma belongs to --urdf"):
+        calib.WhyOptions(position_sigma=1e-5)
+    with pytest.raises(RigError, match="above 0"):
+        replace(calib.WhyOptions(), rotation_sigma=0.0)

@@ -1,0 +1,251 @@
+"""Arms of one's own from a URDF or a table of rows: the same kinematics to 1e-12, and what an arm cannot state."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rig.errors import RigError
+from rig.formats.exporters.urdf_and_sdf import arm_urdf
+from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions, read_arm_file
+from rig.formats.rig_toml import design_file
+from rig.model.mechanisms import arm as serial
+from rig.planning.layout.shipped_arm_layout import load_shipped_arm_design, shipped_arm_names
+from tests.cli import run
+from tests.rig.arms import configurations, random_arm
+from tests.rig.formats.importers.urdf_products import product, robot
+
+TURN = {"limit": (-3.0, 2.0)}
+HALF = np.pi / 2
+
+
+def written(tmp_path, text, name="arm.urdf"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def read(tmp_path, text, tip=None, root=None):
+    """(ReadArm, its arm as rig.toml has it)."""
+    found = read_arm_file(ArmFileOptions(written(tmp_path, text), tip, root))
+    (tmp_path / "rig.toml").write_text(found.rig_toml())
+    return found, design_file.load_design(tmp_path / "rig.toml").mechanism
+
+
+def agrees(text, found, arm, tip, atol=1e-12):
+    """Hold forward kinematics of an arm to the URDF's own product at random joint values."""
+    rng = np.random.default_rng(5)
+    for q in configurations(arm, 20, rng):
+        expected = product(text, dict(zip(found.joint_names, q)), tip)
+        np.testing.assert_allclose(serial.forward(q, arm).as_matrix(), expected, rtol=0, atol=atol)
+
+
+@pytest.mark.parametrize("name", shipped_arm_names())
+def test_a_shipped_arm_comes_back_from_its_urdf(tmp_path, name):
+    stated = load_shipped_arm_design(name).mechanism
+    text = arm_urdf(stated, name)
+    found, arm = read(tmp_path, text)
+    agrees(text, found, arm, "platform")
+    assert found.joint_names == stated.axes and found.name == name
+    np.testing.assert_allclose(arm.limits, stated.limits, atol=1e-11)
+    np.testing.assert_array_equal(arm.slides, stated.slides)
+    for q in configurations(stated, 5, np.random.default_rng(1)):
+        np.testing.assert_allclose(
+            serial.forward(q, arm).as_matrix(), serial.forward(q, stated).as_matrix(), rtol=0, atol=1e-12
+        )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_arm_at_random_comes_back_from_its_urdf(tmp_path, seed):
+    stated = random_arm(np.random.default_rng(seed), 6, (1, 4))
+    text = arm_urdf(stated)
+    found, arm = read(tmp_path, text)
+    agrees(text, found, arm, "platform")
+
+
+AXES = {
+    "negative": [(0, 0, -1), (0, -1, 0), (-1, 0, 0), (0, 0, -1)],
+    "parallel": [(0, 1, 0), (0, 1, 0), (0, -1, 0), (0, 1, 0)],
+    "collinear": [(0, 0, 1), (0, 0, 1), (0, 0, -1), (0, 0, 1)],
+    "slanted": [(0.3, -0.2, 0.9), (1, 1, 0), (-0.1, 0.7, -0.4), (0.6, 0.0, 0.8)],
+    "nearly parallel": [(0, 0, 1), (3e-6, 0, 1), (0, 4e-3, 1), (1e-5, 0, -1)],
+}
+
+
+@pytest.mark.parametrize("axes", AXES)
+@pytest.mark.parametrize("kinds", [("revolute",) * 4, ("prismatic", "revolute", "continuous", "prismatic")])
+def test_axes_in_any_direction(tmp_path, axes, kinds):
+    places = [(0, 0, 0.3), (0, 0, 0.2), (0, 0, 0.1), (0, 0, 0.4)] if axes == "collinear" else None
+    places = places or [(0.1, -0.2, 0.3), (0.4, 0.1, 0.0), (-0.2, 0.3, 0.5), (0.05, 0, 0.1)]
+    joints = [
+        (f"joint_{k}", kind, f"link_{k}", f"link_{k + 1}", {"xyz": place, "axis": axis} | TURN)
+        for k, (kind, axis, place) in enumerate(zip(kinds, AXES[axes], places))
+    ]
+    tool = ("flange", "fixed", "link_4", "tool0", {"xyz": (0.01, 0.02, 0.03), "rpy": (0.1, -0.2, 2.0)})
+    text = robot(*joints, tool)
+    found, arm = read(tmp_path, text)
+    agrees(text, found, arm, "tool0")
+    assert np.abs(arm.rows[:, 1:3]).max() < 5  # no common normal that is far away
+
+
+def test_turned_frames_rounded_angles_and_a_root_that_is_named(tmp_path):
+    rng = np.random.default_rng(2)
+    joints = [("world_fixed", "fixed", "world", "link_0", {"xyz": (1, 2, 3), "rpy": (0.1, 0.2, 0.3)})]
+    for k in range(6):
+        given = {"xyz": rng.normal(size=3), "rpy": (1.5708, -1.5708 * (k % 2), 0.0), "axis": (0, 0, 1)} | TURN
+        joints.append((f"joint_{k}", "revolute", f"link_{k}", f"link_{k + 1}", given))
+    text = robot(*joints)
+    found, arm = read(tmp_path, text)
+    agrees(text, found, arm, "link_6", 4e-12)  # origins are some metres away
+    inner, below = read(tmp_path, text, tip="link_5", root="link_0")
+    M = np.linalg.inv(product(text, {}, "link_0"))
+    q = rng.uniform(-2, 2, 5)
+    expected = M @ product(text, dict(zip(inner.joint_names, q)), "link_5")
+    np.testing.assert_allclose(serial.forward(q, below).as_matrix(), expected, rtol=0, atol=4e-12)
+
+
+def test_what_is_read_of_each_joint_is_stated(tmp_path):
+    text = robot(
+        ("mount", "fixed", "world", "a", {}),
+        ("lift", "prismatic", "a", "b", {"axis": (0, 0, 1), "limit": (0, 0.4)}),
+        ("spin", "continuous", "b", "c", {"axis": (0, 0, 1)}),
+        ("elbow", "revolute", "c", "d", {"axis": (0, 1, 0)} | TURN),
+        ("finger", "prismatic", "d", "e", {"limit": (0, 0.1), "mimic": "elbow"}),
+    )
+    found, _ = read(tmp_path, text, tip="d")
+    assert found.lines == (
+        "read joint mount: fixed, part of the geometry",
+        "read joint lift: prismatic, limits 0 .. 0.4 m",
+        "read joint spin: continuous, turns without end; limits assumed -6.28319 .. 6.28319 rad",
+        "read joint elbow: revolute, limits -3 .. 2 rad",
+        "ignored joint finger: it follows elbow (mimic) and is not between root and tip",
+    )
+    assert "# q3: elbow" in found.rig_toml()
+
+
+SIX = robot(*[(f"j{k}", "revolute", f"l{k}", f"l{k + 1}", {"axis": (0, 0, 1)} | TURN) for k in range(3)])
+FORKED = robot(
+    ("j0", "revolute", "base", "wrist", TURN),
+    ("j1", "fixed", "wrist", "camera", {}),
+    ("j2", "revolute", "wrist", "hand", TURN),
+)
+
+
+@pytest.mark.parametrize(
+    "text, options, said",
+    [
+        (SIX, {"tip": "l33"}, "--tip 'l33' is no link; is 'l3' meant?"),
+        (SIX, {"root": "elsewhere"}, "--root 'elsewhere' is no link; there are l0, l1, l2, l3"),
+        (SIX, {"tip": "l1", "root": "l2"}, "--root 'l2' is not above --tip 'l1'"),
+        (FORKED, {}, r"--tip LINK .*: camera \(1 moving joints\), hand \(2 moving joints\)"),
+        (SIX[: len(SIX) // 2], {}, r"arm.urdf:\d+:\d+: is not XML: .*the file is cut off"),
+        (SIX.replace('type="revolute"', 'type="floating"', 1), {}, r"arm.urdf:7: joint 'j0': is floating"),
+        (SIX.replace('type="revolute"', 'type="planar"', 1), {}, "is planar, which an arm cannot state"),
+        (SIX.replace('type="revolute"', 'type="revolut"', 1), {}, "is 'revolute' meant"),
+        (SIX.replace('parent link="l1"', 'parent link="l01"'), {}, "its parent 'l01' is no link; is 'l1' meant?"),
+        (SIX.replace('child link="l3"', 'child link="l0"'), {"tip": "l1"}, "the links above 'l1' make a loop"),
+        (SIX.replace('child link="l3"', 'child link="l1"'), {}, "is the child of joint 'j0' already"),
+        (SIX.replace('lower="-3.0"', 'lower="3.0"', 1), {}, "limits must run from small to large, not 3 .. 2"),
+        (SIX.replace('lower="-3.0"', 'lower="abc"', 1), {}, "lower of <limit>, line 12: not a number"),
+        (SIX.replace('axis xyz="0.0 0.0 1.0"', 'axis xyz="0 0 0"', 1), {}, "its axis has no direction"),
+        (SIX.replace('origin xyz="0.0 0.0 0.0"', 'origin xyz="0 0 333"', 1), {}, "in millimetres"),
+        (SIX.replace("<robot", "<model").replace("</robot", "</model"), {}, "begins with <model>, not <robot>"),
+        (
+            SIX.replace('name="j0"', 'name="${prefix}j0"'),
+            {},
+            r"arm.urdf:7: is Xacro.*`xacro .*arm.urdf > .*expanded.urdf`",
+        ),
+        ('<!DOCTYPE r [<!ENTITY a "b">]>' + SIX.split("\n", 1)[1], {}, "arm.urdf:1: declares a document type"),
+        (robot(("j", "fixed", "a", "b", {})), {}, "no joint between 'a' and 'b' moves"),
+        (robot(("j", "revolute", "a", "b", {})), {}, "joint 'j': is revolute and has no <limit"),
+        (
+            robot(("j", "revolute", "a", "b", TURN), ("k", "revolute", "b", "c", {"mimic": "j"} | TURN)),
+            {},
+            r"joint 'k': follows joint 'j' \(mimic\), which an arm cannot state",
+        ),
+    ],
+)
+def test_refusals_name_the_line_and_what_to_do(tmp_path, text, options, said):
+    with pytest.raises(RigError, match=said):
+        read_arm_file(ArmFileOptions(written(tmp_path, text), **options))
+
+
+def craig(rows, q):
+    """(4, 4) of modified rows theta, d, a, alpha."""
+    M = np.eye(4)
+    for (theta, d, a, alpha), value in zip(rows, q):
+        step = np.eye(4)
+        turn = Rotation.from_rotvec([alpha, 0, 0]).as_matrix()
+        step[:3, :3] = turn @ Rotation.from_rotvec([0, 0, theta + value]).as_matrix()
+        step[:3, 3] = np.array([a, 0, 0]) + turn @ [0, 0, d]
+        M = M @ step
+    return M
+
+
+def test_a_table_of_modified_rows_is_converted(tmp_path):
+    rng = np.random.default_rng(3)
+    rows = rng.uniform(-1, 1, (6, 4)) * [2, 0.5, 0.5, 2]
+    body = "\n".join(",".join(repr(float(x)) for x in row[[3, 1, 0, 2]]) for row in rows)
+    table = written(tmp_path, f"alpha,d,theta,a\n{body}\n", "dh.csv")
+    arm = read_arm_file(ArmFileOptions(dh=table, modified=True)).arm
+    for q in rng.uniform(-3, 3, (5, 6)):
+        np.testing.assert_allclose(serial.forward(q, arm).as_matrix(), craig(rows, q), rtol=0, atol=1e-12)
+
+
+def test_units_of_a_table_by_header_or_stated(tmp_path):
+    text = "name,theta_deg,d_mm,a [mm],alpha (deg),lower,upper\nbase,0,127.3,0,90,-180,180\nelbow,0,0,-612,0,-90,90\n"
+    found = read_arm_file(ArmFileOptions(dh=written(tmp_path, text, "dh.csv"), units="mm,deg"))
+    np.testing.assert_allclose(found.arm.joints[:, :4], [[0, 0.1273, 0, HALF], [0, 0, -0.612, 0]], atol=1e-15)
+    np.testing.assert_allclose(found.arm.limits, [[-np.pi, np.pi], [-HALF, HALF]])
+    assert found.lines[1] == "read joint elbow: revolute, limits -1.5708 .. 1.5708 rad"
+    plain = written(tmp_path, "theta,d,a,alpha\n0,127.3,0,90\n0,0,-612,0\n", "plain.csv")
+    stated = read_arm_file(ArmFileOptions(dh=plain, units="mm,deg")).arm
+    np.testing.assert_array_equal(stated.joints, found.arm.joints)
+
+
+@pytest.mark.parametrize(
+    "text, options, said",
+    [
+        ("theta,d,a,alpha\n0,0.1,0,90\n", {}, r"dh.csv:2:4: alpha = 90 rad is implausible.*alpha_deg"),
+        ("theta,d,a,alpha\n0,127.3,0,1\n", {}, "d_mm"),
+        ("theta,d,a\n0,0.1,0\n", {}, "has no column alpha"),
+        ("theta,d,a,alhpa\n0,0.1,0,1\n", {}, "column 'alhpa' is unknown; is 'alpha' meant?"),
+        ("theta,d,a,alpha\n0,0.1,0,x\n", {}, "dh.csv:2:4: column 'alpha' is not a valid number"),
+        ("joint,theta,d,a,alpha\nball,0,0.1,0,1\n", {}, "dh.csv:2:1: joint 'ball' is neither"),
+        ("joint,theta,d,a,alpha\nprismatic,0,0.1,0,1\n", {}, "dh.csv:2: a prismatic joint has no limits"),
+        ("theta,d,a,alpha,lower,upper\n0,0.1,0,1,2,-2\n", {}, "dh.csv:2: lower is not below upper"),
+        ("theta,d,a,alpha,beta\n0,0.1,0,1,0\n", {"modified": True}, "Craig's convention has none"),
+        ("theta,d,a,alpha\n0,0.1,0,1\n", {"units": "mm"}, "--units takes"),
+        ("theta,d,a,alpha\n0,0.1,0,1\n0,0.1\n", {}, "cut off|rows of as many cells"),
+    ],
+)
+def test_refusals_of_a_table(tmp_path, text, options, said):
+    with pytest.raises(RigError, match=said):
+        read_arm_file(ArmFileOptions(dh=written(tmp_path, text, "dh.csv"), **options))
+
+
+def test_options_that_do_not_belong_together(tmp_path):
+    path = written(tmp_path, SIX)
+    with pytest.raises(RigError, match="give only one"):
+        ArmFileOptions(path, dh=path)
+    with pytest.raises(RigError, match="give --urdf"):
+        ArmFileOptions(tip="l3")
+    with pytest.raises(RigError, match="give --dh"):
+        ArmFileOptions(path, modified=True)
+    assert "omit --arm" in run("new", "design", "--urdf", path, "--arm", "ur10", ok=False).stderr
+
+
+def test_the_command_writes_a_rig_that_loads_and_names_joints(tmp_path):
+    out = tmp_path / "rig.toml"
+    done = run("new", "design", "--urdf", written(tmp_path, SIX), "--name", "mine", "--out", out)
+    assert "read joint j1: revolute, limits -3 .. 2 rad" in done.stderr
+    design = design_file.load_design(out)
+    assert design.name == "mine" and design.mechanism.axes == ("q1", "q2", "q3") and design.instrument.base == "free"
+
+
+def test_placements_in_rig_toml_are_checked(tmp_path):
+    found, _ = read(tmp_path, SIX.replace('rpy="0.0 0.0 0.0"', 'rpy="0.5 0.0 0.0"', 1))
+    text = found.rig_toml()
+    assert "base = { position" in text
+    (tmp_path / "rig.toml").write_text(text.replace("base = {", "bass = {"))
+    with pytest.raises(RigError, match="is 'base' meant"):
+        design_file.load_design(tmp_path / "rig.toml")
