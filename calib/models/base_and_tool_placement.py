@@ -18,11 +18,12 @@ from calib.certification.calibration_dataclass_and_accuracy_claim_sentences impo
 from calib.models.arm import error_model_and_observations as arms
 from calib.models.chain import error_model as chains
 from calib.samples.pose_samples import Samples
-from rig.array_and_json_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats, Json
 from rig.model.design import Instrument
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.model.mechanisms import kinematics_of
 from rig.model.pose import adjoint, exp, pose_to_vector, skew
+from rig.recording.recording_folder import Recording
 
 ALIKE = 1e-3  # probability with which an end that stands still is taken for moved, which costs little
 CLEAR = 2.0  # times what it leaves; a displacement that does less may be what the model leaves out
@@ -81,6 +82,20 @@ class Placement:
         parts = ((position, turn @ own[:3, :3] @ turn.T), (rotation, own[3:, 3:]))
         uncertain = [2 * _along(vector, C) for vector, C in parts]
         return lengths[0], lengths[1], uncertain[0], uncertain[1]
+
+    def entry(self) -> Json:
+        """What JSON holds: of each estimated end, whether it stands elsewhere and by how much, U with k = 2."""
+        out: Json = {}
+        for end, name in enumerate(ENDS):
+            if self.ends[end]:
+                far, turned, *U = self.sizes(end)
+                out[name] = {
+                    "stands_elsewhere": self.moved[end],
+                    "p_value": self.p_values[end],
+                    "position": {"value": far, "U": U[0]},
+                    "rotation": {"value": turned, "U": U[1]},
+                }
+        return out
 
     def lines(self) -> list[str]:
         """What is stated of each end that was estimated."""
@@ -266,15 +281,20 @@ class PlacedSamples:
     unexpected: tuple[str, ...] = ()
 
 
-def samples_without_displacement(
-    calibration: Calibration, samples: Samples, instrument: Instrument | None
-) -> PlacedSamples:
+def samples_without_displacement(calibration: Calibration, recording: Recording, samples: Samples) -> PlacedSamples:
     """Samples (PlacedSamples) with the place of base and tool removed as far as these are free or stand elsewhere.
 
-    samples : with the physics that is known; instrument : as rig.toml states it, or None
+    samples : of the recording, as measured; those returned are with the physics that is known
     What the numbers take of the noise is given back: residuals are enlarged by the share of it, of positions and of
     rotations apart. The interval of the displacement includes the calibration's own uncertainty
     """
+    known = calibration.with_physics(recording, samples)
+    placed = _without_displacement(calibration, known, recording.design.instrument)
+    return replace(placed, samples=calibration.with_physics(recording, placed.samples))
+
+
+def _without_displacement(calibration: Calibration, samples: Samples, instrument: Instrument | None) -> PlacedSamples:
+    """The same of samples with the physics that is known. instrument : as rig.toml states it, or None"""
     fitted = calibration.correction.fitted
     if not has_placements(fitted, samples):
         return PlacedSamples(samples)
@@ -312,10 +332,12 @@ def samples_without_displacement(
         T = RigidTransform.from_translation(T.translation)
     unexpected = tuple(name for name, moved_, free in zip(ENDS, found.moved, always) if moved_ and not free)
     numbers = int(asked_numbers(found.ends, samples.measured).sum())
-    removed = f"the errors are without it; {numbers} numbers were estimated from these {len(samples)} poses"
-    return PlacedSamples(
-        replace(moved, T_base_platform=T), found, tuple(f"{line}; {removed}" for line in found.lines()), unexpected
-    )
+    lines = [
+        *found.lines(),
+        f"the errors are without this: {numbers} numbers were estimated from these {len(samples)} poses, and what they "
+        "took of the noise is given back",
+    ]
+    return PlacedSamples(replace(moved, T_base_platform=T), found, tuple(lines), unexpected)
 
 
 def _by_parameters(
