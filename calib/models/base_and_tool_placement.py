@@ -130,12 +130,16 @@ def placement_columns(predicted: RigidTransform, origin: Floats) -> Floats:
     return out
 
 
-def samples_in_reference(samples: Samples, placement: Placement) -> Samples:
-    """Samples as they would have been measured in the reference. Of positions alone rotations stay as they are."""
+def samples_in_reference(samples: Samples, placement: Placement, predicted: RigidTransform) -> Samples:
+    """Samples as they would have been measured in the reference.
+
+    predicted : (n,) poses there, whose rotations stand for those that positions alone do not tell
+    """
     T = placement.undone(samples.T_base_platform)
     covariance, common = samples.covariance, samples.common
     if samples.measured == "position":
-        T = RigidTransform.from_translation(T.translation)
+        position = (placement.motion.inv() * samples.T_base_platform).translation
+        T = RigidTransform.from_translation(position - predicted.rotation.apply(placement.tool.translation))
     elif placement.ends[1]:
         turned = adjoint(placement.tool)
         covariance, common = turned @ covariance @ turned.T, turned @ common
@@ -153,7 +157,7 @@ class _White(NamedTuple):
 
 def _white(predicted: RigidTransform, samples: Samples, placement: Placement, scatter: Floats) -> _White:
     """Whitened residuals and columns of samples about a placement. scatter : (6,) m, rad beyond the poses' noise"""
-    moved = samples_in_reference(samples, placement)
+    moved = samples_in_reference(samples, placement, predicted)
     rows = 3 if samples.measured == "position" else 6
     turned = predicted.inv() * moved.T_base_platform
     left = pose_to_vector(turned)[:, :rows]
@@ -318,7 +322,7 @@ def _without_displacement(calibration: Calibration, samples: Samples, instrument
     if not any(tested.ends):
         return PlacedSamples(samples)
     found = replace(stated(tested.ends), p_values=tested.p_values)
-    moved = samples_in_reference(samples, found)
+    moved = samples_in_reference(samples, found, predicted)
     white = _white(predicted, samples, found, scatter)
     own = estimate_placement(predicted, samples, origin, scatter, tested.ends).covariance
     taken = np.einsum("nka,ab,nkb->nk", white.columns, own, white.columns)
@@ -348,7 +352,7 @@ def _by_parameters(
     J = arms.parameter_jacobian(q, fitted) if isinstance(fitted, Arm) else chains.parameter_jacobian(q, fitted)
     white = _white(predicted, samples, found, np.resize(calibration.scatter, 6))
     rows = white.left.shape[1]
-    moved = samples_in_reference(samples, found).total_covariance()[:, :rows, :rows]
+    moved = samples_in_reference(samples, found, predicted).total_covariance()[:, :rows, :rows]
     W = np.linalg.inv(np.linalg.cholesky(moved + np.diag(np.resize(calibration.scatter, 6)[:rows] ** 2)))
     J = W @ J[:, :rows]
     H = np.einsum("nka,nkb->ab", white.columns, white.columns) + np.eye(12) / LOOSE**2

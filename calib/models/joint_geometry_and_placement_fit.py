@@ -48,13 +48,13 @@ def joined_in_reference(parts: Sequence[Samples], placements: Sequence[Placement
     none = replace(placements[0], base=NONE, tool=NONE, ends=(False, False))
     moved, count = [], 12 * len(placements)
     for k, (part, place) in enumerate(zip(parts, (none, *placements))):
-        one = samples_in_reference(part, place)
+        T = target_poses(part, machine)
+        one = samples_in_reference(part, place, T)
         asked = asked_numbers(place.ends, part.measured)
         columns = np.zeros((len(part), 6, count))
         below = []
         if k:
             own = slice(12 * k - 12, 12 * k)
-            T = target_poses(part, machine)
             columns[..., own] = placement_columns(T, place.origin) * asked
             if part.measured == "position":  # which stand in the frame of poses
                 columns[:, :3] = T.rotation.as_matrix() @ columns[:, :3]
@@ -212,7 +212,7 @@ def _recording_in_reference(
         return recording
     samples = joined_in_reference(parts, placements, fit.machine)
     values, vectors = np.linalg.eigh(fit.covariance)
-    told = values > 0
+    told = values > 1e-12 * values[-1]  # the ends that are not asked for leave rounding alone
     factor = WIDE * vectors[:, told] * np.sqrt(values[told])
     covariance = samples.covariance if samples.measured == "pose" else poses.covariance
     moved = replace(
