@@ -250,7 +250,10 @@ def _chance(moved: Floats, covariance: Floats) -> float:
 
 
 def is_clear(predicted: RigidTransform, samples: Samples, placement: Placement, scatter: Floats) -> bool:
-    """Whether a placement does CLEAR times as much to the whitened poses as it leaves."""
+    """Whether a placement does CLEAR times as much to the whitened poses as it leaves.
+
+    predicted : (n,) poses in the reference; scatter : (6,) m, rad beyond the poses' noise
+    """
     none = replace(placement, base=NONE, tool=NONE)
     before, after = (_white(predicted, samples, one, scatter) for one in (none, placement))
     gone = float((before.weight[:, None] * before.left**2).sum())

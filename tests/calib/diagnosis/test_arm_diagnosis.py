@@ -98,7 +98,7 @@ def test_few_poses_are_an_error():
 
 
 def test_few_poses_are_asked_what_they_bear():
-    """25 poses: no form of more than three numbers is asked for, which is stated with the poses it takes; 60 bear all."""
+    """25 poses bear three numbers of an effect; what has more is stated with the poses that it takes; 60 bear all."""
     few, many = (joint_candidates(recorded(None, count)[0][0], RequestedEffects()) for count in (25, 60))
     reasons = {one.effect: one.reason for one in few[1]}
     numbers = [len(one.prior(node)) + one.extra for one in few[0] for node in one.grid]

@@ -170,8 +170,8 @@ def _require_enough_poses(samples: Samples, design: Design) -> None:
     least = least_poses(k, freedoms)
     if len(samples) < least:
         raise NotEnoughData(
-            f"{len(samples)} poses are too few to diagnose an arm or a chain: minimum {least} for {freedoms} numbers of "
-            "the geometry and one of an effect, better 500"
+            f"{len(samples)} poses are too few to diagnose an arm or a chain: minimum {least} for {freedoms} numbers "
+            "of the geometry and one of an effect, better 500"
         )
 
 
