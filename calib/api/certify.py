@@ -25,11 +25,13 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import (
     calibration_evidence_verdict_and_claim_check,
     check_claim_on_recording,
     evidence_with_confounds,
+    evidence_with_displaced_ends,
     evidence_with_verification,
 )
 from calib.certification.platform_certification import Progress
 from calib.files import calibration_provenance_and_used_frames
 from calib.files.calibration_provenance_and_used_frames import SEED
+from calib.models.base_and_tool_placement import samples_without_displacement
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
@@ -107,7 +109,9 @@ def certify(
     Raises RigError for a recording that took part in fitting, NotEnoughData where these have too few configurations
     """
     every = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    held = _held_out_recordings(calibration, every, name, progress)
+    held, lines, unexpected = _in_calibrated_frames(
+        calibration, _held_out_recordings(calibration, every, name, progress)
+    )
     if progress is not None:
         progress("certifying", 0, 1)
     made = calibration.provenance
@@ -119,8 +123,25 @@ def certify(
     }
     found = calibration_certificate(calibration, held, options, source, np.random.default_rng(SEED))
     known, claims = _against_claim(calibration, held, refutations)
+    for recording_name, ends in unexpected:
+        known = evidence_with_displaced_ends(known, ends, recording_name)
     refuting = tuple((one.recording, refutation_sentence(one.found)) for one in claims if one.found.refutes)
-    return CertificationResult(replace(found, known=known, claims=claims), tuple(held), refuting)
+    return CertificationResult(replace(found, known=known, claims=claims, displacement=lines), tuple(held), refuting)
+
+
+def _in_calibrated_frames(
+    calibration: Calibration, held: Sequence[tuple[Recording, Sampled]]
+) -> tuple[list[tuple[Recording, Sampled]], tuple[str, ...], list[tuple[str, tuple[str, ...]]]]:
+    """(held-out recordings without the place of base and tool, what is stated of it, [(recording's name, ends that
+    stand elsewhere though their place is stated)]).
+    """
+    out, lines, unexpected = [], [], []
+    for recording, sampled in held:
+        placed = samples_without_displacement(calibration, recording, sampled.samples)
+        out.append((recording, replace(sampled, samples=replace(placed.samples, known=sampled.samples.known))))
+        lines += [f"{recording.name}: {line}" for line in placed.lines]
+        unexpected.append((recording.name, placed.unexpected))
+    return out, tuple(lines), unexpected
 
 
 def _against_claim(

@@ -16,6 +16,8 @@ from scipy.spatial.transform import RigidTransform
 from threadpoolctl import threadpool_limits
 
 from calib.drift.visit_equations_and_reference import base_motion_columns
+from calib.models.base_and_tool_placement import placement_lines
+from calib.models.joint_geometry_and_placement_fit import remove_base_and_tool_displacement
 from calib.models.platform.identification import PRIOR
 from calib.samples.pose_samples import Samples, sample_recording
 from rig.api import CheckResult, load_and_check_recording_files
@@ -23,6 +25,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.checks import command_and_pose_disagreements
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.model import mechanisms
+from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Parallel,
     geometric_parameters,
@@ -200,16 +203,23 @@ def check_and_combine_recordings(
         notice(line)
     recording = found.recording
     if is_measured_by_instrument(recording):
+        measured = "pose" if recording.design.instrument is None else recording.design.instrument.kind
         if recording.design.mechanism.strut_joints is not None:
             recording, places = remove_instrument_displacement(recording)
             for place in places:
                 notice(place.line(every[place.recording].name))
             if not places:
                 notice("the instrument has not moved")
+        elif isinstance(recording.design.mechanism, (Arm, Chain)) and measured == "pose":
+            recording, placements = remove_base_and_tool_displacement(recording)
+            for line in placement_lines(placements, [one.name for one in every[1:]]):
+                notice(line)
+            if not any(any(one.moved) for one in placements):
+                notice("base and tool stand where they stood")
         else:
             notice(
                 "the instrument is assumed not to have moved: this is not checked for a mechanism of kind "
-                f"{recording.design.mechanism.kind!r}"
+                f"{recording.design.mechanism.kind!r} seen so"
             )
     return PreparedRecording(recording, lambda corners: None, True)
 

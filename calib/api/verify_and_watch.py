@@ -29,6 +29,7 @@ from calib.drift.change_evidence import Verdict as ChangeVerdict
 from calib.drift.visit_history import History, add_visit_and_judge_change
 from calib.files import calibration_provenance_and_used_frames
 from calib.files.calibration_provenance_and_used_frames import SEED
+from calib.models.base_and_tool_placement import Placement, samples_without_displacement
 from calib.models.machine_models import corrected_pose_covariance
 from calib.report.verification_and_repeated_visit_pages import (
     Verified,
@@ -55,11 +56,14 @@ from rig.report.verdict_and_refutations_by_later_recordings import Refutation, S
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class VerificationResult(OneLineRepr):
-    """A verification. recording; sampled : its poses; figures : Verified, all that was found."""
+    """A verification. recording; sampled : its poses; figures : Verified, all that was found; placement : Placement of
+    base and tool that was removed, None where none was
+    """
 
     recording: Recording
     sampled: Sampled
     figures: Verified
+    placement: Placement | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -122,7 +126,8 @@ class VerificationResult(OneLineRepr):
                 **_side(shown.driven[0]),
                 "stated_uncertainty": {"position": shown.driven[1][0], "rotation": shown.driven[1][1]},
             }
-        return tree | {"confounds": shown.confounds and shown.confounds.tree()}
+        placement = None if self.placement is None else self.placement.entry()
+        return tree | {"placement": placement, "confounds": shown.confounds and shown.confounds.tree()}
 
 
 def verify(
@@ -134,13 +139,17 @@ def verify(
 ) -> VerificationResult:
     """VerificationResult of a calibration by a recording, as `rig verify` makes it.
 
+    Of an arm or a chain the errors are without the place of base and tool, as far as that is free or they stand
+    elsewhere by more than chance.
+
     wanted : poses that the recording's frames, in order, were intended to take, or None; refutations : what later
     recordings found against the calibration; progress : called with (label, done, of), or None
     Raises RigError for a recording of another kind of machine and for other poses than frames
     """
     calibration.refuse_kind(recording.design.mechanism.kind, str(recording.folder))
     sampled = sample_recording(recording, progress=progress)
-    samples = calibration.with_physics(recording, sampled.samples)
+    placed = samples_without_displacement(calibration, recording, sampled.samples)
+    samples = placed.samples
     label = configuration_numbers(samples.commanded, axis_travel_limits(calibration.correction.nominal))
     before, after = errors_before_and_after_correction(calibration.correction, samples)
     held = compare_errors(before, after, samples.total_covariance(), np.random.default_rng(SEED), label)
@@ -157,8 +166,10 @@ def verify(
         None if wanted is None else _driven(calibration, recording, sampled.samples, wanted),
         sampled.measurement.unsolved if sampled.measurement is not None else {},
         confounds_of_recordings([recording]),
+        placed.lines,
+        placed.unexpected,
     )
-    return VerificationResult(recording, sampled, figures)
+    return VerificationResult(recording, sampled, figures, placed.placement)
 
 
 def _driven(

@@ -153,7 +153,8 @@ class Contents:
         calibrated, of those
     provenance : {what: value} of inputs' hashes, versions, seed and arguments; confounds : of the held-out recordings
     known : Evidence of the calibration, what these recordings say of its claim included; claims : AgainstClaim of each
-    recording, none where no factor is claimed."""
+    recording, none where no factor is claimed; displacement : what is stated of base and tool, which poses are without
+    """
 
     machine: str
     asked: CertifyOptions
@@ -173,3 +174,4 @@ class Contents:
     confounds: Confounds | None = None
     known: Evidence | None = None
     claims: tuple[AgainstClaim, ...] = ()
+    displacement: tuple[str, ...] = ()

@@ -69,6 +69,7 @@ def certificate_dict(certificate: Certificate) -> Json:
         if certificate.claims
         else None,
         "verdict": certificate_verdict(certificate).tree(),
+        **({"displacement": list(certificate.displacement)} if certificate.displacement else {}),
         **({} if certificate.confounds is None else {"confounds": certificate.confounds.tree()}),
         **certificate.provenance,
     }

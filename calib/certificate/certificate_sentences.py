@@ -85,6 +85,7 @@ def basis_lines(certificate: Contents) -> list[str]:
         + ("" if p.rotation is None else f" and {_microradian_text(p.rotation.measured)}")
         + f"; half of the poses lie within {micrometre_text(_median(certificate))}."
     ]
+    lines += [f"{line[0].upper()}{line[1:]}." for line in certificate.displacement]
     lines += [_claim_line(one) for one in certificate.claims]
     if p.position.shared or p.position.scale:
         lines.append(

@@ -102,6 +102,17 @@ def calibration_evidence_verdict_and_claim_check(
     )
 
 
+def evidence_with_displaced_ends(evidence: Evidence, names: Sequence[str], recording_name: str = "") -> Evidence:
+    """Evidence with what stands elsewhere in a recording though its place is stated ("base", "tool").
+
+    recording_name : the recording, where the sentence names it
+    """
+    step = 'Put it back, calibrate anew, or state in rig.toml that its place is unknown: [instrument] {} = "free"'
+    where = recording_name and f" in {recording_name}"
+    moved = [MissingEvidence(f"the {name} stands elsewhere{where}", step.format(name)) for name in names]
+    return replace(evidence, missing=(*evidence.missing, *moved))
+
+
 def evidence_with_verification(
     evidence: Evidence, verification: Verification | None, recording_name: str = "", next_step: str | None = None
 ) -> Evidence:

@@ -15,6 +15,7 @@ from calib.certification.calibration_dataclass_and_accuracy_claim_sentences impo
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
     calibration_evidence_verdict_and_claim_check,
     evidence_with_confounds,
+    evidence_with_displaced_ends,
     evidence_with_verification,
 )
 from calib.certification.claim_verification import Verification
@@ -60,7 +61,9 @@ class Verified:
         against it
     same : numbers of frames that it was made from; driven : where poses were wanted, (figures of the errors, stated
     uncertainty (m, rad), errors (n, 6)), else None; unsolved : {frame number: why it has no pose}
-    confounds : of the recording, None where it states no conditions"""
+    confounds : of the recording, None where it states no conditions
+    displacement : what is stated of base and tool, which the errors are without; unexpected : those of them that stand
+    elsewhere though their place is stated"""
 
     design: Design
     samples: Samples
@@ -74,6 +77,8 @@ class Verified:
     driven: tuple[Figures, tuple[float, float], Floats] | None
     unsolved: dict[int, str]
     confounds: Confounds | None = None
+    displacement: tuple[str, ...] = ()
+    unexpected: tuple[str, ...] = ()
 
 
 def write_verification_page(path: Path | str, name: str, verified: Verified, links: Sequence[Link] = ()) -> None:
@@ -84,6 +89,7 @@ def write_verification_page(path: Path | str, name: str, verified: Verified, lin
     )
     errors = {"nominal model": -verified.before, "corrected": -verified.after}
     parts = [paragraph_html(floor)] if np.isfinite(verified.held.floor).all() else []
+    parts += [paragraph_html(f"{line[0].upper()}{line[1:]}.") for line in verified.displacement]
     if verified.driven is not None:
         parts += [heading_html("Wanted and measured poses"), _driven(verified.samples.frame, *verified.driven)]
     parts += [
@@ -137,6 +143,7 @@ def verification_verdict(verified: Verified) -> Verdict:
         (CERTIFY,),
     )
     known = evidence_with_confounds(known, verified.calibration, (verified.confounds,), "this recording")
+    known = evidence_with_displaced_ends(known, verified.unexpected)
     return judge_evidence(evidence_with_verification(known, verified.found, next_step=CHANGED))
 
 

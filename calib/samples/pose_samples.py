@@ -330,9 +330,10 @@ def _from_poses(recording: Recording, poses: Poses) -> Samples:
     instrument = recording.design.instrument
     if instrument is not None and not has_links(recording.design.mechanism):
         _require_whole_poses(recording, instrument)
-    found = pair_samples(recording, poses.frame, poses.T_base_platform, _covariance(poses, instrument))
+    found = pair_samples(recording, poses.frame, poses.T_base_platform, _covariance(poses, instrument), poses.common)
     for stage, below in recording.stages.items():
-        found = add_stage_measurements(found, stage, below.frame, below.T_base_platform, _covariance(below, instrument))
+        own = _covariance(below, instrument)
+        found = add_stage_measurements(found, stage, below.frame, below.T_base_platform, own, below.common)
     return found
 
 

@@ -81,6 +81,8 @@ def _print_result(result: VerificationResult) -> None:
             file=sys.stderr,
         )
     print(result.verdict.line)
+    for line in shown.displacement:
+        print(line)
     if shown.driven is None:
         print_held_out_errors(shown.held, f"{len(shown.samples)} poses from {result.sampled.source}")
         if shown.found is not None and shown.found.parts:

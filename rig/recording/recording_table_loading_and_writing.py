@@ -166,11 +166,13 @@ class Corners:
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
     """Platform in base. frame : (n,) int; T_base_platform : RigidTransform (n,); covariance : (n, 6, 6) m, rad, on the
-    right, order x y z rx ry rz, or None."""
+    right, order x y z rx ry rz, or None; common : (n, 6, k) m, rad, factor of errors that poses share beyond it, or
+    None: of several recordings together, where the instrument stood in each."""
 
     frame: Integers
     T_base_platform: RigidTransform
     covariance: Floats | None
+    common: Floats | None = None
 
 
 def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | None:

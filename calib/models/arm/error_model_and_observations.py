@@ -204,9 +204,10 @@ def sample_observations(samples: Samples) -> Observations:
         return distance_observations(
             samples.effective, samples.T_base_platform.translation[:, 0], np.sqrt(samples.covariance[:, 0, 0])
         )
-    return position_observations(
+    seen = position_observations(
         samples.effective, samples.T_base_platform.translation, np.sqrt(samples.covariance[:, 0, 0])
     )
+    return replace(seen, common=samples.common[:, :3])
 
 
 def pose_observations(samples: Samples) -> Observations:

@@ -93,8 +93,33 @@ def test_nothing_hidden_nothing_found():
 
 
 def test_few_poses_are_an_error():
-    with pytest.raises(NotEnoughData, match="too few to diagnose an arm"):
-        recorded(None, 40)
+    with pytest.raises(NotEnoughData, match="too few to diagnose an arm or a chain: minimum 20 for 30 numbers"):
+        recorded(None, 19)
+
+
+def test_few_poses_are_asked_what_they_bear():
+    """25 poses bear three numbers of an effect; what has more is stated with the poses that it takes; 60 bear all."""
+    few, many = (joint_candidates(recorded(None, count)[0][0], RequestedEffects()) for count in (25, 60))
+    reasons = {one.effect: one.reason for one in few[1]}
+    numbers = [len(one.prior(node)) + one.extra for one in few[0] for node in one.grid]
+    assert max(numbers) == 3 and {"scale_error", "backlash", "cyclic_error", "hysteresis"} <= {c.name for c in few[0]}
+    for name in ("compliance", "hysteresis"):
+        assert reasons[name].startswith("25 poses bear 3 numbers of an effect; forms of more than 3 numbers are not")
+        assert 30 < int(reasons[name].split("record ")[1].split()[0]) < 60
+    assert "so few poses as 25" in reasons["transmission_error"]
+    assert {"compliance", "transmission_error"} <= {c.name for c in many[0]}
+    assert not any("poses bear" in one.reason or "so few poses" in one.reason for one in many[1])
+
+
+def test_a_large_backlash_shows_in_25_poses_and_nothing_in_quiet_ones():
+    """A play of several times the noise is found from 25 poses, at its joint; without it nothing is."""
+    for seed in range(2):
+        (arms, _), _ = recorded(None, 25, seed)
+        assert select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit.terms == ()
+    third = np.arange(6) == 2
+    (arms, _), _ = recorded(lambda q: third * (play_operator(q, 3 * GAP / 2) - q), 25, 0)
+    found = select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit.terms
+    assert [(term.candidate.name, term.candidate.place) for term in found] == [("backlash", "joint 3")]
 
 
 def test_command_line_writes_diagnosis_and_page(tmp_path, capsys):

@@ -31,7 +31,7 @@ from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import (
     ranked_covariates,
     suggest_joint_formulas,
 )
-from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import FEWEST, Arms, Geometry, linearise_poses
+from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, Geometry, linearise_poses
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     ASSUMED_NOISE,
@@ -271,7 +271,7 @@ def arm_evidence(
     @lru_cache(maxsize=2)
     def linear(gone: frozenset[int]) -> tuple[Arms, Geometry]:
         some = known.samples.take(~np.isin(known.samples.frame, sorted(gone))) if gone else known.samples
-        arms, found = linearise_poses(some, design, recording.commands, sensors, least_poses=0 if gone else FEWEST)
+        arms, found = linearise_poses(some, design, recording.commands, sensors, refuse_few=not gone)
         return replace(arms, assumed=known.assumed, sight=sight), found
 
     return ArmEvidence(linear, known.source, requested, stated_terms, log_errors=log_errors)

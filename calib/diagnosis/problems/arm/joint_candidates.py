@@ -1,14 +1,14 @@
 """Candidate effects at an arm's joints: every effect of the catalogue, at each place, on a grid of parameters."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import Candidate, Node, NotAsked
-from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
+from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, least_poses, most_numbers
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import EffectSites, RequestedEffects
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate as EffectCandidate
@@ -82,8 +82,26 @@ JointScore = Score[JointCandidate]
 def joint_candidates(arms: Arms, requested_effects: RequestedEffects) -> tuple[list[JointCandidate], list[NotAsked]]:
     """Joint candidates of the requested effects on an arm's poses, and what the recording cannot test.
 
+    A candidate of more numbers than the poses bear (`most_numbers`) is not asked for, and that is stated.
     Raises RigError for a place where what is asked for cannot sit.
     """
+    asked: dict[str, list[JointCandidate]] = {}
+    beyond: dict[str, list[tuple[int, bool]]] = {}
+    poses, k, freedoms = arms.freedoms.shape
+
+    def candidates_at(kind: type[Effect], place: str) -> list[JointCandidate]:
+        every = _candidates(tuple(kind.candidates(place, arms.context)), arms)
+        out = []
+        for one in every:
+            count = [_numbers(one, node) for node in one.grid]
+            most = most_numbers(poses, k, freedoms, one.joint is None)
+            grid = [node for node, numbers in zip(one.grid, count) if numbers <= most]
+            if len(grid) < len(count):
+                beyond.setdefault(kind.name, []).append((max(count), one.joint is None))
+            if grid:
+                out.append(one if len(grid) == len(count) else replace(one, grid=grid))
+        asked.setdefault(kind.name, []).extend(out)
+        return out
 
     def sites_of(kind: type[Effect]) -> EffectSites:
         if kind.discrete or kind.stage in ("targets", "view"):
@@ -95,9 +113,31 @@ def joint_candidates(arms: Arms, requested_effects: RequestedEffects) -> tuple[l
             return EffectSites(None, (), [*lacking, NotAsked(kind.name, reason)])
         return EffectSites(found, found, lacking)
 
-    return requested_effects.candidates(
-        sites_of, lambda kind, place: _candidates(tuple(kind.candidates(place, arms.context)), arms)
-    )
+    found, not_asked = requested_effects.candidates(sites_of, candidates_at)
+    return found, [*not_asked, *_beyond_poses(asked, beyond, arms)]
+
+
+def _numbers(candidate: JointCandidate, node: Node) -> int:
+    """Numbers that a candidate is fitted by at a node of its grid, those that the search chooses included."""
+    return len(candidate.prior(node)) + candidate.extra
+
+
+def _beyond_poses(
+    asked: dict[str, list[JointCandidate]], beyond: dict[str, list[tuple[int, bool]]], arms: Arms
+) -> list[NotAsked]:
+    """What is not asked for because the poses are too few for its numbers, or for an effect as it states itself."""
+    out: list[NotAsked] = []
+    count, k, freedoms = arms.freedoms.shape
+    for name, found in asked.items():
+        numbers, whole = max(beyond.get(name, [(0, False)]))
+        if numbers:
+            most = most_numbers(count, k, freedoms, whole)
+            more = least_poses(k, freedoms, numbers, whole, count + 1)
+            what = f"forms of more than {most} numbers are not asked for" if found else f"it takes {numbers} numbers"
+            out.append(NotAsked(name, f"{count} poses bear {most} numbers of an effect; {what}: record {more} poses"))
+        elif not found:
+            out.append(NotAsked(name, f"it is not asked for with so few poses as {count}"))
+    return out
 
 
 def _lacking(kind: type[Effect], found: tuple[str, ...], arms: Arms) -> list[NotAsked]:

@@ -13,9 +13,11 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator
 from scipy.spatial.transform import RigidTransform
 
+from calib.diagnosis.engine.cross_validation_and_chance import FOLDS, STRETCHES, time_stretch_folds
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import calibrate_arm
 from calib.models.arm.error_model_and_observations import observation_jacobian, sample_observations
+from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
 from calib.models.chain import error_model as chains
 from calib.models.chain.identification import identify_chain
 from calib.samples.pose_samples import Samples
@@ -32,7 +34,8 @@ from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 from vision.pose_uncertainty_prediction import PredictedUncertainty
 
-FEWEST = 60  # poses
+ROOM = 3  # rows that are left for each number of a candidate, where a fold is held out
+LEAST = 20  # poses: five stretches of four, fewer of which cannot gain by as many standard errors as a finding takes
 SEEN = 1e-4  # of the best told combination of a chain's parameters; others no pose tells, and they explain nothing
 
 
@@ -104,24 +107,41 @@ class Geometry:
         return self.move(self.basis @ sizes)
 
 
+def most_numbers(poses: int, k: int, freedoms: int, whole: bool) -> int:
+    """Numbers that a candidate may have: of each, ROOM rows are left to the geometry's freedoms in every fold.
+
+    poses : that are fitted; k : numbers measured of each; freedoms : of the geometry; whole : whether the candidate
+    moves the hand itself, of which a pose tells k numbers, and not one joint, of which it tells one
+    """
+    held = int(np.bincount(time_stretch_folds(poses, STRETCHES) % FOLDS).max())
+    return int((poses - held - freedoms / k) * (k if whole else 1) / ROOM)
+
+
+def least_poses(k: int, freedoms: int, numbers: int = 1, whole: bool = False, start: int = LEAST) -> int:
+    """Poses that a candidate of so many numbers takes, counted up from start."""
+    count = start
+    while most_numbers(count, k, freedoms, whole) < numbers:
+        count += 1
+    return count
+
+
 def linearise_poses(
     samples: Samples,
     design: Design,
     commands: Commands | None = None,
     sensors: Sensors | None = None,
-    least_poses: int = FEWEST,
+    refuse_few: bool = True,
 ) -> tuple[Arms, Geometry]:
     """Linearise the poses of Samples about the calibrated geometry: (Arms, Geometry).
 
     design : whose mechanism is the nominal Arm or Chain; commands : the whole path; the samples' own commands in their
         order where None
-    least_poses : poses that it takes
-    Raises NotEnoughData for too few poses, RigError for what is neither, and what calibrating raises
+    refuse_few : whether poses that bear no finding are an error
+    Raises NotEnoughData for too few poses, with how many it takes, RigError for what is neither, and what calibrating
+        raises
     """
-    if len(samples) < least_poses:
-        raise NotEnoughData(
-            f"{len(samples)} poses are too few to diagnose an arm or a chain; minimum {least_poses}, better 500"
-        )
+    if refuse_few:
+        _require_enough_poses(samples, design)
     if samples.measured in ("orientation", "distance"):
         raise RigError(f"an arm is diagnosed by its poses or positions; the {samples.measured} alone was measured")
     linear = (
@@ -138,6 +158,21 @@ def linearise_poses(
     context = Context(design, samples.t, sensors, motion)
     freedoms = np.concatenate([freedoms, samples.common[:, : left.shape[1]]], axis=2)
     return Arms(samples.frame, samples.t, samples.commanded, left, freedoms, joints, own, commands, context), geometry
+
+
+def _require_enough_poses(samples: Samples, design: Design) -> None:
+    """Raise NotEnoughData for poses that bear no number beside the geometry's, with how many it takes."""
+    mechanism, k = design.mechanism, 6 if samples.measured == "pose" else 3
+    if isinstance(mechanism, Arm):
+        freedoms = int(independent_arm_parameters(mechanism, "pose" if k == 6 else "position").sum())
+    else:
+        freedoms = int((chains.parameter_tolerances(mechanism) > 0).sum()) if isinstance(mechanism, Chain) else 0
+    least = least_poses(k, freedoms)
+    if len(samples) < least:
+        raise NotEnoughData(
+            f"{len(samples)} poses are too few to diagnose an arm or a chain: minimum {least} for {freedoms} numbers "
+            "of the geometry and one of an effect, better 500"
+        )
 
 
 def linearise_planned_poses(

@@ -1,0 +1,203 @@
+"""A base or tool that is placed anew in each recording of an arm or chain: fitted, named and removed.
+
+The machines, their kinematics and their displacements are an independent truth of plain matrices.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.api.calibrate import CalibrateOptions, calibrate
+from calib.api.certify import certify
+from calib.api.recording_check_combination_and_displacement_removal import check_and_combine_recordings
+from calib.api.verify_and_watch import verify
+from calib.models.arm.certification import calibrate_arm
+from calib.models.arm.error_model_and_observations import predicted_target_poses
+from calib.samples.pose_samples import sample_recording
+from rig.errors import RigError
+from rig.recording.recording_folder import load_recording
+from tests.truth.case import again, draw
+from tests.truth.rigid import displaced, errors, matrices, rows_of
+from tests.truth.written import record
+
+FAR = ([0.5, 1.0, 0.1, 0.1, 0.3, -1.0], [-0.4, 2.0, 0.2, -0.2, 0.5, 2.5])  # m, rad: a tracker that was moved
+NEAR = ([11e-3, 5e-3, 1e-3, 1e-3, -4e-3, 2e-3], [2e-3, -3e-3, 0, 0, 1e-3, 0])
+STILL = ([0.0] * 6, [0.0] * 6)
+COUNT = 40
+
+
+def written(case, folder, base=(0.0,) * 6, tool=(0.0,) * 6, ends=("rig", "rig"), alone=False):
+    """Recording of a case seen from elsewhere. base, tool : (6,) m, rad; alone : whether positions alone are seen"""
+    seen = rows_of(matrices(np.array([base])) @ matrices(case.seen) @ matrices(np.array([tool])))
+    record(replace(case, seen=seen), folder)
+    text = (folder / "rig.toml").read_text()
+    for name, place in zip(("base", "tool"), ends):
+        text = text.replace(f'{name} = "rig"', f'{name} = "{place}"')
+    if alone:
+        text = "\n".join(line for line in text.splitlines() if not line.startswith("rotation_sigma")) + "\n"
+        rows = [line.split(",")[:4] for line in (folder / "poses.csv").read_text().splitlines()]
+        (folder / "poses.csv").write_text("\n".join(map(",".join, rows)) + "\n")
+    (folder / "rig.toml").write_text(text)
+    return load_recording(folder)
+
+
+def arm(seed):
+    return draw(seed, effect="none", strength="none", kind="arm", count=COUNT)
+
+
+def three(case, folder, places, **more):
+    """Three recordings of a machine, the tracker moved between them."""
+    cases = [case, *(_later(case, k) for k in (1, 2))]
+    return [
+        written(one, folder / f"rec{k}", base, **more) for k, (one, base) in enumerate(zip(cases, ([0.0] * 6, *places)))
+    ]
+
+
+def _later(case, number):
+    return replace(again(replace(case, seed=case.seed + 1000 * number)), seed=case.seed)
+
+
+def combined(recordings):
+    lines = []
+    return check_and_combine_recordings(recordings, False, lines.append, None).recording, lines
+
+
+def geometry_error(recording, case):
+    """RMS error (m, rad) of a fitted arm's poses all over its travels, the best motion of its base taken out."""
+    sampled = sample_recording(recording)
+    _, found = calibrate_arm(sampled.samples, recording.design.mechanism, sampled.instrument, False)
+    rng, ranges = np.random.default_rng(1), case.owner.ranges
+    q = rng.uniform(ranges[:, 0], ranges[:, 1], (200, len(ranges)))
+    real, fitted = case.machine.forward(q), predicted_target_poses(q, found.arm).as_matrix()
+    for _ in range(20):  # until the motion that agrees best is the identity
+        turn, _ = Rotation.align_vectors(
+            np.concatenate(np.swapaxes(real[:, :3, :3], 1, 2)), np.concatenate(np.swapaxes(fitted[:, :3, :3], 1, 2))
+        )
+        motion = np.eye(4)
+        motion[:3, :3] = turn.as_matrix()
+        motion[:3, 3] = (real[:, :3, 3] - fitted[:, :3, 3] @ motion[:3, :3].T).mean(axis=0)
+        fitted = motion @ fitted
+    off = errors(fitted, real)
+    return np.sqrt([(off[:, :3] ** 2).sum(axis=1).mean(), (off[:, 3:] ** 2).sum(axis=1).mean()])
+
+
+@pytest.mark.parametrize(
+    ("places", "ends"), [(FAR, ("free", "rig")), (NEAR, ("rig", "rig")), (STILL, ("free", "free"))]
+)
+def test_three_stations_tell_as_much_as_one(tmp_path, places, ends):
+    """The same commands and noise, once from three stations and once from one: the geometry is as good."""
+    moved, still = [], []
+    for seed in range(3):
+        case, folder = arm(seed), tmp_path / str(seed)
+        joined, lines = combined(three(case, folder / "moved", places, ends=ends))
+        assert sum("the base stands elsewhere" in line for line in lines) == (0 if places is STILL else 2)
+        assert not any("tool stands elsewhere" in line for line in lines)
+        moved.append(geometry_error(joined, case))
+        one, _ = combined(three(case, folder / "still", STILL, ends=ends))
+        still.append(geometry_error(replace(one, poses=replace(one.poses, common=None)), case))
+    ratio = np.sqrt(np.square(moved).mean(axis=0) / np.square(still).mean(axis=0))
+    assert (ratio <= 1.1).all() and (ratio >= 0.9).all(), ratio
+
+
+def test_a_fit_still_solves_for_the_places(tmp_path):
+    """What is uncertain of a place is an error that its recording's poses share, and none of the first one's."""
+    case = arm(0)
+    joined, _ = combined(three(case, tmp_path, NEAR))
+    common = sample_recording(joined).samples.common
+    assert common.shape == (3 * COUNT, 6, 12) and not common[:COUNT].any() and common[COUNT:].any()
+    sizes = np.sqrt(np.einsum("nij,nij->ni", common, common))[COUNT:, :3]
+    assert 0.05 * case.sigma[0] < sizes.mean() < 3 * case.sigma[0]  # some share of the noise, and no more
+
+
+@pytest.mark.parametrize("ends", [("rig", "rig"), ("free", "free")])
+def test_a_verification_names_what_stands_elsewhere(tmp_path, ends):
+    """Base and tool displaced for the verification: named within the stated interval, the errors back to the noise."""
+    case = arm(3)
+    calibration = calibrate(
+        written(draw(3, "none", "none", kind="arm", count=90), tmp_path / "a", ends=ends), CalibrateOptions(quick=True)
+    ).calibration
+    later = _later(case, 1)
+    tool = [2e-3, 0, 1e-3, 1e-2, 0, 0]
+    still = verify(calibration, written(later, tmp_path / "b", ends=ends))
+    base = verify(calibration, written(later, tmp_path / "c", NEAR[0], ends=ends))
+    hand = verify(calibration, written(later, tmp_path / "d", NEAR[0], tool, ends=ends))
+    noise = still.figures.held.after.position[0]
+    assert noise < 1.3 * np.sqrt(3) * case.sigma[0]
+    stated = ends == ("rig", "rig")
+    assert (still.figures.displacement == ()) == stated and not still.figures.unexpected
+    assert base.figures.unexpected == (("base",) if stated else ())
+    assert hand.figures.unexpected == (("base", "tool") if stated else ())
+    motion = matrices(np.array([NEAR[0]]))[0]
+    origin = calibration.correction.fitted.base.translation
+    far = np.linalg.norm(motion[:3, :3] @ origin + motion[:3, 3] - origin)
+    for found in (base, hand):
+        size, turned, *U = found.placement.sizes(0)
+        assert abs(size - far) < 1.5 * U[0] < 1e-4  # U is twice the standard uncertainty
+        assert abs(turned - np.linalg.norm(NEAR[0][3:])) < 1.5 * U[1] < 1e-4
+        assert found.figures.held.after.position[0] == pytest.approx(noise, rel=0.05)
+        assert found.figures.found.kept and "the base stands elsewhere: by" in found.figures.displacement[0]
+        assert ("the base stands elsewhere" in found.verdict.line) == stated
+        assert found.tree()["placement"]["base"]["position"]["value"] == size
+    size, turned, *U = hand.placement.sizes(1)
+    assert abs(turned - 1e-2) < 1.5 * U[1] < 1e-4
+
+
+def test_a_certificate_states_the_place(tmp_path):
+    """A certificate's poses are without the displacement, which is stated on it."""
+    calibration = calibrate(
+        written(draw(3, "none", "none", kind="arm", count=60), tmp_path / "a"), CalibrateOptions(quick=True)
+    ).calibration
+    later = again(draw(3, "none", "none", kind="arm", count=60))
+    still = certify(calibration, written(later, tmp_path / "b"))
+    moved = certify(calibration, written(later, tmp_path / "c", NEAR[0]))
+    bound = still.certificate.promise.position.upper
+    assert moved.certificate.promise.position.upper == pytest.approx(bound, rel=0.1)
+    assert moved.tree()["displacement"][0].startswith("c: the base stands elsewhere: by 1")
+    assert "the base stands elsewhere in c" in moved.verdict.line
+    assert "displacement" not in still.tree()
+
+
+def test_positions_alone_and_a_chain(tmp_path):
+    """A reflector on the hand, whose rotation nobody sees; and a platform on a slide."""
+    joined, lines = combined(three(arm(5), tmp_path / "arm", FAR, ends=("free", "free"), alone=True))
+    assert sum("the base stands elsewhere" in line for line in lines) == 2 and "tool" not in "".join(lines[1:])
+    assert geometry_error_of_positions(joined, arm(5)) < 6 * arm(5).sigma[0]
+    case = draw(0, effect="none", strength="none", kind="chain", count=COUNT)
+    joined, lines = combined(three(case, tmp_path / "chain", NEAR))
+    assert sum("the base stands elsewhere: by" in line for line in lines) == 2, lines
+    seen = joined.poses.T_base_platform.as_matrix()
+    real = np.concatenate([matrices(one.seen) for one in (case, _later(case, 1), _later(case, 2))])
+    off = errors(seen, real)
+    assert np.sqrt((off[:, :3] ** 2).mean()) < 3 * case.sigma[0]
+    assert np.abs(off[:COUNT]).max() < 1e-10
+    _, lines = combined(three(case, tmp_path / "still", STILL))
+    assert "base and tool stand where they stood" in lines
+
+
+def geometry_error_of_positions(recording, case):
+    """Median distance (m) of the fitted arm's positions from the measured ones."""
+    sampled = sample_recording(recording)
+    _, found = calibrate_arm(sampled.samples, recording.design.mechanism, sampled.instrument, False)
+    there = predicted_target_poses(sampled.samples.commanded, found.arm).translation
+    return float(np.median(np.linalg.norm(there - sampled.samples.T_base_platform.translation, axis=1)))
+
+
+def test_wild_poses_do_not_move_the_base(tmp_path):
+    """Three poses of forty that somebody bumped are no displacement."""
+    case = arm(3)
+    calibration = calibrate(written(case, tmp_path / "a"), CalibrateOptions(quick=True)).calibration
+    later, bump = _later(case, 1), np.zeros((COUNT, 6))
+    bump[[4, 17, 31], 0] = 5e-3
+    bumped = replace(later, seen=rows_of(displaced(matrices(later.seen), bump)))
+    assert not verify(calibration, written(bumped, tmp_path / "b")).figures.displacement
+
+
+def test_another_arms_poses_are_refused(tmp_path):
+    """A recording of another arm is no displacement: its joint angles are not those of these poses."""
+    case = arm(0)
+    first, second = written(case, tmp_path / "a"), _later(case, 1)
+    shuffled = replace(second, seen=second.seen[np.random.default_rng(0).permutation(COUNT)])
+    with pytest.raises(RigError):
+        combined([first, written(shuffled, tmp_path / "b", FAR[0])])
