@@ -234,7 +234,7 @@ def _share(before: Figures, after: Figures) -> float:
 
 def _size(figures: Figures, whole: bool = True) -> str:
     """Mean and 95 % of an error, in mm and degrees."""
-    parts = []
+    parts: list[str] = []
     for name, values, mean, text in (
         ("position", figures.position, figures.mean[0], _length),
         ("rotation", figures.rotation, figures.mean[1], _angle),
