@@ -3,6 +3,7 @@
 The machines, their kinematics and their displacements are an independent truth of plain matrices.
 """
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,11 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from calib.api.calibrate import CalibrateOptions, calibrate
 from calib.api.certify import certify
+from calib.api.diagnose import diagnose
 from calib.api.recording_check_combination_and_displacement_removal import check_and_combine_recordings
 from calib.api.verify_and_watch import verify
 from calib.models.arm.certification import calibrate_arm
 from calib.models.arm.error_model_and_observations import predicted_target_poses
 from calib.samples.pose_samples import sample_recording
+from rig.cli import command_line
 from rig.errors import RigError
 from rig.recording.recording_folder import load_recording
 from tests.truth.case import again, draw
@@ -201,3 +204,32 @@ def test_another_arms_poses_are_refused(tmp_path):
     shuffled = replace(second, seen=second.seen[np.random.default_rng(0).permutation(COUNT)])
     with pytest.raises(RigError):
         combined([first, written(shuffled, tmp_path / "b", FAR[0])])
+
+
+def test_a_backlash_is_found_over_three_stations(tmp_path):
+    """What joints do beyond their geometry is no displacement, and shows over recordings from three places."""
+    case = draw(3, "backlash", "strong", kind="arm", count=25)
+    found = diagnose(three(case, tmp_path, FAR, ends=("free", "free"))).report.findings
+    (axis,) = np.flatnonzero(case.laws[0].axes)
+    assert [(one.effect, one.place) for one in found] == [("backlash", f"joint {axis + 1}")]
+
+
+def test_the_command_line_states_the_place(tmp_path, capsys):
+    """`rig verify` prints, writes and returns it; exit status 0, the verdict "check"."""
+    written(draw(3, "none", "none", kind="arm", count=40), tmp_path / "a")
+    written(_later(arm(3), 1), tmp_path / "b", NEAR[0])
+    file = tmp_path / "calibration.json"
+    assert run("calibrate", tmp_path / "a", "--out", file, "--quick") == 0
+    capsys.readouterr()
+    page = tmp_path / "v.html"
+    assert run("verify", file, tmp_path / "b", "--page", page) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("check: ") and "the base stands elsewhere: by 1" in out and "6 numbers were estimated" in out
+    assert "The base stands elsewhere: by 1" in page.read_text()
+    assert run("verify", file, tmp_path / "b", "--json") == 0
+    placement = json.loads(capsys.readouterr().out)["placement"]
+    assert placement["base"]["stands_elsewhere"] and "tool" not in placement
+
+
+def run(*words):
+    return command_line.main([str(word) for word in words])
