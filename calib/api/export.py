@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+import rig
+from calib.correction.correction_as_c_source import correction_c_source
 from calib.correction.correction_tables_and_pose_space_map_json import axis_correction_tables, grid_correction_table
 from calib.files import calibration_file
 from rig.errors import RigError
@@ -18,6 +20,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, requi
 from rig.recording.recording_folder import load_recording
 
 TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry
+C_SOURCE = "c"  # all of a correction, for a controller
 CAMERAS = ("camera-info", "opencv")  # of a rig.toml, a file each
 RECORDINGS = ("tum", "parquet")
 GEOMETRIES = {
@@ -73,11 +76,14 @@ def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -
 
     A recording for tum and parquet; as `rig export` makes it.
 
-    kind : one of TABLES, CAMERAS, RECORDINGS and GEOMETRIES
+    kind : one of TABLES, C_SOURCE, CAMERAS, RECORDINGS and GEOMETRIES
     Raises RigError for a machine that this format cannot state, and for options out of range
     """
     if kind in TABLES:
         return _correction_tables(machine, kind, options)
+    if kind == C_SOURCE:
+        source = correction_c_source(calibration_file.load(machine), rig.__version__)
+        return ExportResult({"": source.text}, "; ".join(source.notes))
     if kind in CAMERAS:
         return _cameras(machine, kind)
     if kind in RECORDINGS:
