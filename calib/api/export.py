@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from hashlib import sha256
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 
-import rig
 from calib.correction.correction_as_c_source import correction_c_source
 from calib.correction.correction_tables_and_pose_space_map_json import axis_correction_tables, grid_correction_table
 from calib.files import calibration_file
@@ -82,7 +83,8 @@ def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -
     if kind in TABLES:
         return _correction_tables(machine, kind, options)
     if kind == C_SOURCE:
-        source = correction_c_source(calibration_file.load(machine), rig.__version__)
+        origin = f"rig {metadata.version('rig')} of {machine.name}, SHA-256 {sha256(machine.read_bytes()).hexdigest()}"
+        source = correction_c_source(calibration_file.load(machine), origin)
         return ExportResult({"": source.text}, "; ".join(source.notes))
     if kind in CAMERAS:
         return _cameras(machine, kind)

@@ -28,7 +28,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.motion_simulation import motion_of_commands
 from rig.recording.recording_folder import Commands
 
-A_LINE, A_ROW = 100, 6  # characters of a line of numbers, and numbers of one row
+A_LINE = 100  # characters of a line of numbers
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")  # of a sensor channel that is a name in C too
 STATUS = """  0 RIG_OK: lengths[6] are written, and the state moved on: command these lengths, or restore the state
   1 RIG_BAD_POSE: a number of the pose is not finite
@@ -76,8 +76,8 @@ class _Tables:
         self.lines += [head, "{", *(f"    {line}" for line in statements), "}", ""]
 
 
-def correction_c_source(calibration: Calibration, version: str) -> CSource:
-    """CSource of a hexapod's calibration. version : of this program, for the head of the file
+def correction_c_source(calibration: Calibration, origin: str) -> CSource:
+    """CSource of a hexapod's calibration. origin : of which file and by which version it is made, for its head
 
     Raises RigError for another machine, for a way to extend corrections and for an effect that no C file states
     """
@@ -86,6 +86,10 @@ def correction_c_source(calibration: Calibration, version: str) -> CSource:
         correction.fitted, "a controller's C file holds a hexapod's calibration, not one of kind {kind!r}"
     )
     nominal = require_hexapod(correction.nominal)
+    if correction.posed and correction.physics:
+        raise RigError(
+            f"maps in pose space together with {', '.join(correction.physics)} are in no C file; use `rig correct`"
+        )
     tables = _Tables()
     terms = _terms(correction, calibration.physics)
     channels = tuple(dict.fromkeys(name for term in terms for name in term.channels))
@@ -105,7 +109,7 @@ def correction_c_source(calibration: Calibration, version: str) -> CSource:
     home = ", ".join(map(repr, hexapod.home_values(nominal).tolist()))
     fields = [_part(name) for name in ("grid", "simplex", "linear", "axes", "polynomial", "radial", "within")]
     text = [
-        _head(correction, terms, channels, gaps, version),
+        _head(correction, terms, channels, gaps, origin),
         _part("api"),
         *_channel_lines(channels, medians, home),
         "\n".join(geometry) + "\n",
@@ -152,7 +156,7 @@ def _nested(numbers: list[str], width: int) -> list[str]:
 
 
 def _head(
-    correction: AnyCorrection, terms: tuple[ControllerTerm, ...], channels: tuple[str, ...], gaps: Floats, version: str
+    correction: AnyCorrection, terms: tuple[ControllerTerm, ...], channels: tuple[str, ...], gaps: Floats, origin: str
 ) -> str:
     """Head comment: what the file computes, and how it is called."""
     ways = [
@@ -164,7 +168,8 @@ def _head(
     effects = ", ".join(correction.physics) or "none"
     play = ", ".join(f"strut {i + 1} {gaps[i] * 1e6:.3f} um" for i in np.flatnonzero(gaps).tolist()) or "none"
     lines = [
-        f"Corrected strut lengths of a hexapod, as `rig correct` of rig {version} computes them. Generated.",
+        "Corrected strut lengths of a hexapod, as `rig correct` computes them.",
+        f"Made by {origin}",
         "C99, double precision, <math.h> only. Nothing is allocated, every loop is bounded.",
         "",
         "int rig_start(struct rig_state *state, const double lengths[6]);",
@@ -205,9 +210,14 @@ def _channel_lines(channels: tuple[str, ...], medians: list[float], home: str) -
     names = [*(f"RIG_{name.upper()}" for name in channels), "RIG_CHANNELS"]
     if channels:
         lines += [
-            f"enum {{ {', '.join(names)} }};",
+            "enum {",
+            *(f"    {name}," for name in names[:-1]),
+            f"    {names[-1]}",
+            "};",
             "extern const double rig_channel_medians[RIG_CHANNELS];",
-            f"const double rig_channel_medians[RIG_CHANNELS] = {{{', '.join(map(repr, medians))}}};",
+            "const double rig_channel_medians[RIG_CHANNELS] = {",
+            *_rows([repr(float(median)) for median in medians]),
+            "};",
         ]
     else:
         lines.append("enum { RIG_CHANNELS = 0 };")
