@@ -40,7 +40,13 @@ FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-pedantic", "-Werror", "-Wmissi
 OK, BAD_POSE, OUT_OF_STROKE, NOT_CONVERGED, SENSOR_MISSING, NO_STATE = range(6)
 WARM = {f"strut{i + 1}_temperature_C": 20.0 + 1.5 * i for i in range(6)} | {"ambient_temperature_C": 24.0}
 LOOP = r"""
+#define _POSIX_C_SOURCE 199309L
+#include "correction.c"
+#include <time.h>
+
 int poses(const double *pose, const double *channels, struct rig_state *state, double *lengths, int *status, int n);
+double slowest(const double *pose, const double *channels, struct rig_state *state, int n, double *mean);
+
 int poses(const double *pose, const double *channels, struct rig_state *state, double *lengths, int *status, int n)
 {
     int worst = 0;
@@ -49,6 +55,28 @@ int poses(const double *pose, const double *channels, struct rig_state *state, d
         worst = status[i] > worst ? status[i] : worst;
     }
     return worst;
+}
+
+/* s, of the slowest pose and in the mean; of five calls each the fastest counts, as the machine runs other programs. */
+double slowest(const double *pose, const double *channels, struct rig_state *state, int n, double *mean)
+{
+    double most = 0.0, total = 0.0, lengths[6];
+    for (int i = 0; i < n; i++) {
+        const struct rig_state before = *state;
+        double least = HUGE_VAL;
+        for (int k = 0; k < 5; k++) {
+            struct timespec begin, end;
+            *state = before;
+            clock_gettime(CLOCK_MONOTONIC, &begin);
+            rig_correct(pose + 6 * i, channels, state, lengths);
+            clock_gettime(CLOCK_MONOTONIC, &end);
+            least = fmin(least, (double)(end.tv_sec - begin.tv_sec) + 1e-9 * (double)(end.tv_nsec - begin.tv_nsec));
+        }
+        most = fmax(most, least);
+        total += least;
+    }
+    *mean = total / n;
+    return most;
 }
 """
 
@@ -63,7 +91,7 @@ class Controller:
             [COMPILER, *FLAGS, "-c", "correction.c", "-o", "correction.o"], cwd=folder, capture_output=True, text=True
         )
         assert alone.returncode == 0, alone.stderr
-        (folder / "loop.c").write_text('#include "correction.c"\n' + LOOP)
+        (folder / "loop.c").write_text(LOOP)
         done = subprocess.run(
             [COMPILER, *FLAGS, "-shared", "-fPIC", "loop.c", "-o", "loop.so", "-lm"],
             cwd=folder,
@@ -72,6 +100,7 @@ class Controller:
         )
         assert done.returncode == 0, done.stderr
         self.library = ctypes.CDLL(str(folder / "loop.so"))
+        self.library.slowest.restype = ctypes.c_double
         self.channels = re.findall(r"channels\[\d+\] (\w+)", self.text)
         self.state = None if stateless else np.full(12, np.nan)
         if not stateless:
@@ -81,6 +110,13 @@ class Controller:
         """Status of standing at lengths (6,) m, or home."""
         given = None if lengths is None else np.ascontiguousarray(lengths)
         return self.library.rig_start(pointer(self.state), pointer(given))
+
+    def took(self, T):
+        """(slowest, mean) s a pose (n,)."""
+        values, mean = np.array([WARM[name] for name in self.channels] or [0.0]), np.zeros(1)
+        vectors = np.ascontiguousarray(pose_to_vector(T))
+        most = self.library.slowest(*map(pointer, (vectors, values, self.state)), len(vectors), pointer(mean))
+        return most, mean.item()
 
     def __call__(self, T, sensors=None):
         """(lengths (n, 6) m, status (n,)) of poses (n,). sensors : {channel: value}, None to pass none"""
