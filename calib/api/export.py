@@ -84,7 +84,8 @@ def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -
         return _correction_tables(machine, kind, options)
     if kind == C_SOURCE:
         origin = f"rig {metadata.version('rig')} of {machine.name}, SHA-256 {sha256(machine.read_bytes()).hexdigest()}"
-        source = correction_c_source(calibration_file.load(machine), origin)
+        calibration = calibration_file.load(machine)
+        source = correction_c_source(calibration.correction, calibration.physics, origin)
         return ExportResult({"": source.text}, "; ".join(source.notes))
     if kind in CAMERAS:
         return _cameras(machine, kind)
@@ -201,9 +202,9 @@ def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
     correction, left_out = calibration.correction, []
     if calibration.physics is not None and calibration.physics.compensable_effects():
         names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.compensable_effects())
-        left_out.append(f"the calibration compensates {names} besides the geometry, which no export contains")
+        left_out.append(f"the calibration compensates {names} besides the geometry, which this format does not contain")
     if correction.posed:
-        left_out.append(f"maps in pose space ({len(correction.posed)}) are in no export")
+        left_out.append(f"maps in pose space ({len(correction.posed)}) are not in this format")
     every = correction.extension is not None
     axes = [str(i + 1) for i, part in enumerate(correction.remainder) if part is not None or every]
     if axes:

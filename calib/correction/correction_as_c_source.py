@@ -13,7 +13,6 @@ from importlib.resources import files
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.correction.correction import AnyCorrection
 from calib.correction.interpolation.field_interface_and_combinations import Field, RestrictedMap, SummedPasses
 from calib.correction.interpolation.gaussian_process import Radial, RadialMap
@@ -76,12 +75,11 @@ class _Tables:
         self.lines += [head, "{", *(f"    {line}" for line in statements), "}", ""]
 
 
-def correction_c_source(calibration: Calibration, origin: str) -> CSource:
-    """CSource of a hexapod's calibration. origin : of which file and by which version it is made, for its head
+def correction_c_source(correction: AnyCorrection, physics: Physics | None, origin: str) -> CSource:
+    """CSource of a hexapod's Correction and the Physics besides, or None. origin : of which file and by which version it is made, for its head
 
     Raises RigError for another machine, for a way to extend corrections and for an effect that no C file states
     """
-    correction = calibration.correction
     fitted = require_hexapod(
         correction.fitted, "a controller's C file holds a hexapod's calibration, not one of kind {kind!r}"
     )
@@ -91,7 +89,7 @@ def correction_c_source(calibration: Calibration, origin: str) -> CSource:
             f"maps in pose space together with {', '.join(correction.physics)} are in no C file; use `rig correct`"
         )
     tables = _Tables()
-    terms = _terms(correction, calibration.physics)
+    terms = _terms(correction, physics)
     channels = tuple(dict.fromkeys(name for term in terms for name in term.channels))
     gaps = _gaps(terms)
     for name, values in (
@@ -105,7 +103,7 @@ def correction_c_source(calibration: Calibration, origin: str) -> CSource:
     geometry, tables.lines = tables.lines, []
     settled = _remainder(tables, correction)
     maps = _pose_maps(tables, correction)
-    medians = [] if calibration.physics is None else [calibration.physics.channels[name][0] for name in channels]
+    medians = [] if physics is None else [physics.channels[name][0] for name in channels]
     home = ", ".join(map(repr, hexapod.home_values(nominal).tolist()))
     fields = [_part(name) for name in ("grid", "simplex", "linear", "axes", "polynomial", "radial", "within")]
     text = [

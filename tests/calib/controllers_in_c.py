@@ -81,11 +81,16 @@ double slowest(const double *pose, const double *channels, struct rig_state *sta
 """
 
 
+def c_text(calibration):
+    """Text of the C file of a calibration."""
+    return correction_c_source(calibration.correction, calibration.physics, "rig 1.2.3").text
+
+
 class Controller:
     """The C file of a calibration, compiled. channels : names in their order; state : as C holds it, or None"""
 
     def __init__(self, calibration, folder, start=None, stateless=False):
-        self.text = correction_c_source(calibration, "0").text
+        self.text = c_text(calibration)
         (folder / "correction.c").write_text(self.text)
         alone = subprocess.run(
             [COMPILER, *FLAGS, "-c", "correction.c", "-o", "correction.o"], cwd=folder, capture_output=True, text=True
