@@ -2,10 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from hashlib import sha256
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 
+from calib.correction.correction_as_c_source import correction_c_source
 from calib.correction.correction_tables_and_pose_space_map_json import axis_correction_tables, grid_correction_table
 from calib.files import calibration_file
 from rig.errors import RigError
@@ -18,6 +21,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, requi
 from rig.recording.recording_folder import load_recording
 
 TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry
+C_SOURCE = "c"  # all of a correction, for a controller
 CAMERAS = ("camera-info", "opencv")  # of a rig.toml, a file each
 RECORDINGS = ("tum", "parquet")
 GEOMETRIES = {
@@ -73,11 +77,16 @@ def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -
 
     A recording for tum and parquet; as `rig export` makes it.
 
-    kind : one of TABLES, CAMERAS, RECORDINGS and GEOMETRIES
+    kind : one of TABLES, C_SOURCE, CAMERAS, RECORDINGS and GEOMETRIES
     Raises RigError for a machine that this format cannot state, and for options out of range
     """
     if kind in TABLES:
         return _correction_tables(machine, kind, options)
+    if kind == C_SOURCE:
+        origin = f"rig {metadata.version('rig')} of {machine.name}, SHA-256 {sha256(machine.read_bytes()).hexdigest()}"
+        calibration = calibration_file.load(machine)
+        source = correction_c_source(calibration.correction, calibration.physics, origin)
+        return ExportResult({"": source.text}, "; ".join(source.notes))
     if kind in CAMERAS:
         return _cameras(machine, kind)
     if kind in RECORDINGS:
@@ -193,9 +202,9 @@ def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
     correction, left_out = calibration.correction, []
     if calibration.physics is not None and calibration.physics.compensable_effects():
         names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.compensable_effects())
-        left_out.append(f"the calibration compensates {names} besides the geometry, which no export contains")
+        left_out.append(f"the calibration compensates {names} besides the geometry, which this format does not contain")
     if correction.posed:
-        left_out.append(f"maps in pose space ({len(correction.posed)}) are in no export")
+        left_out.append(f"maps in pose space ({len(correction.posed)}) are not in this format")
     every = correction.extension is not None
     axes = [str(i + 1) for i, part in enumerate(correction.remainder) if part is not None or every]
     if axes:

@@ -171,10 +171,10 @@ class Correction(Generic[M, R]):
         return self.predict(commands) if self.deficient else T_base_platform
 
     def goal(self, T_base_platform: RigidTransform, near: Floats) -> Floats:
-        """(n, axes) m or rad that the fitted geometry has to get for poses (n,). similar_fit : (n, axes), commands
-        where there is more than one way.
+        """(n, axes) m or rad that the fitted geometry has to get for poses (n,). near : (n, axes), commands where there
+        is more than one way. Raises NotConverged as `target_poses`
         """
-        return mechanisms.kinematics_of(self.fitted).inverse(T_base_platform, self.fitted)
+        return mechanisms.kinematics_of(self.fitted).inverse(self.target_poses(T_base_platform), self.fitted)
 
     def responses(self, T_base_platform: RigidTransform, effective: Floats) -> Responses:
         """Responses at poses (n,), of which the fitted geometry gets effective (n, axes) m or rad."""
@@ -205,9 +205,8 @@ class Correction(Generic[M, R]):
         """The commands (..., axes) of `inverse` by the configuration alone, whatever else a calibration knows. Raises
         NotConverged as `inverse`
         """
-        return self.settled(
-            mechanisms.kinematics_of(self.fitted).inverse(self.target_poses(T_base_platform), self.fitted)
-        )
+        fitted = mechanisms.kinematics_of(self.fitted)
+        return self.settled(fitted.inverse(self.target_poses(T_base_platform), self.fitted))
 
     def _refuse_physics(self) -> None:
         """Raise RigError where commands by the configuration alone would leave known physics out."""

@@ -1,6 +1,6 @@
 """rig export: write a calibrated geometry, lenses or a recording in the formats of other programs.
 
-Formats: genhexkins, URDF, SDF, LinuxCNC, JSON, CSV, a grid; of lenses OpenCV and ROS; of a recording TUM and
+Formats: genhexkins, URDF, SDF, LinuxCNC, JSON, CSV, a grid, C; of lenses OpenCV and ROS; of a recording TUM and
 Parquet.
 """
 
@@ -28,6 +28,7 @@ FORMATS = (
     "csv",
     "linuxcnc-comp",
     "grid",
+    "c",
     "camera-info",
     "opencv",
     "tum",
@@ -50,7 +51,8 @@ def arguments(parser: ArgumentParser) -> None:
         help="genhexkins: HAL settings of LinuxCNC; "
         "urdf, sdf: for simulators, a hexapod's URDF as a tree; linuxcnc-comp: the correction on top of "
         "genhexkins, a file for each joint "
-        "in the folder OUT; grid: a CSV of corrections to the nominal model; camera-info, opencv: "
+        "in the folder OUT; grid: a CSV of corrections to the nominal model; c: a C99 file that computes corrected "
+        "lengths as `rig correct` does, for a controller; camera-info, opencv: "
         "lenses of a rig.toml, a "
         "YAML file for each camera in the folder OUT; tum, parquet: the poses, or all tables, of a recording "
         "or of what "
@@ -116,7 +118,7 @@ def _require_out(arguments: Namespace) -> None:
             "--json reports what was written: name a file or a folder with --out; without it the export "
             "is printed itself"
         )
-    if kind in ("linuxcnc-comp", "grid") and (is_design or nowhere):
+    if kind in ("linuxcnc-comp", "grid", "c") and (is_design or nowhere):
         raise RigError(f"{kind} takes a calibration.json and --out")
     if kind in ("camera-info", "opencv") and (not is_design or nowhere):
         raise RigError(f"{kind} takes a rig.toml, as `rig measure` writes it too, and --out DIR")

@@ -9,6 +9,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.effect_parameters_and_covariates import (
     Context,
+    ControllerTerm,
     Covariate,
     Drawing,
     Parameter,
@@ -49,6 +50,15 @@ class AxisCoupling(Effect):
 
     def deviation(self, motion: Motion) -> Floats:
         return self.axes(motion.places) * self.scale * motion.stroke[:, [int(self.other) - 1]]
+
+    def in_controller(self, motion: Motion) -> ControllerTerm:
+        other = int(self.other) - 1
+        return ControllerTerm(
+            tuple(
+                f"d[{i}] += {self.scale!r} * (c[{other}] - {motion.home[other].item()!r});"
+                for i in np.flatnonzero(self.axes(motion.places)).tolist()
+            )
+        )
 
     def covariate(self, motion: Motion) -> Covariate:
         other = int(self.other) - 1

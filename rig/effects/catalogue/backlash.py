@@ -5,7 +5,12 @@ from typing import ClassVar
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter, travel_covariate
+from rig.effects.framework.effect_parameters_and_covariates import (
+    ControllerTerm,
+    Covariate,
+    Parameter,
+    travel_covariate,
+)
 from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
 
 
@@ -33,6 +38,9 @@ class Backlash(Effect):
 
     def deviation(self, motion: Motion) -> Floats:
         return self.axes(motion.places) * play_deviation(motion, self.gap / 2)
+
+    def in_controller(self, motion: Motion) -> ControllerTerm:
+        return ControllerTerm(gaps=tuple((self.gap * self.axes(motion.places)).tolist()))
 
     def covariate(self, motion: Motion) -> Covariate:
         return travel_covariate(motion.path.since_reversal, motion, "travel since the last reversal (negative: inward)")

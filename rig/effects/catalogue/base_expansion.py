@@ -7,7 +7,14 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
-from rig.effects.framework.effect_parameters_and_covariates import Context, Covariate, Parameter, temperature_covariate
+from rig.effects.framework.effect_parameters_and_covariates import (
+    Context,
+    ControllerTerm,
+    Covariate,
+    Parameter,
+    controller_channel,
+    temperature_covariate,
+)
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
 
@@ -41,6 +48,23 @@ class BaseExpansion(Effect):
         base, tips = ends
         moved = np.linalg.norm(tips - scale[:, None, None] * base, axis=2)
         return np.linalg.norm(tips - base, axis=2) - moved
+
+    def in_controller(self, motion: Motion) -> ControllerTerm:
+        return ControllerTerm(
+            (
+                "for (int i = 0; i < 6; i++) {",
+                f"    const double scale = 1.0 + {self.coefficient!r} * ({controller_channel(AMBIENT)} - "
+                f"{REFERENCE_TEMPERATURE!r});",
+                "    double before = 0.0, after = 0.0;",
+                "    for (int k = 0; k < 3; k++) {",
+                "        before += (tip[i][k] - BASE[i][k]) * (tip[i][k] - BASE[i][k]);",
+                "        after += (tip[i][k] - scale * BASE[i][k]) * (tip[i][k] - scale * BASE[i][k]);",
+                "    }",
+                "    d[i] += sqrt(before) - sqrt(after);",
+                "}",
+            ),
+            channels=(AMBIENT,),
+        )
 
     def covariate(self, motion: Motion) -> Covariate:
         return temperature_covariate(motion.channel(AMBIENT), "the room")

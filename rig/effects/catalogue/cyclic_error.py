@@ -10,6 +10,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.effect_parameters_and_covariates import (
     Context,
+    ControllerTerm,
     Covariate,
     Node,
     Parameter,
@@ -60,6 +61,15 @@ class CyclicError(Effect):
 
     def deviation(self, motion: Motion) -> Floats:
         return self.axes(motion.places) * self.amplitude * np.sin(self.order * self.angle(motion) + self.phase)
+
+    def in_controller(self, motion: Motion) -> ControllerTerm:
+        rate = 2 * np.pi * self.order / motion.turn()
+        return ControllerTerm(
+            tuple(
+                f"d[{i}] += {self.amplitude!r} * sin({rate[i].item()!r} * c[{i}] + {self.phase!r});"
+                for i in np.flatnonzero(self.axes(motion.places)).tolist()
+            )
+        )
 
     def covariate(self, motion: Motion) -> Covariate:
         return Covariate(self.order * self.angle(motion) / (2 * np.pi) % 1, "turn of the drive times order")

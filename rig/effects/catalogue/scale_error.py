@@ -3,9 +3,16 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter, travel_covariate
+from rig.effects.framework.effect_parameters_and_covariates import (
+    ControllerTerm,
+    Covariate,
+    Parameter,
+    travel_covariate,
+)
 from rig.effects.framework.machine_motion_and_play import Motion
 
 
@@ -37,6 +44,14 @@ class ScaleError(Effect):
 
     def deviation(self, motion: Motion) -> Floats:
         return self.axes(motion.places) * self.scale * motion.stroke
+
+    def in_controller(self, motion: Motion) -> ControllerTerm:
+        return ControllerTerm(
+            tuple(
+                f"d[{i}] += {self.scale!r} * (c[{i}] - {motion.home[i].item()!r});"
+                for i in np.flatnonzero(self.axes(motion.places)).tolist()
+            )
+        )
 
     def covariate(self, motion: Motion) -> Covariate:
         return travel_covariate(motion.stroke, motion, "stroke from home")

@@ -7,7 +7,14 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import Context, Covariate, Parameter, temperature_covariate
+from rig.effects.framework.effect_parameters_and_covariates import (
+    Context,
+    ControllerTerm,
+    Covariate,
+    Parameter,
+    controller_channel,
+    temperature_covariate,
+)
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.model.effect_places_and_part_tolerances import Place
 
@@ -51,6 +58,18 @@ class ThermalExpansion(Effect):
             warm = motion.lagged_channel(self.lag, *_channels(motion.places[i]))
             share[:, i] = self.coefficient * (warm - REFERENCE_TEMPERATURE)
         return motion.kind.axis_deviation_and_sway_by_member_growth(motion.T, motion.lengths, motion.mechanism, share)
+
+    def in_controller(self, motion: Motion) -> ControllerTerm:
+        sits = np.flatnonzero(self.axes(motion.places)).tolist()
+        names = {i: _channels(motion.places[i])[0] for i in sits}
+        return ControllerTerm(
+            tuple(
+                f"d[{i}] += {self.coefficient!r} * ({controller_channel(name)} - {REFERENCE_TEMPERATURE!r}) * c[{i}];"
+                for i, name in names.items()
+            ),
+            channels=tuple(names.values()),
+            lag=self.lag,
+        )
 
     def covariate(self, motion: Motion) -> Covariate:
         warm = [

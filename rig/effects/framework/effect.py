@@ -19,6 +19,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     QUADRATURE,
     SEARCHED,
     Context,
+    ControllerTerm,
     Covariate,
     Drawing,
     Linear,
@@ -83,17 +84,14 @@ class Effect:
     places : kinds of place it can sit at ("axis": a strut or a joint); experiment : what would expose it
     joint_experiment : the same of a joint, if another; action : what an owner can do about it, with "{axis}" too
     on_pose : its deviation depends on the pose; sudden : it happens at one time, and may be over soon
-    discrete : found from the corners set aside, not by its derivative; moving : shows only in exposures on the way
+    discrete : found from corners set aside, not by its derivative; moving : shows only in exposures on the way
     rolls : rows of an image are exposed one after the other
-    form : what the model is a function of, where that is simple: the axis' own travel ("slope", "sinusoid" or
-    "profile"), its "load", or a moment ("step")
-    own_axis : depends on the axis' own position alone, 1 for the simplest such model; once : there is one at a place
+    form : what the model is a function of, if simple: own travel ("slope", "sinusoid", "profile"), "load" or "step"
+    own_axis : depends on the axis' position alone, 1 for the simplest; once : a second at a place would be the first
     lasting : the machine does it again the next time, so that commands can undo it; not what happened at one moment
-    tolerance : of manufacturing, within which it is no fault
-    cardans : [actuator] joints, those of struts' ends, one of which it needs; empty where it needs no cardan
-    whole_turns : it needs the travel of one turn of its axis' screw
-    fixed_mount : at a camera, it takes one whose mount does not move; flat : markers stay flat, as drawn ones are
-    warps : takes in every smooth displacement fixed in a camera's image
+    tolerance : of manufacturing, within which it is no fault; fixed_mount : its camera's mount does not move along
+    cardans : kinds of joints at struts' ends, one of which it needs; whole_turns : it needs the travel of a turn
+    flat : markers stay flat, as drawn images have them; warps : takes in every smooth displacement fixed in an image
     view : how residuals in the image show it: "displacement", "map", "time", "scale", "outward", "markers" or "targets"
     """
 
@@ -189,8 +187,11 @@ class Effect:
 
     @classmethod
     def bending(cls, camera: Camera, quads: Floats, columns: Sequence[Linear]) -> Floats | None:
-        """(..., 4, 2, q) px that `print_` moves corners (..., 4, 2) px by, per unit of each column, where it is linear
-        in them and says so."""
+        """(..., 4, 2, q) px that `print_` moves corners (..., 4, 2) px by, per unit of each column, or None."""
+        return None
+
+    def in_controller(self, motion: Motion) -> ControllerTerm | None:
+        """What a hexapod's controller computes of it, motion : of that machine; None where it has no such form."""
         return None
 
     def uncovered(self, motion: Motion) -> Floats:
@@ -207,7 +208,7 @@ class Effect:
         return None
 
     def kept(self) -> tuple[dict[tuple[str, int | None], float], ...]:
-        """Sums of its parameters that a fit must keep, {(name, index): weight}: what would only change the notation."""
+        """Sums of its parameters that a fit must keep, {(name, index): weight}."""
         return ()
 
     def fitted(self, parameter: Parameter) -> tuple[int | None, ...]:

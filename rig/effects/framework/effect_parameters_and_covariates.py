@@ -30,6 +30,27 @@ Range = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
+class ControllerTerm:
+    """An effect as a hexapod's controller computes it, in C99.
+
+    statements : add metres to d[i], of commands c[6] (m), the joints BASE[6][3] and tip[6][3] (m, base frame) and
+        sensor channels, each named by `controller_channel`
+    gaps : (axes,) m, the play of each axis, () for none; channels : names of the sensor channels; lag : s, by which
+        what counts follows them, 0 for at once
+    """
+
+    statements: tuple[str, ...] = ()
+    gaps: tuple[float, ...] = ()
+    channels: tuple[str, ...] = ()
+    lag: float = 0.0
+
+
+def controller_channel(name: str) -> str:
+    """The value of a sensor channel in C."""
+    return f"channels[RIG_{name.upper()}]"
+
+
+@dataclass(frozen=True, slots=True)
 class Parameter:
     """name; unit; bounds : (low, high) that make sense, beyond any value that nature prefers; usual : (low, high) that
     rigs show

@@ -11,6 +11,12 @@ import pytest
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.correction.command_sequence_timing_and_pose_error_map import HOLDING, TURNING, Pace, timed_route
 from calib.correction.correction import Correction, calibrate_correction
+from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
+from calib.correction.interpolation_methods_and_correction_summand_fields import (
+    correction_with_pose_space_map,
+    fit_field,
+    home_pose,
+)
 from calib.correction.physics_compensation import (
     Machine,
     Physics,
@@ -126,6 +132,22 @@ def test_a_pose_held_again_after_a_small_drift_comes_out_of_the_gap(design):
         design, done.route.commands(done.values), t, calibration.physics.effects, warm
     )
     assert np.abs(pose_difference(run.T_base_platform, T)).max() < 2e-9
+
+
+def test_maps_in_pose_space_are_undone_along_with_physics(design):
+    """What physics adds is nearly nothing here: the commands are those of the configuration and the map."""
+    known = known_to_be(design, parse_effect("scale_error:strut1:scale=1e-9"))
+    home = home_pose(design.mechanism)
+    x = home.translation + 0.05 * np.random.default_rng(2).uniform(-1, 1, (60, 3))
+    x = np.hstack([x, np.random.default_rng(3).uniform(-0.2, 0.2, (60, 3))])
+    strokes = np.stack([x.min(axis=0), x.max(axis=0)], axis=1)
+    field = fit_field("polynomial", FieldSamples(x, np.full(x.shape, 4e-5), np.full(x.shape, 1e-14), strokes))
+    known = replace(known, correction=correction_with_pose_space_map(known.correction, field))
+    T, _, _ = wanted(design)
+    by_map = known.correction.inverse_without_physics(T)
+    assert np.abs(by_map - hexapod.inverse(T, design.mechanism)).max() > 2e-5
+    done = commands_along_route(known, T, hexapod.home_values(design.mechanism))
+    assert np.abs(done.values - by_map).max() < 1e-9
 
 
 @pytest.mark.parametrize("name", ["backlash", "compliance"])
