@@ -220,7 +220,11 @@ def _effect_texts(findings: Sequence[FindingEntry]) -> list[str]:
     for effect, ones in of_effect.items():
         places = ", ".join(sorted({one.place for one in ones}))
         among = f", the strongest{finding_size_text(ones[0])}" if len(ones) > 1 else finding_size_text(ones[0])
-        out.append(f"{effect.replace('_', ' ')} at {places}{among}")
+        others = dict.fromkeys(
+            f"{o.effect.replace('_', ' ')} at {o.place}" for one in ones for o in one.cannot_be_told_from
+        )
+        alike = f" (or {', '.join(list(others)[:MENTIONED])}: these data cannot tell)" if others else ""
+        out.append(f"{effect.replace('_', ' ')} at {places}{among}{alike}")
     more = len(out) - MENTIONED
     return [*out[:MENTIONED], *([f"{more} more effects"] if more > 0 else [])]
 

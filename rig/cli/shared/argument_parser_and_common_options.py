@@ -42,6 +42,7 @@ SHARED = (
     "simulate blind",
     "verify",
     "watch",
+    "why",
 )  # work for many
 
 INVALID = re.compile(r"invalid parse_(\w+) value")  # as argparse names what parses an argument
