@@ -38,7 +38,7 @@ from rig.driving.run_steps_and_progress import (
     steps_of_plan,
 )
 from rig.driving.strut_driver import Driver
-from rig.driving.user_programs import require_own_rig_toml
+from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
 from rig.errors import ControllerFault, PositionLost, RigError, Unreachable
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes

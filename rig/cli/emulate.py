@@ -184,7 +184,7 @@ def _new(arguments: Namespace) -> None:
     if not arguments.new.isidentifier():
         raise RigError(f"--new takes a name of letters, digits and underscores, not {arguments.new!r}")
     text, path = (
-        files("rig.driving").joinpath("protocol_template.py").read_text(encoding="utf-8"),
+        files("rig.driving").joinpath("example_protocol_with_emulator.py").read_text(encoding="utf-8"),
         arguments.new + ".py",
     )
     write_text(arguments.outputs.file(Path(path)), text)

@@ -13,7 +13,7 @@ from rig.driving.request_and_answer_exchange_with_controller import Port
 from rig.driving.serial_port import SerialPort, find_usb_port
 from rig.driving.strut_driver import Driver
 from rig.driving.urgent_stop import ControllerAddress, StoppedController
-from rig.driving.user_programs import require_own_rig_toml
+from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_file
 from rig.model.controller_protocol_list_and_port_name_check import port_problem

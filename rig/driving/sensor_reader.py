@@ -8,7 +8,7 @@ from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.request_and_answer_exchange_with_controller import Port
 from rig.driving.serial_port import SerialPort
-from rig.driving.user_programs import fail_at_class, guard_call, load_user_class
+from rig.driving.user_protocol_camera_and_sensor_classes import fail_at_class, guard_call, load_user_class
 from rig.errors import NoAnswer, RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
 from rig.model.controller_protocol_list_and_port_name_check import is_user_program

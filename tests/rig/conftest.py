@@ -8,7 +8,7 @@ import pytest
 from rig.model.design import PROTOCOLS, Controller
 from tests.conftest import ROOT
 
-OWN_PROTOCOL = f"file:{ROOT / 'rig' / 'driving' / 'protocol_template.py'}"
+OWN_PROTOCOL = f"file:{ROOT / 'rig' / 'driving' / 'example_protocol_with_emulator.py'}"
 EVERY_PROTOCOL = (*PROTOCOLS, OWN_PROTOCOL)
 
 

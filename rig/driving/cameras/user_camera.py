@@ -11,7 +11,7 @@ import numpy as np
 from rig.array_and_json_types import Pixels
 from rig.driving.cameras.camera_interface_and_grabbing import UNIFORM, CameraError, Frame
 from rig.driving.clock import Clock
-from rig.driving.user_programs import fail_at_class, guard_call, load_user_class
+from rig.driving.user_protocol_camera_and_sensor_classes import fail_at_class, guard_call, load_user_class
 from rig.errors import FileError
 from rig.model.design import Camera
 from rig.recording.image_file_check_and_reading import decode_image

@@ -11,7 +11,7 @@ import numpy as np
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.driving.emulators.controller_faults import ALWAYS, KINDS
 from rig.driving.emulators.fault_trials import ARRIVED, LONGEST, bring_home, count_moves, emulated_bench, times_executed
-from rig.driving.user_programs import require_own_rig_toml
+from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stopped
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.rig_toml.design_file import design_of_entries, load_design

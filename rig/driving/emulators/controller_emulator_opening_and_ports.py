@@ -20,7 +20,7 @@ from rig.driving.emulators.grblhal import GrblHAL
 from rig.driving.emulators.line_emulator import load_user_emulator
 from rig.driving.emulators.linuxcnc import LinuxCNC
 from rig.driving.emulators.own_strut_protocol import Struts
-from rig.driving.user_programs import require_own_rig_toml
+from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
 from rig.formats.rig_toml import design_file

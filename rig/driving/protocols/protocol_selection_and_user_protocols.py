@@ -12,7 +12,12 @@ from rig.driving.protocols.line_protocol import LineProtocol, state_problem
 from rig.driving.protocols.linuxcnc import LinuxCNC
 from rig.driving.protocols.own_strut_protocol import Struts
 from rig.driving.protocols.protocol_interface import Dialogue, Protocol, State, Verdict
-from rig.driving.user_programs import fail_at_class, guard_call, load_user_class, missing_member
+from rig.driving.user_protocol_camera_and_sensor_classes import (
+    fail_at_class,
+    guard_call,
+    load_user_class,
+    missing_member,
+)
 from rig.errors import ControllerFault, FileError
 from rig.formats.user_python_file import class_literal, read_user_text
 from rig.model.controller_protocol_list_and_port_name_check import is_user_program

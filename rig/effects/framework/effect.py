@@ -83,15 +83,14 @@ class Effect:
 
     places : kinds of place it can sit at ("axis": a strut or a joint); experiment : what would expose it
     joint_experiment : the same of a joint, if another; action : what an owner can do about it, with "{axis}" too
-    on_pose : its deviation depends on the pose; sudden : it happens at one time, and may be over soon
+    on_pose : its deviation depends on the pose; sudden : it happens at one time; rolls : image rows exposed in turn
     discrete : found from corners set aside, not by its derivative; moving : shows only in exposures on the way
-    rolls : rows of an image are exposed one after the other
     form : what the model is a function of, if simple: own travel ("slope", "sinusoid", "profile"), "load" or "step"
     own_axis : depends on the axis' position alone, 1 for the simplest; once : a second at a place would be the first
-    lasting : the machine does it again the next time, so that commands can undo it; not what happened at one moment
-    tolerance : of manufacturing, within which it is no fault; fixed_mount : its camera's mount does not move along
-    cardans : kinds of joints at struts' ends, one of which it needs; whole_turns : it needs the travel of a turn
-    flat : markers stay flat, as drawn images have them; warps : takes in every smooth displacement fixed in an image
+    lasting : the machine does it again, so that commands can undo it; tolerance : within which it is no fault
+    fixed_mount : its camera stands still; cardans : kinds of joints at struts' ends, one of which it needs
+    whole_turns : it needs the travel of a turn; flat : markers stay flat, as drawn images have them
+    warps : takes in every smooth displacement fixed in an image
     view : how residuals in the image show it: "displacement", "map", "time", "scale", "outward", "markers" or "targets"
     """
 

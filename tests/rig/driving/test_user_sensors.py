@@ -4,7 +4,7 @@ import pytest
 
 from rig.driving.clock import SimulatedClock
 from rig.driving.sensor_reader import open_sensors
-from rig.driving.user_programs import require_own_rig_toml
+from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
 from rig.errors import FileError, NoAnswer, RigError
 from rig.formats.rig_toml import design_file
 from rig.model.design import SensorPort

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 
-from rig.driving import user_programs
 from rig.driving.cameras import CameraError, open_camera
 from rig.driving.clock import SystemClock
 from rig.errors import FileError
@@ -84,7 +83,9 @@ def test_an_entry_point_of_a_package_is_a_camera(tmp_path, monkeypatch):
     (tmp_path / "mine_eyes.py").write_text(FILE)
     monkeypatch.syspath_prepend(tmp_path)
     point = SimpleNamespace(name="mine", value="mine_eyes:Mine", load=lambda: __import__("mine_eyes").Mine)
-    monkeypatch.setattr(user_programs, "entry_points", lambda group: [point] if group == "rig.cameras" else [])
+    monkeypatch.setattr(
+        user_protocol_camera_and_sensor_classes, "entry_points", lambda group: [point] if group == "rig.cameras" else []
+    )
     assert open_camera(camera("package:mine"), Ticking()).grab().image.shape == SIZE[::-1]
 
 

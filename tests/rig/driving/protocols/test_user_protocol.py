@@ -7,13 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rig.driving import user_programs
 from rig.driving.emulators.fault_trials import emulated_bench
 from rig.driving.protocols.protocol_selection_and_user_protocols import protocol_of_controller
 from rig.errors import ControllerFault, FileError, RigError
 from tests.conftest import ROOT
 
-TEMPLATE = (ROOT / "rig" / "driving" / "protocol_template.py").read_text()
+TEMPLATE = (ROOT / "rig" / "driving" / "example_protocol_with_emulator.py").read_text()
 LACKS = [  # what stands in place of what, what is said of it
     ("import numpy as np", "import numpy as np oh", r"mine.py:3:\d+: is no Python"),
     ("import numpy as np", "import nothing_of_the_kind", "mine.py:3: cannot be run: ModuleNotFoundError"),
@@ -77,7 +76,11 @@ def test_an_entry_point_of_a_package_is_a_protocol(tmp_path, driven_design, monk
         return sys.modules["acme_rig"].Acme
 
     point = SimpleNamespace(name="acme", value="acme_rig:Acme", load=load)
-    monkeypatch.setattr(user_programs, "entry_points", lambda group: [point] if group == "rig.protocols" else [])
+    monkeypatch.setattr(
+        user_protocol_camera_and_sensor_classes,
+        "entry_points",
+        lambda group: [point] if group == "rig.protocols" else [],
+    )
     driver, emulator, clock = emulated_bench(driven_design, "package:acme")
     driver.open()
     driver.home()
