@@ -84,7 +84,8 @@ def test_an_entry_point_of_a_package_is_a_camera(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     point = SimpleNamespace(name="mine", value="mine_eyes:Mine", load=lambda: __import__("mine_eyes").Mine)
     monkeypatch.setattr(
-        user_protocol_camera_and_sensor_classes, "entry_points", lambda group: [point] if group == "rig.cameras" else []
+        "rig.driving.user_protocol_camera_and_sensor_classes.entry_points",
+        lambda group: [point] if group == "rig.cameras" else [],
     )
     assert open_camera(camera("package:mine"), Ticking()).grab().image.shape == SIZE[::-1]
 
