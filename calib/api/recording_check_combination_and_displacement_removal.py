@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from threadpoolctl import threadpool_limits
 
 from calib.drift.visit_equations_and_reference import base_motion_columns
-from calib.models.base_and_tool_placement import placement_lines
+from calib.models.base_and_tool_placement import has_placements, placement_lines
 from calib.models.joint_geometry_and_placement_fit import remove_base_and_tool_displacement
 from calib.models.platform.identification import PRIOR
 from calib.samples.pose_samples import Samples, sample_recording
@@ -25,7 +25,6 @@ from rig.array_and_json_types import Floats, Integers
 from rig.checks import command_and_pose_disagreements
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.model import mechanisms
-from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Parallel,
     geometric_parameters,
@@ -210,7 +209,7 @@ def check_and_combine_recordings(
                 notice(place.line(every[place.recording].name))
             if not places:
                 notice("the instrument has not moved")
-        elif isinstance(recording.design.mechanism, (Arm, Chain)) and measured == "pose":
+        elif has_placements(recording.design.mechanism, measured):
             recording, placements = remove_base_and_tool_displacement(recording)
             for line in placement_lines(placements, [one.name for one in every[1:]]):
                 notice(line)

@@ -261,9 +261,9 @@ def is_clear(predicted: RigidTransform, samples: Samples, placement: Placement, 
     return gone - left > CLEAR**2 * left
 
 
-def has_placements(mechanism: object, samples: Samples) -> bool:
-    """Whether base and tool are estimated of such a machine by such samples: of arms and chains by poses, positions."""
-    return isinstance(mechanism, (Arm, Chain)) and samples.measured in ("pose", "position")
+def has_placements(mechanism: object, measured: str) -> bool:
+    """Whether base and tool are estimated of such a machine: of arms and chains by poses, or by positions alone."""
+    return isinstance(mechanism, (Arm, Chain)) and measured in ("pose", "position")
 
 
 def base_origin(mechanism: Arm | Chain) -> Floats:
@@ -303,7 +303,7 @@ def samples_without_displacement(calibration: Calibration, recording: Recording,
 def _without_displacement(calibration: Calibration, samples: Samples, instrument: Instrument | None) -> PlacedSamples:
     """The same of samples with the physics that is known. instrument : as rig.toml states it, or None"""
     fitted = calibration.correction.fitted
-    if not has_placements(fitted, samples):
+    if not has_placements(fitted, samples.measured):
         return PlacedSamples(samples)
     assert isinstance(fitted, (Arm, Chain))
     always = (

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.api.diagnose import diagnose
 from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.arm_recording_evidence import ArmEvidence
@@ -21,6 +22,8 @@ from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
 from rig.recording import recording_folder as recordings
 from tests.calib import secret_arms
 from tests.rig.arms import UR10
+from tests.truth.case import draw
+from tests.truth.written import record
 
 GRAVITY = np.array([0, 0, -9.80665])
 STIFFNESS = 2e5  # N m/rad
@@ -120,6 +123,15 @@ def test_a_large_backlash_shows_in_25_poses_and_nothing_in_quiet_ones():
     (arms, _), _ = recorded(lambda q: third * (play_operator(q, 3 * GAP / 2) - q), 25, 0)
     found = select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit.terms
     assert [(term.candidate.name, term.candidate.place) for term in found] == [("backlash", "joint 3")]
+
+
+@pytest.mark.slow
+def test_forty_quiet_recordings_of_25_poses_stay_quiet(tmp_path):
+    """Arms of an independent truth, without a fault: nothing is named and nothing is unexplained."""
+    for seed in range(40):
+        case = draw(seed, "none", "none", kind="arm", count=25)
+        report = diagnose(recordings.load_recording(record(case, tmp_path / str(seed)))).report
+        assert not report.findings and report.unexplained is None, seed
 
 
 def test_command_line_writes_diagnosis_and_page(tmp_path, capsys):

@@ -118,14 +118,15 @@ def test_a_fit_still_solves_for_the_places(tmp_path):
 def test_a_verification_names_what_stands_elsewhere(tmp_path, ends):
     """Base and tool displaced for the verification: named within the stated interval, the errors back to the noise."""
     case = arm(3)
-    calibration = calibrate(
-        written(draw(3, "none", "none", kind="arm", count=90), tmp_path / "a", ends=ends), CalibrateOptions(quick=True)
-    ).calibration
+    station = np.array(FAR[0]) if ends[0] == "free" else np.zeros(6)  # where the arm stood when it was calibrated
+    moved = rows_of(matrices(np.array([NEAR[0]])) @ matrices(station[None]))[0]
+    first = written(draw(3, "none", "none", kind="arm", count=90), tmp_path / "a", station, ends=ends)
+    calibration = calibrate(first, CalibrateOptions(quick=True)).calibration
     later = _later(case, 1)
     tool = [2e-3, 0, 1e-3, 1e-2, 0, 0]
-    still = verify(calibration, written(later, tmp_path / "b", ends=ends))
-    base = verify(calibration, written(later, tmp_path / "c", NEAR[0], ends=ends))
-    hand = verify(calibration, written(later, tmp_path / "d", NEAR[0], tool, ends=ends))
+    still = verify(calibration, written(later, tmp_path / "b", station, ends=ends))
+    base = verify(calibration, written(later, tmp_path / "c", moved, ends=ends))
+    hand = verify(calibration, written(later, tmp_path / "d", moved, tool, ends=ends))
     noise = still.figures.held.after.position[0]
     assert noise < 1.3 * np.sqrt(3) * case.sigma[0]
     stated = ends == ("rig", "rig")
@@ -233,3 +234,17 @@ def test_the_command_line_states_the_place(tmp_path, capsys):
 
 def run(*words):
     return command_line.main([str(word) for word in words])
+
+
+def test_what_the_numbers_took_of_the_noise_is_given_back(tmp_path):
+    """Twelve numbers of ten poses take a fifth of their noise: the stated errors have all of it, in the mean."""
+    first = draw(3, "none", "none", kind="arm", count=90)
+    ends = ("free", "free")
+    calibration = calibrate(written(first, tmp_path / "a", ends=ends), CalibrateOptions(quick=True)).calibration
+    squares = []
+    for k in range(20):
+        few = _later(replace(first, way=replace(first.way, looked=first.way.looked[:10])), k + 1)
+        found = verify(calibration, written(few, tmp_path / f"b{k}", NEAR[0], ends=ends)).figures
+        assert found.held.after.n == 10 and "12 numbers were estimated from these 10" in found.displacement[-1]
+        squares.append(found.held.after.position[0] ** 2 / (3 * first.sigma[0] ** 2))
+    assert 0.88 < np.mean(squares) < 1.25, np.mean(squares)

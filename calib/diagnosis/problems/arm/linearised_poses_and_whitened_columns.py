@@ -17,9 +17,9 @@ from calib.diagnosis.engine.cross_validation_and_chance import FOLDS, STRETCHES,
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import calibrate_arm
 from calib.models.arm.error_model_and_observations import observation_jacobian, sample_observations
-from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
 from calib.models.chain import error_model as chains
 from calib.models.chain.identification import identify_chain
+from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
@@ -140,8 +140,6 @@ def linearise_poses(
     Raises NotEnoughData for too few poses, with how many it takes, RigError for what is neither, and what calibrating
         raises
     """
-    if refuse_few:
-        _require_enough_poses(samples, design)
     if samples.measured in ("orientation", "distance"):
         raise RigError(f"an arm is diagnosed by its poses or positions; the {samples.measured} alone was measured")
     linear = (
@@ -149,6 +147,8 @@ def linearise_poses(
     )
     if linear is None:
         raise RigError(f"this requires an arm or a chain, not a mechanism of kind {design.mechanism.kind!r}")
+    if refuse_few:
+        _require_enough_poses(samples, design)
     geometry, left, freedoms, joints, own = linear(samples, design)
     commands = Commands(samples.t, samples.commanded) if commands is None else commands
     design = replace(design, mechanism=geometry.mechanism)
@@ -162,12 +162,9 @@ def linearise_poses(
 
 def _require_enough_poses(samples: Samples, design: Design) -> None:
     """Raise NotEnoughData for poses that bear no number beside the geometry's, with how many it takes."""
-    mechanism, k = design.mechanism, 6 if samples.measured == "pose" else 3
-    if isinstance(mechanism, Arm):
-        freedoms = int(independent_arm_parameters(mechanism, "pose" if k == 6 else "position").sum())
-    else:
-        freedoms = int((chains.parameter_tolerances(mechanism) > 0).sum()) if isinstance(mechanism, Chain) else 0
-    least = least_poses(k, freedoms)
+    posed = samples.measured == "pose"
+    freedoms = len(independent_parameter_names_units_sizes_and_jacobian(design.mechanism).names) - (0 if posed else 3)
+    least = least_poses(6 if posed else 3, freedoms)
     if len(samples) < least:
         raise NotEnoughData(
             f"{len(samples)} poses are too few to diagnose an arm or a chain: minimum {least} for {freedoms} numbers "
