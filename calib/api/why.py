@@ -30,6 +30,7 @@ from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, igno
 
 QUESTIONS = ("how wrong", "why", "how sure", "what to do", "measure next")
 MENTIONED = 3  # findings in a line
+NOTHING_STATED = WhyOptions()  # data that state their machine themselves
 SAME = 1e-9  # rad or m; commands so near are one configuration
 SHARE = 0.01  # of the mean square error, from which on the geometry is part of why
 
@@ -244,7 +245,7 @@ def _angle(value: float) -> str:
 
 def why(
     data: Path,
-    options: WhyOptions = WhyOptions(),
+    options: WhyOptions = NOTHING_STATED,
     folder: Path | None = None,
     progress: Progress | None = None,
     notice: Notice = ignore_notice,
