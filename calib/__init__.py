@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from calib.api.recording_check_combination_and_displacement_removal import check as check
     from calib.api.verify_and_watch import verify as verify
     from calib.api.verify_and_watch import watch as watch
-    from calib.api.why import WhyOptions as WhyOptions
     from calib.api.why import why as why
+    from calib.api.why_options_and_data import WhyOptions as WhyOptions
     from calib.api.workspace_change_by_calibration import analyse_workspace as analyse_workspace
     from calib.certificate.certificate_contents import CertifyOptions as CertifyOptions
     from calib.experiment.investigation_machine import InvestigateOptions as InvestigateOptions
@@ -101,7 +101,8 @@ __getattr__ = lazy_getattr(
         "analyse_workspace": "calib.api.workspace_change_by_calibration",
         "investigate": "calib.api.investigate",
         "InvestigateOptions": "calib.experiment.investigation_machine",
-        **dict.fromkeys(("why", "WhyOptions"), "calib.api.why"),
+        "why": "calib.api.why",
+        "WhyOptions": "calib.api.why_options_and_data",
         **dict.fromkeys(("load", "save"), "calib.files.calibration_file"),
         "CertifyOptions": "calib.certificate.certificate_contents",
     },

@@ -11,6 +11,7 @@ import numpy as np
 from calib.api.calibrate import CalibrateOptions, CalibrationResult, calibrate
 from calib.api.diagnose import DiagnoseOptions, DiagnosisResult, diagnose
 from calib.api.next_experiment import NextExperiment
+from calib.api.why_options_and_data import WhyOptions, recording_of_data
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import ratio_interval_text
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.certification.platform_certification import Progress, silent_progress
@@ -18,15 +19,10 @@ from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from calib.diagnosis.report.report_sentences import finding_size_text, finding_title
 from calib.files.calibration_file import save
 from calib.models.arm.certification import CertifiedArm
-from rig.api import import_recording, load
+from calib.samples.confounded_conditions import confound_sentences
 from rig.array_and_json_types import Json
 from rig.errors import RigError
-from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions, read_arm_file
-from rig.formats.importers.recipe_of_data import is_recording_folder, recipe_of_data, require_data
-from rig.formats.json_toml_and_yaml_loading import toml_entries
-from rig.formats.local_and_remote_input_files import list_folder, read_bytes, read_text
-from rig.formats.output_files import write_bytes, write_text
-from rig.formats.rig_toml.design_file import LARGEST, design_of_entries
+from rig.formats.importers.recipe_of_data import require_data
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import Link
 from rig.report.result_in_console_and_notebook import result_html
@@ -35,38 +31,9 @@ from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, igno
 
 QUESTIONS = ("how wrong", "why", "how sure", "what to do", "measure next")
 MENTIONED = 3  # findings in a line
-NOISE = (2e-5, 2e-4)  # m, rad; of a laser tracker and its six-degree-of-freedom probe, where nobody states any
+NOTHING_STATED = WhyOptions()  # data that state their machine themselves
 SAME = 1e-9  # rad or m; commands so near are one configuration
 SHARE = 0.01  # of the mean square error, from which on the geometry is part of why
-
-
-@dataclass(frozen=True, slots=True)
-class WhyOptions:
-    """What is known beside the data. arm : file of the arm, a URDF or a table of rows; rig : a rig.toml, None for
-    neither, where the data have their own
-
-    position_sigma : m, rotation_sigma : rad, of the instrument that measured an arm's poses; None for NOISE, assumed
-    settings : "KEY=VALUE" as of `rig import --set`; anyway : whether to go on though a mistake makes results
-    meaningless
-    Raises RigError for an arm and a rig.toml both
-    """
-
-    arm: ArmFileOptions = ArmFileOptions()
-    rig: Path | None = None
-    position_sigma: float | None = None
-    rotation_sigma: float | None = None
-    settings: tuple[str, ...] = ()
-    anyway: bool = False
-
-    def __post_init__(self) -> None:
-        if self.arm.file is not None and self.rig is not None:
-            raise RigError("--urdf or --dh and --rig both state the machine; give only one")
-        for name in ("position_sigma", "rotation_sigma"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value <= 1:
-                raise RigError(f"--{name.replace('_', '-')} takes a size above 0 and up to 1, not {value:g}")
-            if value is not None and self.arm.file is None:
-                raise RigError(f"--{name.replace('_', '-')} belongs to --urdf or --dh; rig.toml has [instrument]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +133,7 @@ class WhyResult:
             places = [report.unexplained.place]
         if places:
             more = f" and {len(places) - MENTIONED} more" if len(places) > MENTIONED else ""
-            parts.append(f"nothing we know explains the rest (at {', '.join(places[:MENTIONED])}{more})")
+            parts.append(f"nothing we know explains the rest (at {_joined_places(places[:MENTIONED])}{more})")
         elif not parts:
             parts.append("nothing beyond the noise was found")
         return "; ".join(parts)
@@ -177,6 +144,8 @@ class WhyResult:
             floor.append(
                 f"repeatability {_length(self.repeats.position)} RMS over {self.repeats.count} repeated configurations"
             )
+        else:
+            floor.append("repeatability unknown, as no configuration was visited twice")
         if held is None:
             return "; ".join(["no error could be held out", *floor])
         stated = ", assumed: --position-sigma and --rotation-sigma state it" if self.noise_is_assumed else ""
@@ -202,6 +171,9 @@ class WhyResult:
         report = self.diagnosed.report
         if self.next is not None and self.next.experiments:
             return str(self.next).removeprefix("next: ")
+        confounds = confound_sentences(report.confounds)
+        if confounds:
+            return f"the same poses in a balanced order (`rig plan`, sobol:N): {confounds[0]}"
         if self.next is None and self.no_next:
             return self.no_next
         if report.unknown or report.unexplained is not None:
@@ -218,7 +190,7 @@ def _effect_texts(findings: Sequence[FindingEntry]) -> list[str]:
         of_effect.setdefault(one.effect, []).append(one)
     out = []
     for effect, ones in of_effect.items():
-        places = ", ".join(sorted({one.place for one in ones}))
+        places = _joined_places([one.place for one in ones])
         among = f", the strongest{finding_size_text(ones[0])}" if len(ones) > 1 else finding_size_text(ones[0])
         others = dict.fromkeys(
             f"{o.effect.replace('_', ' ')} at {o.place}" for one in ones for o in one.cannot_be_told_from
@@ -227,6 +199,20 @@ def _effect_texts(findings: Sequence[FindingEntry]) -> list[str]:
         out.append(f"{effect.replace('_', ' ')} at {places}{among}{alike}")
     more = len(out) - MENTIONED
     return [*out[:MENTIONED], *([f"{more} more effects"] if more > 0 else [])]
+
+
+def _joined_places(places: Sequence[str]) -> str:
+    """Places as text, those of one kind by their numbers: "joints 1, 2"."""
+    numbers: dict[str, list[int]] = {}
+    for place in dict.fromkeys(places):
+        word, _, number = place.rpartition(" ")
+        numbers.setdefault(word if number.isdecimal() else place, []).extend(
+            [int(number)] if number.isdecimal() else []
+        )
+    return ", ".join(
+        f"{word}{'s' if len(found) > 1 else ''} {', '.join(map(str, sorted(found)))}" if found else word
+        for word, found in numbers.items()
+    )
 
 
 def _share(before: Figures, after: Figures) -> float:
@@ -260,7 +246,7 @@ def _angle(value: float) -> str:
 
 def why(
     data: Path,
-    options: WhyOptions = WhyOptions(),
+    options: WhyOptions = NOTHING_STATED,
     folder: Path | None = None,
     progress: Progress | None = None,
     notice: Notice = ignore_notice,
@@ -310,72 +296,6 @@ def _require_commands(recording: Recording, data: Path) -> None:
         )
     if recording.commands is None:
         raise RigError(f"{data}: there is no commands.csv, so nothing was commanded and nothing can be wrong")
-
-
-def recording_of_data(data: Path, options: WhyOptions, folder: Path, notice: Notice) -> tuple[Recording, bool]:
-    """(the Recording of data, whether its poses' noise is assumed): loaded as it is, or imported to a folder.
-
-    folder : gets a folder `recording`; notice : called with lines on what was read
-    Raises as `why`
-    """
-    arm = read_arm_file(options.arm)
-    is_recording = is_recording_folder(data)
-    if arm is None and options.rig is None:
-        if is_recording and "rig.toml" in list_folder(data):
-            return load(data), False
-        raise RigError(
-            f"{data} does not state the machine: add --urdf FILE.urdf, --dh FILE.csv (Denavit-Hartenberg rows) or "
-            "--rig rig.toml"
-        )
-    for line in () if arm is None else arm.lines:
-        notice(line)
-    if arm is None:
-        assert options.rig is not None
-        text = read_text(options.rig, LARGEST)
-    else:
-        text = arm.rig_toml() + _instrument_text(options, True)
-    stated = folder / "rig.toml" if options.rig is None else options.rig
-    design = design_of_entries(toml_entries(text, stated))
-    into = folder / "recording"
-    if is_recording:
-        _copy_without_machine(data, into, notice)
-        write_text(into / "rig.toml", text)
-        return load(into), arm is not None and options.position_sigma is None
-    if arm is not None:
-        write_text(stated, text)
-    recipe = recipe_of_data(data, stated, design, () if arm is None else arm.joint_names, options.settings)
-    into.mkdir()
-    imported, remarks = import_recording(recipe, into, data)
-    if arm is not None:
-        stated.unlink()
-        posed = imported.posed
-        if posed is not None and posed.alone:
-            (into / "rig.toml").unlink()
-            write_text(into / "rig.toml", arm.rig_toml() + _instrument_text(options, False))
-    for line in (*imported.said, *map(str, remarks)):
-        notice(line)
-    return load(into), arm is not None and options.position_sigma is None
-
-
-def _copy_without_machine(data: Path, folder: Path, notice: Notice) -> None:
-    """Copy a recording's files, all but its rig.toml."""
-    for path in sorted(path for path in data.rglob("*") if path.is_file()):
-        if path == data / "rig.toml":
-            notice(f"{path} is not read: the machine is stated otherwise")
-            continue
-        into = folder / path.relative_to(data)
-        into.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(into, read_bytes(path))
-
-
-def _instrument_text(options: WhyOptions, turns: bool) -> str:
-    """Text of [instrument]. turns : whether it measures rotations"""
-    position, rotation = (
-        default if value is None else value
-        for value, default in zip((options.position_sigma, options.rotation_sigma), NOISE)
-    )
-    lines = ["[instrument]", 'base = "free"', 'tool = "free"', f"position_sigma = {position!r}   # m"]
-    return "\n".join([*lines, *([f"rotation_sigma = {rotation!r}   # rad"] if turns else []), ""])
 
 
 def _repeats(calibrated: CalibrationResult) -> Repeats | None:

@@ -65,7 +65,8 @@ def run(arguments: Namespace) -> int:
 
     Exit status 3 where the verdict is bad.
     """
-    from calib.api.why import WhyOptions, why
+    from calib.api.why import why
+    from calib.api.why_options_and_data import WhyOptions
 
     progress = Progress()
     progress("reading the data", 0, 1)
