@@ -76,8 +76,9 @@ class _Tables:
 
 
 def correction_c_source(correction: AnyCorrection, physics: Physics | None, origin: str) -> CSource:
-    """CSource of a hexapod's Correction and the Physics besides, or None. origin : of which file and by which version it is made, for its head
+    """CSource of a hexapod's Correction and the Physics besides, or None.
 
+    origin : of which file and by which version it is made, for its head
     Raises RigError for another machine, for a way to extend corrections and for an effect that no C file states
     """
     fitted = require_hexapod(
