@@ -9,13 +9,11 @@ enum {
     RIG_SENSOR_MISSING = 4, /* channels are absent, or one is not finite */
     RIG_NO_STATE = 5        /* no state, or not finite: the play of a strut depends on it */
 };
-
 enum { RIG_ITERATIONS = 100 };
 
 /* Where the struts were commanded to last (m), and where their plays stand (m). */
 struct rig_state {
-    double command[6];
-    double play[6];
+    double command[6], play[6];
 };
 
 int rig_start(struct rig_state *state, const double lengths[6]);
@@ -31,8 +29,7 @@ struct placed {
 /* part: grid */
 struct grid {
     const double *levels[6]; /* cells + 1 of each, ascending, m */
-    int cells[6];
-    int strides[6];
+    int cells[6], strides[6];
     const double *values; /* 6 of each vertex, m */
 };
 
@@ -41,9 +38,8 @@ static int grid_cell(const struct grid *g, const double x[6], double t[6])
 {
     int vertex = 0;
     for (int i = 0; i < 6; i++) {
-        const double *level = g->levels[i];
         const int cells = g->cells[i];
-        const double inner = fmin(fmax(x[i], level[0]), level[cells]);
+        const double *level = g->levels[i], inner = fmin(fmax(x[i], level[0]), level[cells]);
         int cell = 0;
         for (int j = 1; j < cells; j++)
             cell += inner >= level[j];
@@ -229,10 +225,9 @@ static void rotation(const double v[3], double R[3][3])
 /* Rotation vector (rad) of a rotation matrix, by its unit quaternion. */
 static void rotation_vector(double R[3][3], double v[3])
 {
-    double q[4]; /* x y z w */
     const double trace = R[0][0] + R[1][1] + R[2][2];
+    double q[4], best = trace; /* x y z w */
     int most = 3;
-    double best = trace;
     for (int i = 0; i < 3; i++)
         if (R[i][i] > best) {
             best = R[i][i];
@@ -250,8 +245,7 @@ static void rotation_vector(double R[3][3], double v[3])
         q[k] = R[k][most] + R[most][k];
         q[3] = R[k][j] - R[j][k];
     }
-    const double sign = q[3] < 0.0 ? -1.0 : 1.0;
-    const double norm = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+    const double sign = q[3] < 0.0 ? -1.0 : 1.0, norm = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
     const double sine = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2]) / norm;
     const double scale = sine > 0.0 ? 2.0 * atan2(sine, sign * q[3] / norm) / sine : 2.0;
     for (int i = 0; i < 3; i++)
@@ -270,8 +264,8 @@ static void moved_back(const struct placed *T, const double xi[6], struct placed
     const double once[3] = {v[1] * u[2] - v[2] * u[1], v[2] * u[0] - v[0] * u[2], v[0] * u[1] - v[1] * u[0]};
     const double twice[3] = {v[1] * once[2] - v[2] * once[1], v[2] * once[0] - v[0] * once[2],
                              v[0] * once[1] - v[1] * once[0]};
-    double turn[3][3];
     struct placed next;
+    double turn[3][3];
     rotation(v, turn);
     for (int i = 0; i < 3; i++) {
         next.p[i] = T->p[i];
@@ -364,9 +358,9 @@ static int command(const double effective[6], const double tip[6][3], const doub
 /* part: correct */
 int rig_start(struct rig_state *state, const double lengths[6])
 {
-    if (!state)
-        return RIG_NO_STATE;
     for (int i = 0; i < 6; i++) {
+        if (!state)
+            return RIG_NO_STATE;
         state->command[i] = state->play[i] = lengths ? lengths[i] : rig_home[i];
         if (!isfinite(state->play[i]))
             return RIG_NO_STATE;
@@ -378,7 +372,7 @@ int rig_correct(const double pose[6], const double *channels, struct rig_state *
 {
     struct placed T;
     double tip[6][3], goal[6], effective[6], found[6];
-    int status;
+    int status = RIG_OK;
     for (int i = 0; i < 6; i++)
         if (!isfinite(pose[i]))
             return RIG_BAD_POSE;

@@ -144,8 +144,8 @@ def summand(design, x):
 
 
 def field_samples(design, kind):
-    """FieldSamples of that summand, on a grid where a kind takes one."""
-    strokes = design.mechanism.strut_range
+    """FieldSamples of that summand over the inner 80 % of the strokes, on a grid where a kind takes one."""
+    strokes = design.mechanism.strut_range + 0.1 * np.ptp(design.mechanism.strut_range, axis=1)[:, None] * [1, -1]
     if kind in ("simplex", "linear"):
         x = np.stack(np.meshgrid(*np.linspace(strokes[:, 0], strokes[:, 1], 3, axis=1), indexing="ij"), -1)
         x = x.reshape(-1, 6)
@@ -174,13 +174,13 @@ def restricted(design):
     return SummedPasses((first, RestrictedMap(second, SpacePart(*bounds))))
 
 
-def pose_map(design, kind):
+def pose_map(design, kind, amplitude=3e-5):
     """A field in pose space, of some 30 um and 30 urad."""
     home = home_pose(design.mechanism)
     size = np.array([0.05] * 3 + [0.15] * 3)
     u = configuration_sets.sobol_configurations(np.tile([-1.0, 1.0], (6, 1)), 150, 1.0, 8)
     x = u * size + np.r_[home.translation, np.zeros(3)]
-    values = 3e-5 * np.sin(2 * u + u[:, ::-1])
+    values = amplitude * np.sin(2 * u + u[:, ::-1])
     return fit_field(kind, FieldSamples(x, values, np.full(x.shape, 1e-14), np.stack([x.min(0), x.max(0)], 1)))
 
 

@@ -14,8 +14,13 @@ from scipy.spatial.transform import Rotation
 from calib.api.correct import CorrectOptions, correct
 from calib.api.export import export
 from calib.correction.command_sequence_timing_and_pose_error_map import untimed_route
+from calib.correction.correction import Correction
 from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
-from calib.correction.interpolation_methods_and_correction_summand_fields import fit_field, home_pose
+from calib.correction.interpolation_methods_and_correction_summand_fields import (
+    correction_with_pose_space_map,
+    fit_field,
+    home_pose,
+)
 from calib.correction.physics_compensation import Machine
 from calib.files import calibration_file
 from calib.models.wanted_pose_commands import commands_along_route
@@ -42,10 +47,12 @@ from tests.calib.controllers_in_c import (
     fitted,
     needs_compiler,
     pointer,
+    pose_map,
     sensors_of,
     wanted,
 )
 from tests.calib.correction.test_physics import MOVING, SOME, known_to_be
+from tests.rig.arms import STANFORD
 
 SAME = 1e-9  # m
 FEW, MANY, AT_ONCE, TIMED = 2000, 1_000_000, 25_000, 50_000  # poses
@@ -203,6 +210,17 @@ def test_what_has_no_fixed_point_is_said_not_to_converge(design, tmp_path):
 
 
 @needs_compiler
+def test_a_large_map_in_pose_space_is_undone_on_the_group(design, tmp_path):
+    """Of 2 mm and 20 mrad: rotation and translation count together, to third order."""
+    large = pose_map(design, "polynomial", np.array([2e-3] * 3 + [2e-2] * 3))
+    calibration = calibration_of(correction_with_pose_space_map(fitted(design), large))
+    T = wanted(design, 200, fill=0.4)
+    lengths, status = Controller(calibration, tmp_path)(T)
+    done = correct(calibration, T)
+    assert (status == OK).all() and np.abs(lengths - done.values).max() < SAME
+
+
+@needs_compiler
 def test_play_goes_on_from_where_the_struts_stand(design, compiled):
     calibration, controller = compiled("backlash")
     T, start = wanted(design, 40), hexapod.home_values(design.mechanism) + 0.01
@@ -264,6 +282,11 @@ def test_two_plays_of_a_strut_and_unknown_ways_are_refused(design):
     field = fit_field("delaunay", field_samples(design, "delaunay").take(some))
     with pytest.raises(RigError, match=r"'delaunay' is in no C file.*--extend simplex"):
         c_text(calibration_of(replace(fitted(design), extension=field)))
+
+
+def test_an_arm_is_refused_by_kind():
+    with pytest.raises(RigError, match="holds a hexapod's calibration, not one of kind 'arm'"):
+        c_text(calibration_of(Correction(STANFORD, STANFORD, (None,) * len(STANFORD.axes))))
 
 
 def test_the_command_writes_the_file_and_says_what_it_leaves(design, tmp_path, capsys, monkeypatch):
