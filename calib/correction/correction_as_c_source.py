@@ -76,11 +76,7 @@ class _Tables:
 
 
 def correction_c_source(correction: AnyCorrection, physics: Physics | None, origin: str) -> CSource:
-<<<<<<< HEAD
-    """CSource of a hexapod's Correction, with the Physics that it undoes or None.
-=======
     """CSource of a hexapod's Correction and the Physics besides, or None.
->>>>>>> cexport
 
     origin : of which file and by which version it is made, for its head
     Raises RigError for another machine, for a way to extend corrections and for an effect that no C file states
