@@ -106,7 +106,9 @@ class WeightedSum(Effect):
         even = np.full(len(coefficients), 1 / len(coefficients))
         off = np.zeros(len(even)) if empty else np.asarray(coefficients) / whole - even
         low, high = next(p.bounds for p in cls.parameters if p.name == "shares")
-        over = float(np.max(np.where(off > 0, off / (high - even), off / (low - even))))
+        moved = np.flatnonzero(off)  # not a single member's share, which is 1, its bound
+        room = np.where(off > 0, high - even, low - even)
+        over = float(np.max(off[moved] / room[moved], initial=0.0))
         # members that cancel have shares beyond any bound; what rounding leaves beyond it is cut off
         shares = np.clip(even + off / max(over, 1.0), low, high)
         return cls(candidate.place, **{cls.whole: whole, cls.scale: node[cls.scale], "shares": tuple(shares.tolist())})
