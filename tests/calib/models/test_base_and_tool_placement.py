@@ -236,6 +236,7 @@ def run(*words):
     return command_line.main([str(word) for word in words])
 
 
+@pytest.mark.slow
 def test_what_the_numbers_took_of_the_noise_is_given_back(tmp_path):
     """Twelve numbers of ten poses take a fifth of their noise: the stated errors have all of it, in the mean."""
     first = draw(3, "none", "none", kind="arm", count=90)

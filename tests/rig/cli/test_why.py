@@ -86,6 +86,7 @@ def test_out_keeps_what_the_lines_rest_on(told):
     assert run("check", kept / "recording").returncode == 0
 
 
+@pytest.mark.slow
 def test_positions_alone_in_another_folder_and_units_by_python(arm, tmp_path):
     """Two tables without times, in degrees and millimetres, a table of rows in place of the URDF."""
     rows = [line.split(",") for line in (arm / "data.csv").read_text().split()[1:]]

@@ -21,6 +21,7 @@ from rig.compute import parallel_map_and_dask_cluster, worker_processes
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.compute.worker_processes import WorkerEnded, process_map, worker_count
 from rig.errors import FileError, RigError
+from rig.model import pose  # noqa: F401  states how a RigidTransform is pickled
 from tests.conftest import BENCH
 
 SAME = ("corners.csv", "poses.csv", "rpy.csv", "rig.toml", "frames.csv", "report.html")  # of what rig measure writes

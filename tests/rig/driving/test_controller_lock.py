@@ -130,9 +130,14 @@ def test_who_only_looks_stops_nobody_and_a_forked_child_holds_nothing(device, be
         for _ in range(50):
             with pytest.raises(RigError, match=f"process {os.getpid()} is driving"):
                 ControllerLock(device)
+        reading, writing = os.pipe()
         child = os.fork()
         if not child:
+            os.write(writing, b"1")
             signal.pause()
+        os.read(reading, 1)  # the child has begun, so it has let go
+        os.close(reading)
+        os.close(writing)
     try:
         ControllerLock(device).__exit__()
     finally:
