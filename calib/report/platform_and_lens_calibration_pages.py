@@ -75,22 +75,25 @@ def write_calibration_page(
         heading_html("Parameters"),
         _combinations(calibration, identified),
         folding_section_html("Every parameter's change", _parameters(calibration)),
+    ]
+    write_page_of_calibration(path, recording, calibration, parts, links)
+
+
+def write_page_of_calibration(
+    path: Path | str, recording: Recording, calibration: Calibration, parts: list[str], links: Sequence[Link]
+) -> None:
+    """Write a calibration's page: its parts, its provenance below them, and its verdict above.
+
+    parts : HTML of a kind of machine; links : to other pages. Raises FileError for a path that cannot be written
+    """
+    judged = calibration_verdict(calibration)
+    whole = [
+        *parts,
         heading_html("Provenance"),
         folding_section_html("Recording, versions, arguments", provenance_html(calibration)),
     ]
-    judged = calibration_verdict(calibration)
-    write_page(
-        path,
-        Page(
-            "calibrate",
-            f"Calibration from {recording.name}",
-            judged,
-            parts,
-            judged.next,
-            links,
-            view_3d_scripts_if_needed(parts),
-        ),
-    )
+    title, scripts = f"Calibration from {recording.name}", view_3d_scripts_if_needed(whole)
+    write_page(path, Page("calibrate", title, judged, whole, judged.next, links, scripts))
 
 
 def view_3d_html(recording: Recording, calibration: Calibration, samples: Samples) -> list[str]:

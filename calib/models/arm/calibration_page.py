@@ -6,27 +6,23 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.calibration_evidence_verdict_and_claim_check import calibration_verdict
 from calib.certification.held_out_errors import Figures, errors_before_and_after_correction
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import CertifiedArm
-from calib.report.platform_and_lens_calibration_pages import evidence_html, provenance_html, view_3d_html
+from calib.report.platform_and_lens_calibration_pages import evidence_html, view_3d_html, write_page_of_calibration
 from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
 from rig.effects.framework.effect_parameters_and_covariates import PLOT_UNITS
 from rig.model import mechanisms
 from rig.recording.recording_folder import Recording
-from rig.report.pages.image_plane_and_3d_views import view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_elements import (
     Link,
-    Page,
     folding_section_html,
     heading_html,
     note_html,
     paragraph_html,
     table_html,
-    write_page,
 )
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 
@@ -39,9 +35,7 @@ def write_arm_calibration_page(
     certified: CertifiedArm,
     links: Sequence[Link] = (),
 ) -> None:
-    """Write the HTML page of an arm's calibration. certified : Certified.
-    recording : Recording; calibration : Calibration; samples : Samples; certified : Certified.
-    """
+    """Write the HTML page of an arm's calibration, as certified on held-out samples; links : to other pages."""
     went = np.concatenate([samples.T_base_platform.translation, samples.T_base_platform.rotation.as_rotvec()], axis=1)
     parts = [
         *evidence_html(calibration),
@@ -59,22 +53,8 @@ def write_arm_calibration_page(
         heading_html("Parameters"),
         *(paragraph_html(f"{line}.") for line in certified.found.rank.report()),
         folding_section_html("Every parameter's change", _arm_parameters(calibration)),
-        heading_html("Provenance"),
-        folding_section_html("Recording, versions, arguments", provenance_html(calibration)),
     ]
-    judged = calibration_verdict(calibration)
-    write_page(
-        path,
-        Page(
-            "calibrate",
-            f"Calibration from {recording.name}",
-            judged,
-            parts,
-            judged.next,
-            links,
-            view_3d_scripts_if_needed(parts),
-        ),
-    )
+    write_page_of_calibration(path, recording, calibration, parts, links)
 
 
 def _held(done: CertifiedArm) -> list[str]:

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.calibration_evidence_verdict_and_claim_check import calibration_verdict
 from calib.certification.error_claim_over_workspace import (
     DRAWS,
     PLACES,
@@ -35,7 +34,7 @@ from calib.correction.correction import AnyCorrection, Correction, solvable_comm
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import unexplained_scatter_sentences
 from calib.models.chain import error_model
 from calib.models.chain.identification import Identified, identify_chain
-from calib.report.platform_and_lens_calibration_pages import evidence_html, provenance_html, view_3d_html
+from calib.report.platform_and_lens_calibration_pages import evidence_html, view_3d_html, write_page_of_calibration
 from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
@@ -44,16 +43,13 @@ from rig.model.mechanisms import mechanism_chain as mechanism
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.planning.configuration_sets import FILL, sobol_configurations
 from rig.recording.recording_folder import Recording
-from rig.report.pages.image_plane_and_3d_views import view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_elements import (
     Link,
-    Page,
     folding_section_html,
     heading_html,
     note_html,
     paragraph_html,
     table_html,
-    write_page,
 )
 
 
@@ -166,9 +162,7 @@ def write_chain_calibration_page(
     certified: CertifiedChain,
     links: Sequence[Link] = (),
 ) -> None:
-    """Write the HTML page of a chain's calibration. certified : Certified.
-    recording : Recording; calibration : Calibration; samples : Samples; certified : Certified.
-    """
+    """Write the HTML page of a chain's calibration, as certified on held-out samples; links : to other pages."""
     parts = [
         *evidence_html(calibration),
         heading_html("Errors before and after, by pose"),
@@ -180,22 +174,8 @@ def write_chain_calibration_page(
         _chain_parameters(certified),
         heading_html("Positions of the last platform"),
         pose_coverage_figures(pose_to_vector(samples.T_base_platform)),
-        heading_html("Provenance"),
-        folding_section_html("Recording, versions, arguments", provenance_html(calibration)),
     ]
-    judged = calibration_verdict(calibration)
-    write_page(
-        path,
-        Page(
-            "calibrate",
-            f"Calibration from {recording.name}",
-            judged,
-            parts,
-            judged.next,
-            links,
-            view_3d_scripts_if_needed(parts),
-        ),
-    )
+    write_page_of_calibration(path, recording, calibration, parts, links)
 
 
 def _chain_parameters(done: CertifiedChain) -> str:

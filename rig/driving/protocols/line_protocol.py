@@ -11,15 +11,14 @@ import numpy as np
 from rig.driving.controller_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface import (
     ACTIVITIES,
-    POLL,
-    REST,
     TRIES,
     Dialogue,
     Exchange,
     Segment,
     State,
     Verdict,
-    pause_dialogue,
+    await_homed,
+    await_stopped,
 )
 from rig.errors import ControllerFault, NoAnswer
 from rig.model.design import Controller
@@ -110,27 +109,13 @@ class LineProtocol:
         return (yield from self.command(self.move_line(segment)))
 
     def home(self, timeout: float) -> Dialogue[Verdict]:
-        verdict = yield from self.command(self.home_line)
-        for _ in range(max(int(timeout / POLL), 1)):
-            if verdict.accepted is False:
-                return verdict
-            state = yield from self.state()
-            if state.fault or state.activity == "alarm":
-                return Verdict(False, state.fault or state.said)
-            if state.activity == "idle":
-                return Verdict(bool(state.homed), "" if state.homed else "it is at rest and not homed")
-            yield from pause_dialogue()
-        return Verdict(None, f"not home after {timeout:g} s")
+        return (yield from await_homed((yield from self.command(self.home_line)), self.state, timeout))
 
     def stop(self) -> Dialogue[Verdict]:
         for _ in range(TRIES):  # a stop may be repeated
             if (yield from self.command(self.stop_line)).accepted is not None:
                 break
-        for _ in range(int(REST / POLL)):
-            if (yield from self.state()).activity not in ("moving", "homing"):
-                return Verdict(True)
-            yield from pause_dialogue()
-        return Verdict(None, f"still moving {REST:g} s after {self.stop_line!r}")
+        return (yield from await_stopped(self.state, repr(self.stop_line)))
 
     def unlock(self) -> Dialogue[Verdict]:
         return (yield from self.command(self.unlock_line))

@@ -8,8 +8,6 @@ import numpy as np
 
 from rig.driving.controller_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface import (
-    POLL,
-    REST,
     TRIES,
     Dialogue,
     Exchange,
@@ -17,7 +15,8 @@ from rig.driving.protocols.protocol_interface import (
     Segment,
     State,
     Verdict,
-    pause_dialogue,
+    await_homed,
+    await_stopped,
 )
 from rig.driving.urgent_stop import STOPS
 from rig.errors import ControllerFault, NoAnswer
@@ -124,26 +123,11 @@ class Struts:
         return (yield from self._command(text))
 
     def home(self, timeout: float) -> Dialogue[Verdict]:
-        verdict = yield from self._command("HOME")
-        for _ in range(max(int(timeout / POLL), 1)):
-            if verdict.accepted is False:
-                return verdict
-            state, _ = yield from self._read()
-            if state.fault or state.activity == "alarm":
-                return Verdict(False, state.fault or state.said)
-            if state.activity == "idle":
-                return Verdict(bool(state.homed), "" if state.homed else "it is at rest and not homed")
-            yield from pause_dialogue()
-        return Verdict(None, f"not home after {timeout:g} s")
+        return (yield from await_homed((yield from self._command("HOME")), self.state, timeout))
 
     def stop(self) -> Dialogue[Verdict]:
         yield from self._told("STOP")
-        for _ in range(int(REST / POLL)):
-            state, _ = yield from self._read()
-            if state.activity not in ("moving", "homing"):
-                return Verdict(True)
-            yield from pause_dialogue()
-        return Verdict(None, f"still moving {REST:g} s after STOP")
+        return (yield from await_stopped(self.state, "STOP"))
 
     def unlock(self) -> Dialogue[Verdict]:
         return (yield from self._command("UNLOCK"))

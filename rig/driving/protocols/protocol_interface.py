@@ -124,6 +124,32 @@ def pause_dialogue(seconds: float = POLL) -> Dialogue[None]:
     yield Exchange(b"", is_never_complete, seconds)
 
 
+def await_homed(begun: Verdict, state: Callable[[], Dialogue[State]], timeout: float) -> Dialogue[Verdict]:
+    """Dialogue that waits, timeout s at the most, until a controller that reports states is homed or refuses.
+
+    begun : what its home command came to; state : asks for its State
+    """
+    for _ in range(max(int(timeout / POLL), 1)):
+        if begun.accepted is False:
+            return begun
+        now = yield from state()
+        if now.fault or now.activity == "alarm":
+            return Verdict(False, now.fault or now.said)
+        if now.activity == "idle":
+            return Verdict(bool(now.homed), "" if now.homed else "it is at rest and not homed")
+        yield from pause_dialogue()
+    return Verdict(None, f"not home after {timeout:g} s")
+
+
+def await_stopped(state: Callable[[], Dialogue[State]], command: str) -> Dialogue[Verdict]:
+    """Dialogue that waits, REST s at the most, until a controller that reports states rests after a stop command."""
+    for _ in range(int(REST / POLL)):
+        if (yield from state()).activity not in ("moving", "homing"):
+            return Verdict(True)
+        yield from pause_dialogue()
+    return Verdict(None, f"still moving {REST:g} s after {command}")
+
+
 def is_never_complete(lines: Sequence[str]) -> bool:
     """Whether answer lines are complete: never, so that the whole timeout is awaited."""
     return False
