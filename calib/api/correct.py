@@ -53,8 +53,9 @@ class CorrectOptions:
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class CorrectionResult(OneLineRepr):
     """Commands for wanted poses. calibration; wanted : Wanted; index : (n,) which of them are commanded; commanded :
-    Commanded of these; out_of_reach : (frame, why) of the others; single_step : whether these are the method's first
-    step; uncorrected : whether they are by the nominal model; pose_frames : of a controller that takes poses, or None
+    RouteCommands of these; out_of_reach : (frame, why) of the others; single_step : whether these are the method's
+    first step; uncorrected : whether they are by the nominal model; pose_frames : of a controller that takes poses, or
+    None
     """
 
     calibration: Calibration
@@ -249,7 +250,7 @@ def rms_and_greatest_uncertainty(covariance: Floats) -> tuple[tuple[float, float
 def _commanded(
     calibration: Calibration, wanted: WantedPoses, keep: Integers, start: Floats, options: CorrectOptions
 ) -> RouteCommands:
-    """Commanded for the wanted poses to keep. Raises Unreachable for those that cannot be."""
+    """RouteCommands for the wanted poses to keep. Raises Unreachable for those that cannot be."""
     T, correction = wanted.poses.T_base_platform[keep], calibration.correction
     pace = None if wanted.t is None else pace_that_holds_poses_at_times(calibration, wanted.t[keep], options.sensors)
     plain = None

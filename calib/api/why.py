@@ -37,20 +37,26 @@ SHARE = 0.01  # of the mean square error, from which on the geometry is part of 
 
 
 @dataclass(frozen=True, slots=True)
-class Repeats:
+class RepeatedConfigurations:
     """Configurations that were visited more than once. count : of them; position : m, rotation : rad, RMS distance of
-    their poses from their mean
+    their poses from their mean, None of what was not measured
     """
 
     count: int
-    position: float
-    rotation: float
+    position: float | None
+    rotation: float | None
+
+    def __str__(self) -> str:
+        sizes = [
+            text(value) for value, text in ((self.position, _length), (self.rotation, _angle)) if value is not None
+        ]
+        return f"repeatability {' and '.join(sizes)} RMS over {self.count} repeated configurations"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WhyResult:
     """recording; calibrated : its calibration; diagnosed : its diagnosis; next : the experiment that tells more, None
-    where none can be foretold, and then why in no_next; repeats : Repeats, None without
+    where none can be foretold, and then why in no_next; repeats : RepeatedConfigurations, None without
     geometry : HeldOut of the geometry alone, None where it was not worked out apart; noise_is_assumed : whether nobody
     stated the poses' noise
     """
@@ -60,7 +66,7 @@ class WhyResult:
     diagnosed: DiagnosisResult
     next: NextExperiment | None
     no_next: str
-    repeats: Repeats | None
+    repeats: RepeatedConfigurations | None
     geometry: HeldOut | None
     noise_is_assumed: bool
 
@@ -141,9 +147,7 @@ class WhyResult:
     def _how_sure(self) -> str:
         held, floor = self.calibrated.calibration.held_out, []
         if self.repeats is not None:
-            floor.append(
-                f"repeatability {_length(self.repeats.position)} RMS over {self.repeats.count} repeated configurations"
-            )
+            floor.append(str(self.repeats))
         else:
             floor.append("repeatability unknown, as no configuration was visited twice")
         if held is None:
@@ -298,8 +302,8 @@ def _require_commands(recording: Recording, data: Path) -> None:
         raise RigError(f"{data}: there is no commands.csv, so nothing was commanded and nothing can be wrong")
 
 
-def _repeats(calibrated: CalibrationResult) -> Repeats | None:
-    """Repeats of a recording's configurations, by what was commanded; None where none was visited twice."""
+def _repeats(calibrated: CalibrationResult) -> RepeatedConfigurations | None:
+    """RepeatedConfigurations of a recording, by what was commanded; None where none was visited twice."""
     samples = calibrated.sampled.samples
     _, label, size = np.unique(np.round(samples.commanded / SAME), axis=0, return_inverse=True, return_counts=True)
     label = label.reshape(-1)
@@ -315,4 +319,8 @@ def _repeats(calibrated: CalibrationResult) -> Repeats | None:
         squares[1] += ((R[rows].mean().inv() * R[rows]).magnitude() ** 2).sum()
         free += len(rows) - 1
     position, rotation = np.sqrt(squares / free).tolist()
-    return Repeats(int((size > 1).sum()), position, rotation)
+    return RepeatedConfigurations(
+        int((size > 1).sum()),
+        position if samples.measured in ("pose", "position") else None,
+        rotation if samples.measured in ("pose", "rotation") else None,
+    )

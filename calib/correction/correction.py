@@ -136,16 +136,6 @@ class Correction(Generic[M, R]):
         """
         return commands - self.inverse_without_physics(T_base_platform)
 
-    def corrected_forward(self, configurations: Floats) -> RigidTransform:
-        """KDK(x) = DK(x + KSF(x)), RigidTransform (...): what the nominal model says that a corrected configuration x
-        (..., axes) gives.
-
-        Source: configuration-space patent, [0133] to [0135]
-        """
-        return mechanisms.kinematics_of(self.nominal).forward(
-            configurations + self.summand(configurations), self.nominal
-        )
-
     def posed_error(self, T_base_platform: RigidTransform) -> Floats:
         """(..., 6) m and rad, standard error of what maps in pose space add to poses (...): of the last that holds
         there.

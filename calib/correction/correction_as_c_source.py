@@ -106,13 +106,12 @@ def correction_c_source(correction: AnyCorrection, physics: Physics | None, orig
     maps = _pose_maps(tables, correction)
     medians = [] if physics is None else [physics.channels[name][0] for name in channels]
     home = ", ".join(map(repr, hexapod.home_values(nominal).tolist()))
-    fields = [_part(name) for name in ("grid", "simplex", "linear", "axes", "polynomial", "radial", "within")]
     text = [
         _head(correction, terms, channels, gaps, origin),
         _part("api"),
-        *_channel_lines(channels, medians, home),
+        _channel_source(channels, medians, home),
         "\n".join(geometry) + "\n",
-        *(part for name, part in zip(_FIELDS, fields) if name in tables.parts),
+        *(_part(name) for name in _FIELDS if name in tables.parts),
         "\n".join(tables.lines),
         _part("settle" if settled else "no remainder"),
         _part("rotation"),
@@ -203,7 +202,7 @@ def _notes(terms: tuple[ControllerTerm, ...]) -> tuple[str, ...]:
     )
 
 
-def _channel_lines(channels: tuple[str, ...], medians: list[float], home: str) -> list[str]:
+def _channel_source(channels: tuple[str, ...], medians: list[float], home: str) -> str:
     """Definitions of the home lengths (m) and of the channels with their medians."""
     lines = ["extern const double rig_home[6];", f"const double rig_home[6] = {{{home}}};", ""]
     names = [*(f"RIG_{name.upper()}" for name in channels), "RIG_CHANNELS"]
@@ -220,7 +219,7 @@ def _channel_lines(channels: tuple[str, ...], medians: list[float], home: str) -
         ]
     else:
         lines.append("enum { RIG_CHANNELS = 0 };")
-    return ["\n".join([*lines, ""])]
+    return "\n".join([*lines, ""])
 
 
 def _terms(correction: AnyCorrection, physics: Physics | None) -> tuple[ControllerTerm, ...]:

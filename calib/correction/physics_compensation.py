@@ -38,7 +38,7 @@ class Unknown:
     """What no catalogued effect explains. place; magnitude, in unit; depends_on : covariates; corrected : whether a
     smooth function over the configuration space takes it out
     by : covariates of the smooth curves that undo some of it, none without; held_out : its RMS on held-out poses
-    without these curves and with them, m or rad, noise taken off."""
+    without these curves and with them, noise taken off, in held_out_unit, m or rad."""
 
     place: str
     magnitude: float
@@ -47,6 +47,7 @@ class Unknown:
     corrected: bool
     by: tuple[str, ...] = ()
     held_out: tuple[float, float] = (0.0, 0.0)
+    held_out_unit: str = "m"
 
     @property
     def undone(self) -> bool:
@@ -58,7 +59,7 @@ class Unknown:
         at = Place.parse(self.place)
         if self.by:
             before, after = self.held_out
-            gained, whole = quantity_text(max(before - after, 0.0), "m"), quantity_text(before, "m")
+            gained, whole = (quantity_text(v, self.held_out_unit) for v in (max(before - after, 0.0), before))
             said = f"a smooth curve undoes {gained} of {whole} (held out)"
             said += "; over time it holds within the recorded time only" if TIME in self.by else ""
             return f"unknown at {self.place}, by {' and '.join(self.by)}: {said}"

@@ -9,6 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from calib.certification.platform_certification import Certified, Progress, add_machine_draws, silent_progress
+from calib.correction.correction import AnyCorrection
 from calib.correction.physics_compensation import Physics, Unknown
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
@@ -70,7 +71,7 @@ class PlatformRefit:
         """
         response = self._response(done)
         cross = response @ self.physics.own
-        unknown = tuple(replace(u, corrected=_corrected(u.place, done)) for u in self.physics.unknown)
+        unknown = _with_what_is_corrected(self.physics.unknown, done.correction)
         covariance = done.found.covariance + cross @ response.T if done.covariance is None else done.covariance
         return replace(self.physics, cross=cross, unknown=unknown), covariance
 
@@ -210,17 +211,7 @@ def refit_platform_with_findings(
     if any(e.stage not in MOTION_STAGES for e in findings.effects):  # what cameras left out moved every pose
         samples = samples_of_freedoms(replace(samples, T_base_platform=k.T), recording.design.mechanism)
     known = replace(k, T=samples.T_base_platform).effective() - samples.commanded
-    design = recording.design
-    physics = Physics(
-        effects,
-        own,
-        np.zeros((len(geometric_parameters(nominal)), len(own))),
-        design.gravity,
-        design.actuator,
-        design.platform,
-        sensor_medians_and_standard_deviations(recording, samples.t),
-        unknown,
-    )
+    physics = _physics(effects, own, unknown, len(geometric_parameters(nominal)), recording, samples.t)
     return PlatformRefit(replace(samples, known=known), physics, refined)
 
 
@@ -254,11 +245,32 @@ def sensor_medians_and_standard_deviations(recording: Recording, t: Floats) -> d
     return {name: (float(np.median(v)), float(np.sqrt(np.mean((v - np.median(v)) ** 2)))) for name, v in values.items()}
 
 
-def _corrected(place: str, done: Certified) -> bool:
-    """Whether a place's strut, or any for the whole rig, is corrected over the configuration space."""
-    places = mechanisms.axis_place_texts(done.correction.nominal)
-    kept = [place for place, part in zip(places, done.correction.remainder) if part is not None]
-    return place in kept or (place == "rig" and bool(kept))
+def _with_what_is_corrected(unknown: Sequence[Unknown], correction: AnyCorrection) -> tuple[Unknown, ...]:
+    """The Unknowns, with whether their axis, or any for the whole rig, is corrected over the configuration space."""
+    places = mechanisms.axis_place_texts(correction.nominal)
+    corrected = {place for place, part in zip(places, correction.remainder) if part is not None}
+    return tuple(replace(u, corrected=u.place in corrected or (u.place == "rig" and bool(corrected))) for u in unknown)
+
+
+def _physics(
+    effects: tuple[Effect, ...], own: Floats, unknown: tuple[Unknown, ...], parameters: int, of: Recording, t: Floats
+) -> Physics:
+    """Physics whose covariance with the geometry's parameters is not known yet.
+
+    own : (c, c) covariance of the effects' coordinates; parameters : of the geometry; t : (n,) s of the samples
+    """
+    design = of.design
+    sensed = sensor_medians_and_standard_deviations(of, t)
+    return Physics(
+        effects,
+        own,
+        np.zeros((parameters, len(own))),
+        design.gravity,
+        design.actuator,
+        design.platform,
+        sensed,
+        unknown,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -273,11 +285,8 @@ class ArmRefit:
         physics together.
         """
         response = self.together.response(done.found)
-        cross, places = response @ self.physics.own, mechanisms.axis_place_texts(done.correction.nominal)
-        kept = [place for place, part in zip(places, done.correction.remainder) if part is not None]
-        unknown = tuple(
-            replace(u, corrected=u.place in kept or (u.place == "rig" and bool(kept))) for u in self.physics.unknown
-        )
+        cross = response @ self.physics.own
+        unknown = _with_what_is_corrected(self.physics.unknown, done.correction)
         return replace(self.physics, cross=cross, unknown=unknown), done.found.covariance + cross @ response.T
 
 
@@ -309,14 +318,5 @@ def refit_arm_with_findings(
     )
     found, unknown = arm_fit_with_curves(found, findings.unknown)
     said("refining physics and geometry jointly", 1, 1)
-    physics = Physics(
-        found.effects,
-        found.own,
-        np.zeros((len(parameter_names(nominal)), len(found.own))),
-        design.gravity,
-        design.actuator,
-        design.platform,
-        sensor_medians_and_standard_deviations(recording, samples.t),
-        unknown,
-    )
+    physics = _physics(found.effects, found.own, unknown, len(parameter_names(nominal)), recording, samples.t)
     return ArmRefit(found, physics)

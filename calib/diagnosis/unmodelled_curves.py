@@ -9,7 +9,7 @@ of the recording held out whole, for which the candidate, its size and its coeff
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, cast
 
@@ -210,7 +210,8 @@ def refinement_with_curves(refined: Refinement, unknown: Sequence[Unknown]) -> t
         point = refined.point.with_effects((*refined.point.effects, effect))
         refined = refine_operating_point(point, Sensitivities(point))
 
-    undone = _undone(unknown, context.moved().places, chosen, add)
+    units = dict(zip(context.moved().places, context.moved().units))
+    undone = _undone(unknown, units, chosen, add)
     return refined, undone
 
 
@@ -234,18 +235,21 @@ def arm_fit_with_curves(fit: JointFit, unknown: Sequence[Unknown]) -> tuple[Join
         nonlocal fit
         fit = fit_geometry_and_effects(samples, history, fit.arm, (*fit.effects, effect), fit.before)
 
-    undone = _undone(unknown, motion.places, chosen, add)
+    undone = _undone(unknown, dict.fromkeys(motion.places, "m"), chosen, add)
     return fit, undone
 
 
 def _undone(
-    unknown: Sequence[Unknown], places: Sequence[str], chosen: Chooser, add: Callable[[Effect], None]
+    unknown: Sequence[Unknown], units: Mapping[str, str], chosen: Chooser, add: Callable[[Effect], None]
 ) -> tuple[Unknown, ...]:
-    """The Unknowns with what curves at the axes (their places) undo; every curve that helps is added."""
+    """The Unknowns with what curves at the axes undo; every curve that helps is added.
+
+    units : {axis' place: unit of what is held out}, an axis' own or m at the hand
+    """
     out = []
     for one in sorted(unknown, key=lambda u: -u.magnitude):
         done: _Undone | None = None
-        for _ in range(ROUNDS if one.place in places else 0):
+        for _ in range(ROUNDS if one.place in units else 0):
             curve = chosen(one.place)
             if curve is None:
                 break
@@ -257,7 +261,12 @@ def _undone(
         out.append(
             one
             if done is None
-            else replace(one, by=tuple(dict.fromkeys(done.names)), held_out=(done.before, done.after))
+            else replace(
+                one,
+                by=tuple(dict.fromkeys(done.names)),
+                held_out=(done.before, done.after),
+                held_out_unit=units[one.place],
+            )
         )
     return tuple(out)
 

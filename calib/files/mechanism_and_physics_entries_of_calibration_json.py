@@ -325,7 +325,8 @@ def _unknown(entry: Entries) -> Unknown:
     if "by" not in entry.tree:
         return found
     before, after = entry.array("held_out", (2,)).tolist()
-    return replace(found, by=entry.texts("by"), held_out=(before, after))
+    size_unit = entry.text("held_out_unit", ("m", "rad"), "m")
+    return replace(found, by=entry.texts("by"), held_out=(before, after), held_out_unit=size_unit)
 
 
 def _seen(entry: Entries) -> bool:

@@ -148,11 +148,14 @@ def samples_in_reference(samples: Samples, placement: Placement, predicted: Rigi
 
 
 class _White(NamedTuple):
-    """left : (n, k) whitened residuals; columns : (n, k, 12), 0 of what was not asked for; weight : (n,)."""
+    """left : (n, k) whitened residuals; columns : (n, k, 12), 0 of what was not asked for; weight : (n,)
+    W : (n, k, k), what whitens
+    """
 
     left: Floats
     columns: Floats
     weight: Floats
+    W: Floats
 
 
 def _white(predicted: RigidTransform, samples: Samples, placement: Placement, scatter: Floats) -> _White:
@@ -167,7 +170,7 @@ def _white(predicted: RigidTransform, samples: Samples, placement: Placement, sc
     left = (W @ left[..., None])[..., 0]
     size = np.sqrt((left**2).mean(axis=1))
     size = size / max(1.0, float(np.median(size)))
-    return _White(left, W @ columns, np.minimum(1.0, HUBER / np.maximum(size, 1e-12)))
+    return _White(left, W @ columns, np.minimum(1.0, HUBER / np.maximum(size, 1e-12)), W)
 
 
 def asked_numbers(ends: tuple[bool, bool], measured: str) -> Booleans:
@@ -316,18 +319,22 @@ def _without_displacement(calibration: Calibration, samples: Samples, instrument
     predicted, scatter = calibration.correction.predict(samples.effective), np.resize(calibration.scatter, 6)
     origin = base_origin(fitted)
 
-    def stated(ends: tuple[bool, bool]) -> Placement:
+    def estimated(ends: tuple[bool, bool]) -> tuple[Placement, Floats]:
+        """(Placement, its (12, 12) covariance by noise alone)."""
         one = estimate_placement(predicted, samples, origin, scatter, ends)
-        return replace(one, covariance=one.covariance + _by_parameters(calibration, fitted, samples, predicted, one))
+        own = one.covariance
+        return replace(one, covariance=own + _by_parameters(calibration, fitted, samples, predicted, one)), own
 
-    both = stated((True, True))
+    both, own = estimated((True, True))
     tested = tested_placement(both, always, is_clear(predicted, samples, both, scatter))
     if not any(tested.ends):
         return PlacedSamples(samples)
-    found = replace(stated(tested.ends), p_values=tested.p_values)
+    found = both
+    if not all(tested.ends):
+        found, own = estimated(tested.ends)
+    found = replace(found, ends=tested.ends, p_values=tested.p_values)
     moved = samples_in_reference(samples, found, predicted)
     white = _white(predicted, samples, found, scatter)
-    own = estimate_placement(predicted, samples, origin, scatter, tested.ends).covariance
     taken = np.einsum("nka,ab,nkb->nk", white.columns, own, white.columns)
     count = white.left.shape[1]
     share = np.repeat([taken[:, part].mean() for part in (slice(0, 3), slice(3, 6)) if part.start < count], 3)
@@ -354,20 +361,17 @@ def _by_parameters(
     q = samples.effective
     J = arms.parameter_jacobian(q, fitted) if isinstance(fitted, Arm) else chains.parameter_jacobian(q, fitted)
     white = _white(predicted, samples, found, np.resize(calibration.scatter, 6))
-    rows = white.left.shape[1]
-    moved = samples_in_reference(samples, found, predicted).total_covariance()[:, :rows, :rows]
-    W = np.linalg.inv(np.linalg.cholesky(moved + np.diag(np.resize(calibration.scatter, 6)[:rows] ** 2)))
-    J = W @ J[:, :rows]
+    J = white.W @ J[:, : white.left.shape[1]]
     H = np.einsum("nka,nkb->ab", white.columns, white.columns) + np.eye(12) / LOOSE**2
     G = np.linalg.solve(H, np.einsum("nka,nkp->ap", white.columns, J))
     asked = asked_numbers(found.ends, samples.measured)
     return (G @ calibration.covariance @ G.T) * np.outer(asked, asked)
 
 
-def placement_lines(placements: Sequence[Placement | None], names: Sequence[str]) -> list[str]:
+def placement_lines(placements: Sequence[Placement], names: Sequence[str]) -> list[str]:
     """Lines on where base and tool stand in each further recording, of names (k,)."""
     out = []
     for one, name in zip(placements, names):
-        for line in [] if one is None else one.lines():
+        for line in one.lines():
             out.append(f"{name}: {line}, from where it stood in the first recording; this place is fitted with it")
     return out

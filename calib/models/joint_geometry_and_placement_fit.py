@@ -40,7 +40,7 @@ PLACED = 1e-7  # m, rad; largest step of a placement that has settled
 WIDE = 3.0  # times its uncertainty, by which a fit may still move a placement: it costs the fit a tenth of that
 
 
-def joined_in_reference(parts: Sequence[Samples], placements: Sequence[Placement], machine: Arm | Chain) -> Samples:
+def _joined_in_reference(parts: Sequence[Samples], placements: Sequence[Placement], machine: Arm | Chain) -> Samples:
     """Samples of several recordings as measured in the first one's reference; common : columns of all placements.
 
     parts : of each recording, in order; placements : of all but the first; machine : by which columns are linearised
@@ -94,7 +94,7 @@ def _concatenated(parts: Sequence[Samples]) -> Samples:
     )
 
 
-class PlacedGeometry(NamedTuple):
+class _PlacedGeometry(NamedTuple):
     """machine : fitted; scatter : (6,) m, rad beyond the noise; rows : (N, p + c) whitened columns of parameters, then
     of what samples share; left : (N,) whitened; prior, pull : (p,) information
     on the parameters as stated, and that times how far they stand from there.
@@ -108,8 +108,8 @@ class PlacedGeometry(NamedTuple):
     pull: Floats
 
 
-def placed_geometry(samples: Samples, start: Arm | Chain, nominal: Arm | Chain) -> PlacedGeometry:
-    """PlacedGeometry of samples, what they share solved for with the parameters. Raises what identifying raises."""
+def _placed_geometry(samples: Samples, start: Arm | Chain, nominal: Arm | Chain) -> _PlacedGeometry:
+    """_PlacedGeometry of samples, what they share solved for with the parameters. Raises what identifying raises."""
     if isinstance(start, Arm):
         assert isinstance(nominal, Arm)
         seen = sample_observations(samples)
@@ -119,7 +119,7 @@ def placed_geometry(samples: Samples, start: Arm | Chain, nominal: Arm | Chain) 
         left = (W @ seen.residuals(arm.arm)[arm.inliers][..., None]).ravel()
         none = np.zeros(int(arm.rank.free.sum()))
         rows = (W @ columns).reshape(len(left), -1)
-        return PlacedGeometry(arm.arm, np.resize(arm.scatter, 6), rows, left, none, none)
+        return _PlacedGeometry(arm.arm, np.resize(arm.scatter, 6), rows, left, none, none)
     assert isinstance(nominal, Chain)
     found, sigma = identify_chain(samples, nominal), chains.parameter_tolerances(nominal)
     parts = []
@@ -130,7 +130,7 @@ def placed_geometry(samples: Samples, start: Arm | Chain, nominal: Arm | Chain) 
         parts.append((left[good].ravel(), np.concatenate([J, common], axis=2)[good].reshape(left[good].size, -1)))
     residual, rows = (np.concatenate(column) for column in zip(*parts))
     prior = 1 / sigma[sigma > 0] ** 2
-    return PlacedGeometry(found.chain, found.scatter, rows, residual, prior, -prior * found.step[sigma > 0])
+    return _PlacedGeometry(found.chain, found.scatter, rows, residual, prior, -prior * found.step[sigma > 0])
 
 
 def remove_base_and_tool_displacement(recording: Recording) -> tuple[Recording, list[Placement]]:
@@ -187,8 +187,8 @@ def _placed_with_geometry(
     """
     machine = start
     for _ in range(ROUNDS):
-        samples = joined_in_reference(parts, placements, machine)
-        fit = placed_geometry(samples, machine, nominal)
+        samples = _joined_in_reference(parts, placements, machine)
+        fit = _placed_geometry(samples, machine, nominal)
         machine, numbers = fit.machine, samples.common.shape[2]
         normal = fit.rows.T @ fit.rows + np.diag(np.r_[fit.prior, np.full(numbers, 1 / LOOSE**2)])
         covariance = np.linalg.inv(normal)[-numbers:, -numbers:]
@@ -210,7 +210,7 @@ def _recording_in_reference(
     poses = recording.poses
     if poses is None or not any(any(one.ends) for one in placements):
         return recording
-    samples = joined_in_reference(parts, placements, fit.machine)
+    samples = _joined_in_reference(parts, placements, fit.machine)
     values, vectors = np.linalg.eigh(fit.covariance)
     told = values > 1e-12 * values[-1]  # the ends that are not asked for leave rounding alone
     factor = WIDE * vectors[:, told] * np.sqrt(values[told])

@@ -75,7 +75,7 @@ def commands_along_route(
     approach: str = "auto",
     commands_to_keep: Floats | None = None,
 ) -> RouteCommands:
-    """Commands (Commanded) along a route of wanted poses T (n,), in their order.
+    """Commands (RouteCommands) along a route of wanted poses T (n,), in their order.
 
     start : (axes,) m or rad, where the axes stand; pace : Pace, when the poses are held, or None: each until all has
         come to rest

@@ -238,7 +238,7 @@ def calibrate_arm(
     """Arm calibrated on samples: (ArmCorrection, Identified).
 
     profiles : whether joint profiles are fitted
-    start : Arm, as `start_arm_of_fit` has it where None. Raises what `identify` raises
+    start : Arm, as `start_arm_of_fit` has it where None. Raises what `identify_arm` raises
     """
     plain = _geometry(samples, nominal, instrument, start)
     return _profiled(samples, *plain) if profiles else plain
@@ -282,7 +282,7 @@ def start_arm_of_fit(observations: Observations, nominal: Arm, instrument: Instr
 
 
 def placed_nominal_arm(observations: Observations, nominal: Arm, instrument: Instrument | None, start: Arm) -> Arm:
-    """Nominal arm placed in the instrument's frame; nothing else is fitted. start : Arm of `start_arm_of_fit`
+    """Nominal arm placed in the instrument's frame; nothing else is fitted.
 
     start : Arm of `start_arm_of_fit`
     """

@@ -26,9 +26,9 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
     Coordinate,
-    check_effect_place_and_parameter_bounds,
     conserved_coordinate_sums,
     coordinates_of_effects,
+    effects_with_coordinates,
 )
 from rig.model import motion_simulation
 from rig.model.design import Design
@@ -249,7 +249,7 @@ def _refined(
         )
         cost, gain = left @ left + prior.cost(values), 0.0
         for halving in range(HALVINGS):
-            tried = _written(coordinates, effects, values + 0.5**halving * step)
+            tried = effects_with_coordinates(effects, coordinates, values + 0.5**halving * step)
             if tried is None:
                 continue
             new, after = _values(coordinates, tried), seen.left(history.told(measured, tried, arm))
@@ -266,17 +266,6 @@ def _refined(
 
 def _values(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> Floats:
     return np.array([c.read(effects[c.effect]) for c in coordinates])
-
-
-def _written(coordinates: list[Coordinate], effects: tuple[Effect, ...], values: Floats) -> tuple[Effect, ...] | None:
-    """The effects with their coordinates at values (c,), in their written form; None where one cannot be so."""
-    out = list(effects)
-    for c, value in zip(coordinates, values.tolist()):
-        out[c.effect] = c.written(out[c.effect], value)
-    try:
-        return tuple(check_effect_place_and_parameter_bounds(effect.written()) for effect in out)
-    except ValueError:  # a combination of numbers, each within its bounds, that an effect does not allow
-        return None
 
 
 def _columns(

@@ -75,7 +75,7 @@ def commanded_minus_joint_values_by_stated_arm(samples: Samples, placed_arm: Arm
     """Commands less the joint values that give the measured poses by the stated arm (CorrectionSummands).
 
     They are the joint correction summands. placed_arm : placed as the instrument sees it
-    covariance : what all poses share included. Raises RigError as `summands`
+    covariance : what all poses share included. Raises RigError as `joint_space_summands`
     """
     whole = replace(samples, covariance=samples.total_covariance(), common=samples.common[..., :0])
     return commanded_minus_joint_values_of_measured_poses(whole, placed_arm, np.zeros(0))
@@ -133,7 +133,7 @@ def certify_extended_arm(
 ) -> tuple[CertifiedArm, tuple[Tried, ...]]:
     """Certify an arm's correction extended over the joint space, on held-out configurations.
 
-    Returns (Certified, methods tried).
+    Returns (CertifiedArm, methods tried).
     Raises RigError where the way asked for does not take these samples, or where too little of their poses was
         measured; NotEnoughData
     """

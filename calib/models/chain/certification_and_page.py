@@ -70,9 +70,9 @@ class CertifiedChain:
 def certify_chain(
     samples: Samples, nominal: Chain, rng: np.random.Generator, progress: Progress | None = None
 ) -> CertifiedChain:
-    """Certified chain: all stages together. rng : numpy Generator, for the bootstrap
+    """CertifiedChain of a chain: all stages together. rng : numpy Generator, for the bootstrap
 
-    Raises what `identify` raises
+    Raises what `identify_chain` raises
     """
     said = progress or silent_progress
     label = configuration_numbers(samples.commanded, mechanism.travel_ranges(nominal))

@@ -44,6 +44,7 @@ from rig.effects.catalogue.vibration import Vibration
 from rig.effects.catalogue.warm_up import WarmUp
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Parameter, replace_axis_placeholder_in_text
+from rig.errors import FileError
 from rig.formats.number_parsing_and_rounding import range_text
 from rig.model.effect_places_and_part_tolerances import AXES, Tolerance
 
@@ -102,7 +103,6 @@ def catalogue_with_files(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
     for plugin in plugins:
         for kind in plugin.kinds:
             if kind.name in out:
-                from rig.errors import FileError
                 from rig.formats.user_python_file import line_of_class
 
                 raise FileError(

@@ -6,7 +6,7 @@ from typing import ClassVar
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter, travel_covariate
-from rig.effects.framework.machine_motion_and_play import Motion, exponentially_fading_travel
+from rig.effects.framework.machine_motion_and_play import Motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,17 +30,7 @@ class TravelHeating(Effect):
     )
 
     def deviation(self, motion: Motion) -> Floats:
-        return self.axes(motion.places) * self.per_metre * self._warming(motion)
+        return self.axes(motion.places) * self.per_metre * motion.recent_travel(self.time_constant)
 
     def covariate(self, motion: Motion) -> Covariate:
-        return travel_covariate(self._warming(motion), motion, "recent travel, whichever way")
-
-    def _warming(self, motion: Motion) -> Floats:
-        """(n, axes) m or rad of travel that still warms the axes at the exposures."""
-        path = motion.path
-        return motion.once(
-            ("warming", self.time_constant),
-            lambda: path.walked(lambda t, lengths: exponentially_fading_travel(t, lengths, self.time_constant))[
-                path.at
-            ],
-        )
+        return travel_covariate(motion.recent_travel(self.time_constant), motion, "recent travel, whichever way")

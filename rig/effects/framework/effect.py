@@ -156,7 +156,7 @@ class Effect:
         return np.zeros((len(motion.t), 6))
 
     def attach(self, markers: Markers) -> Markers:
-        """MarkerMap (id (m,), T_body_marker (m,), side (m,), target names) as the markers really sit."""
+        """Markers (id (m,), T_body_marker (m,), side (m,), target names) as the markers really sit."""
         return markers
 
     def camera(self, camera: Camera) -> Camera:

@@ -141,6 +141,19 @@ def coordinates_of_effects(effects: tuple[Effect, ...]) -> list[Coordinate]:
     ]
 
 
+def effects_with_coordinates(
+    effects: tuple[Effect, ...], coordinates: list[Coordinate], values: Floats
+) -> tuple[Effect, ...] | None:
+    """The effects with their coordinates at values (c,), in their written form; None where one cannot be so."""
+    out = list(effects)
+    for c, value in zip(coordinates, values.tolist()):
+        out[c.effect] = c.written(out[c.effect], value)
+    try:
+        return tuple(check_effect_place_and_parameter_bounds(effect.written()) for effect in out)
+    except ValueError:  # a combination of numbers, each within its bounds, that an effect does not allow
+        return None
+
+
 def conserved_coordinate_sums(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> Floats:
     """Conserved coordinate sums (k, c): sums that a fit must leave as they are, as the effects state them."""
     rows = [

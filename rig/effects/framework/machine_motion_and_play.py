@@ -196,6 +196,14 @@ class Motion:
             self.kept[key] = make()
         return self.kept[key]
 
+    def recent_travel(self, time_constant: float) -> Floats:
+        """(n, axes) m or rad of travel, whichever way, that is remembered for a time constant, s, at the exposures."""
+
+        def walked() -> Floats:
+            return self.path.walked(lambda t, x: exponentially_fading_travel(t, x, time_constant))[self.path.at]
+
+        return self.once(("recent travel", time_constant), walked)
+
     def turn(self) -> Floats:
         """(axes,) m or rad of travel for one turn of what drives an axis: the screw's lead, a joint's own turn; NaN
         where no lead is stated.

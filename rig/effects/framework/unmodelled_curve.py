@@ -14,7 +14,7 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.effect_parameters_and_covariates import COUNT, Context, Linear, Node, Parameter
 from rig.effects.framework.formula_quantities import POSE
-from rig.effects.framework.machine_motion_and_play import Motion, exponentially_fading_travel, play_deviation
+from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
 
 TIME, TRAVEL, HISTORY = "time", "recent_travel", "history"
 OWN = (TIME, TRAVEL, HISTORY, *POSE)  # covariates that are no sensor's
@@ -102,7 +102,7 @@ class UnmodelledCurve(Effect):
         if self.over == TIME:
             return motion.t - motion.path.began
         if self.over == TRAVEL:
-            return _recent_travel(motion, self.memory)[:, axis]
+            return motion.recent_travel(self.memory)[:, axis]
         if self.over in POSE:
             return motion.displaced[:, POSE.index(self.over)]
         return motion.lagged_channel(self.memory, self.over)
@@ -142,15 +142,6 @@ class UnmodelledCurve(Effect):
     @classmethod
     def label(cls) -> str:
         return f"a curve over {_words(cls.over)}"
-
-
-def _recent_travel(motion: Motion, memory: float) -> Floats:
-    """(n, axes) m or rad of travel at the exposures that is remembered for a time constant, s."""
-
-    def walked() -> Floats:
-        return motion.path.walked(lambda t, x: exponentially_fading_travel(t, x, memory))[motion.path.at]
-
-    return motion.once(("recent travel", memory), walked)
 
 
 def _words(over: str) -> str:

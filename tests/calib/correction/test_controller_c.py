@@ -155,6 +155,7 @@ def test_in_any_order_the_machine_with_its_play_comes_to_the_wanted_poses(design
     if good.any():
         found = reached(calibration, T[good], lengths[good], sensors_of(calibration))
         assert np.abs(pose_difference(found, T[good])).max() < SAME
+    assert (status[~good] == OUT_OF_STROKE).all()
     assert np.abs(lengths[0::2] - lengths[1::2])[good[0::2]].max(initial=0) < 1e-11
 
 

@@ -20,7 +20,6 @@ from rig.planning.configuration_sets import divided_grid_configurations, sobol_c
 
 STROKE = (0.4, 0.5)
 GRIDS = ("linear", "simplex")
-WEIGHTED = (*GRIDS, "delaunay")
 
 
 def strokes(axes):

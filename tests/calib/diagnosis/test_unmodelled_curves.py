@@ -16,9 +16,9 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import (
 from calib.correction.physics_compensation import Unknown
 from calib.diagnosis.findings_refit import Findings
 from calib.files import calibration_file
-from calib.models.arm import joint_effects_fit_and_held_out_scatter as joint_fit
 from calib.samples.pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import BY_NAME
+from rig.effects.framework.effect_checks_and_fit_coordinates import effects_with_coordinates
 from rig.recording.recording_folder import WantedPoses, load_recording
 from rig.recording.recording_table_loading_and_writing import Poses
 from tests.calib.odd_machines import OddMachine, odd_laws, without_remainder
@@ -101,7 +101,7 @@ def test_a_curve_stands_beside_what_another_recording_told(tmp_path, kind):
 
 def test_shares_of_an_arms_effect_that_a_bound_cuts_are_written_with_the_sum_of_one():
     made = BY_NAME["creep"]("joint 2", 1e-3, 20.0, (1.0, 1.0))
-    (written,) = joint_fit._written([], (made,), np.zeros(0))
+    (written,) = effects_with_coordinates((made,), [], np.zeros(0))
     assert sum(written.shares) == pytest.approx(1) and written.fraction == pytest.approx(2e-3)
 
 
@@ -115,6 +115,11 @@ def test_why_nothing_is_undone_is_stated():
         assert reason in unknown_at(place, "time").sentence()
     assert "scatter that follows nothing recorded" in Unknown("strut 2", 1e-5, "m", (), False).sentence()
     assert Unknown("strut 2", 1e-5, "m", ("pose",), True).undone
+
+
+def test_what_is_undone_is_stated_in_the_unit_of_the_axis():
+    undone = Unknown("crank 2", 1e-3, "rad", ("time",), False, ("time",), (8e-4, 1e-4), "rad")
+    assert "undoes 700 µrad of 800 µrad" in undone.sentence()
 
 
 @pytest.mark.slow

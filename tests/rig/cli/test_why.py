@@ -2,11 +2,14 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
 
 import calib
+from calib.api.why import _repeats
 from calib.api.why_options_and_data import recording_of_data
 from rig.errors import RigError
 from rig.formats.exporters.urdf_and_sdf import arm_urdf
@@ -84,6 +87,19 @@ def test_out_keeps_what_the_lines_rest_on(told):
     assert {"calibration.json", "diagnosis", "diagnosis.html", "recording"} <= set(found)
     assert json.loads((kept / "diagnosis" / "diagnosis.json").read_text())["schema"] == "diagnosis/1"
     assert run("check", kept / "recording").returncode == 0
+
+
+@pytest.mark.parametrize("measured, stated", [("pose", "1 mm and 0.057 degrees"), ("position", "1 mm")])
+def test_repeatability_is_stated_of_what_was_measured(measured, stated):
+    way = np.repeat([[1e-3], [-1e-3]], 2, axis=0)  # m, rad
+    T = RigidTransform.from_components(way * [1, 0, 0], Rotation.from_rotvec(way * [0, 0, 1]))
+    samples = SimpleNamespace(commanded=np.zeros((4, 3)), T_base_platform=T, measured=measured)
+    repeats = _repeats(SimpleNamespace(sampled=SimpleNamespace(samples=samples)))
+    size = np.sqrt(4 / 3)  # of four values at +-1 about a mean that they are of
+    assert repeats.position == pytest.approx(1e-3 * size) and (repeats.rotation is None) == (measured == "position")
+    assert str(replace(repeats, position=1e-3, rotation=repeats.rotation and 1e-3)) == (
+        f"repeatability {stated} RMS over 1 repeated configurations"
+    )
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ Parameters stay within their bounds: one that the data pull beyond stands at its
 it there.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import cast
@@ -38,6 +39,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import (
     check_effect_place_and_parameter_bounds,
     conserved_coordinate_sums,
     cost_of_priors,
+    effects_with_coordinates,
     prior_precision,
 )
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, mechanism_with_parameters
@@ -182,7 +184,9 @@ def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensit
         step = np.r_[step[: len(refinement.coordinates)], theta]
     found = None
     for share in SHARES:  # a large effect is not linear in its numbers: its whole step may lead far beyond it
-        known = _stepped_effects(k.effects, refinement.coordinates, share * step)
+        known = effects_with_coordinates(
+            k.effects, refinement.coordinates, refinement.values + share * step[: len(refinement.coordinates)]
+        )
         if known is None:
             continue
         added = check_effect_place_and_parameter_bounds(score.candidate.effect(score.node, share * theta))
@@ -272,8 +276,9 @@ def _try(
 ) -> tuple[OperatingPoint, float] | None:
     """(OperatingPoint after as much of the step as lowers the cost, by how much), or None."""
     k, before = model.point, _comparable(model)
+    values = np.array([c.read(k.effects[c.effect]) for c in coordinates])
     for share in SHARES:
-        effects = _stepped_effects(k.effects, coordinates, cast(Floats, share * step))
+        effects = effects_with_coordinates(k.effects, coordinates, values + share * step[: len(values)])
         if effects is None:
             continue
         point, nuisances = _apply(model, cast(Floats, step), column, effects, share)
@@ -281,18 +286,6 @@ def _try(
         if gained >= -SLACK:
             return point, gained
     return None
-
-
-def _stepped_effects(effects: tuple[Effect, ...], coordinates: list[Coordinate], step: Floats) -> list[Effect] | None:
-    """The effects with coordinates changed by a step (c,), in their written form; None where one of them cannot be
-    so."""
-    out = list(effects)
-    for c, s in zip(coordinates, step):
-        out[c.effect] = c.written(out[c.effect], c.read(effects[c.effect]) + s)
-    try:
-        return [check_effect_place_and_parameter_bounds(effect.written()) for effect in out]
-    except ValueError:  # a combination of numbers, each within its bounds, that the effect does not allow
-        return None
 
 
 def _cost_without_relinearisation(model: LinearisedModel, point: OperatingPoint, nuisances: Floats) -> float:
@@ -333,7 +326,7 @@ def _comparable(model: LinearisedModel) -> float:
 
 
 def _apply(
-    model: LinearisedModel, step: Floats, column: Column | None, effects: list[Effect], share: float = 1.0
+    model: LinearisedModel, step: Floats, column: Column | None, effects: Sequence[Effect], share: float = 1.0
 ) -> tuple[OperatingPoint, Floats]:
     """(OperatingPoint with effects, nuisances and each frame's own poses moved by a share of the way to where the fit
     puts them, (r,) nuisances' moves on the model's basis), where effects take a step along a Column."""
