@@ -20,7 +20,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
 from rig.planning.plan import sensors_with_payload
 from rig.planning.plan_construction_and_table import Plan
-from rig.recording.recording_folder import LIMB, Sensors
+from rig.recording.recording_folder import LIMB, Sensors, sensors_with_gravity
 from rig.recording.recording_table_loading_and_writing import (
     DISTANCE,
     POSE_COLUMNS,
@@ -99,8 +99,9 @@ def simulate_world(
             plan.commands.t[-1], rng, worlds.strut_count(require_axes(world.true.mechanism))
         )
         sensors, log = sensors_with_payload(plan, true), sensors_with_payload(plan, log)
+        sensors_with_gravity(world.true.gravity, world.true.tilts, log)  # which says that a tilt is to be given
     else:
-        sensors = log = known_sensors
+        sensors = log = sensors_with_gravity(world.true.gravity, world.true.tilts, known_sensors) or known_sensors
     run = motion_simulation.simulate_machine_run(
         world.true,
         plan.commands,

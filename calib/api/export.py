@@ -1,13 +1,14 @@
 """Export of a calibrated geometry, its corrections, lenses or a recording to the formats of other programs."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from hashlib import sha256
 from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 
+from calib.api.correction_lookup_table import correction_lookup_table
 from calib.correction.correction_as_c_source import correction_c_source
 from calib.correction.correction_tables_and_pose_space_map_json import axis_correction_tables, grid_correction_table
 from calib.files import calibration_file
@@ -18,10 +19,11 @@ from rig.formats.rig_toml import design_file
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_arm, require_hexapod
-from rig.recording.recording_folder import load_recording
+from rig.recording.recording_folder import load_recording, load_wanted_poses
 
 TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry
 C_SOURCE = "c"  # all of a correction, for a controller
+LOOKUP = "lut"  # of commands over sensor channels
 CAMERAS = ("camera-info", "opencv")  # of a rig.toml, a file each
 RECORDINGS = ("tum", "parquet")
 GEOMETRIES = {
@@ -37,13 +39,16 @@ GEOMETRIES = {
 class ExportOptions:
     """units : "mm" or "m", machine units of genhexkins and linuxcnc-comp; coupling : of genhexkins, the share of the
     cardans' twist that turns the screws; lead : of the screws, m per revolution, None for what a rig.toml states; parts
-    : of linuxcnc-comp and grid, parts of each actuator's interval, None for 64, and 3
+    : of linuxcnc-comp and grid, parts of each actuator's interval, None for 64, and 3; poses : of lut, the table of
+    wanted poses; over : of lut, {sensor channel: its values, ascending}
     """
 
     units: str = "mm"
     coupling: float = 0.0
     lead: float | None = None
     parts: int | None = None
+    poses: Path | None = None
+    over: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +82,7 @@ def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -
 
     A recording for tum and parquet; as `rig export` makes it.
 
-    kind : one of TABLES, C_SOURCE, CAMERAS, RECORDINGS and GEOMETRIES
+    kind : one of TABLES, C_SOURCE, LOOKUP, CAMERAS, RECORDINGS and GEOMETRIES
     Raises RigError for a machine that this format cannot state, and for options out of range
     """
     if kind in TABLES:
@@ -87,6 +92,11 @@ def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -
         calibration = calibration_file.load(machine)
         source = correction_c_source(calibration.correction, calibration.physics, origin)
         return ExportResult({"": source.text}, "; ".join(source.notes))
+    if kind == LOOKUP:
+        if options.poses is None:
+            raise RigError("lut takes the wanted poses, as --poses FILE")
+        table = correction_lookup_table(calibration_file.load(machine), load_wanted_poses(options.poses), options.over)
+        return ExportResult({"": table.csv}, str(table))
     if kind in CAMERAS:
         return _cameras(machine, kind)
     if kind in RECORDINGS:

@@ -22,12 +22,13 @@ from rig.errors import NotConverged, RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model import mechanisms, motion_simulation
 from rig.model import motion_simulation as machine
+from rig.model.base_tilt import BaseTilt
 from rig.model.design import Actuator, Design, Platform
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, is_parallel
 from rig.model.pose import exp
-from rig.recording.recording_folder import Commands, Sensors
+from rig.recording.recording_folder import Commands, Sensors, sensors_with_gravity
 
 MOST_LEFT = 0.5  # share of what has no name that curves may leave of it
 ANOTHER_DAY = 2.0  # K, standard deviation by which a room and its struts differ from one day to another
@@ -85,7 +86,8 @@ class Physics:
     (rig.effects.framework.effect_checks_and_fit_coordinates), in
     order; cross : (p, c) of the geometry's p parameters with these; gravity, actuator, platform : of the machine as its
     owner states them, which effects look at
-    channels : {sensor channel: (median, standard deviation)} while all this was learnt; unknown : what has no name."""
+    channels : {sensor channel: (median, standard deviation)} while all this was learnt; unknown : what has no name
+    tilts : of the base, by which gravity turns."""
 
     effects: tuple[Effect, ...]
     own: Floats
@@ -95,6 +97,7 @@ class Physics:
     platform: Platform
     channels: dict[str, tuple[float, float]]
     unknown: tuple[Unknown, ...] = ()
+    tilts: tuple[BaseTilt, ...] = ()
 
     @property
     def coordinates(self) -> list[Coordinate]:
@@ -103,7 +106,7 @@ class Physics:
 
     def machine(self, mechanism: Parallel | Arm | Chain) -> Design:
         """Design of a mechanism with what effects look at besides; it has no cameras."""
-        return Design("", self.gravity, mechanism, None, self.actuator, self.platform, (), ())
+        return Design("", self.gravity, mechanism, None, self.actuator, self.platform, (), (), tilts=self.tilts)
 
     def sensed(self, sensors: Sensors | None, t: Floats) -> tuple[Sensors, tuple[str, ...]]:
         """(Sensors with every channel that physics was learnt with, names of those that were missing and now stand at
@@ -112,6 +115,8 @@ class Physics:
         t : (n,) s, the times at which they are asked for
         """
         there = Sensors(np.array([t[0], t[-1] + 1.0]), {}) if sensors is None else sensors
+        if self.tilts and {tilt.channel for tilt in self.tilts} <= set(there.channels):
+            there = sensors_with_gravity(self.gravity, self.tilts, there) or there
         missing = tuple(name for name in self.channels if name not in there.channels)
         filled = {name: np.full(len(there.t), self.channels[name][0]) for name in missing}
         return Sensors(there.t, {**there.channels, **filled}), missing

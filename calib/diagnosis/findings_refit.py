@@ -270,6 +270,7 @@ def _physics(
         design.platform,
         sensed,
         unknown,
+        design.tilts,
     )
 
 

@@ -20,6 +20,7 @@ from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.machine_json import effect_to_dict, effects_from_entries
+from rig.formats.rig_toml.design_file import base_tilt_of_table
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_file
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
@@ -269,6 +270,7 @@ def physics_dict(physics: Physics) -> Json:
         "platform": json_data(physics.platform),
         "channels": {name: {"median": value, "sigma": sigma} for name, (value, sigma) in physics.channels.items()},
         "unknown": json_data(physics.unknown),
+        **({"tilts": json_data(physics.tilts)} if physics.tilts else {}),
     }
 
 
@@ -315,7 +317,8 @@ def physics_from_entries(table: Entries, mechanism: Commanded, parameter_count: 
     if (np.diag(covariance) < 0).any() or not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-300):
         table.fail("physics.covariance is not a covariance", "covariance")
     unknown = tuple(_unknown(entry) for entry in table.tables("unknown"))
-    return Physics(effects, covariance, cross, held.gravity, held.actuator, held.platform, logged, unknown)
+    tilts = tuple(base_tilt_of_table(entry) for entry in table.tables("tilts"))
+    return Physics(effects, covariance, cross, held.gravity, held.actuator, held.platform, logged, unknown, tilts)
 
 
 def _unknown(entry: Entries) -> Unknown:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
+from rig.model.base_tilt import GRAVITY
 from rig.model.design import Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, nearest_reachable_poses
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording
@@ -49,7 +50,7 @@ class Conditions:
     """Of n samples. direction : (n, axes) sign of each axis' last move before the exposure, 0 where it never moved
 
     t : (n,) s; channels : {name: (n,)} temperatures (degrees Celsius) and payload (kg) logged at the exposures
-    weight : Weight, None where there is no gravity
+    weight : Weight, None where there is no gravity, or where it turns: loads then follow no configuration
     """
 
     direction: Floats
@@ -82,7 +83,8 @@ def conditions_of_exposures(recording: Recording, t: Floats) -> Conditions:
     weight = Weight(
         design.gravity, design.platform.mass, design.platform.centre_of_mass, design.platform.payload_centre_of_mass
     )
-    return Conditions(approach_direction(recording.commands, t), t, channels, weight if design.gravity.any() else None)
+    stands = design.gravity.any() and (sensors is None or not set(GRAVITY) <= set(sensors.channels))
+    return Conditions(approach_direction(recording.commands, t), t, channels, weight if stands else None)
 
 
 def approach_direction(commands: Commands, t: Floats) -> Floats:

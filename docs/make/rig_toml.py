@@ -17,6 +17,7 @@ from rig.formats.json_toml_and_yaml_loading import toml_value_positions
 from rig.formats.rig_toml import arm_dynamics_entries, design_file
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
 from rig.formats.rig_toml.mechanism_entries import Joint
+from rig.model.base_tilt import BaseTilt
 from rig.model.design import (
     Actuator,
     Arm,
@@ -53,6 +54,7 @@ frames, faces and corners are meant.
 """
 TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of it)
     "name and [environment]": (Design, "Of the rig as a whole. All of it may be left out."),
+    "[[environment.tilt]]": (BaseTilt, "One for each axis by which the base turns; the first carries the others."),
     '[mechanism] kind = "hexapod"': (Hexapod, ""),
     '[mechanism] kind = "planar2"': (Planar2, ""),
     '[mechanism] kind = "arm"': (Arm, ""),
@@ -240,6 +242,7 @@ def samples() -> list[dict[str, Any]]:
         "mount": "fixed",
         "capture": {"gain": 1.0},
     }
+    whole["environment"]["tilt"] = [{"channel": "elevation_deg", "axis": [0.0, 1.0, 0.0], "zero": 0.0}]
     whole["controller"] = {"protocol": "grblhal", "port": "/dev/ttyACM0", "max_speed": 0.01}
     whole["sensors"] = {"port": "/dev/ttyUSB1", "channels": ["ambient_temperature_C"]}
     whole["experiment"] = {"may": ["payload", "wait"]}
@@ -272,6 +275,7 @@ def asked() -> dict[tuple[str, Key], Asked]:
 TABLE_KEYS = (
     "schema",
     "environment",
+    "tilt",
     "mechanism",
     "camera",
     "capture",

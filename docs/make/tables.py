@@ -126,6 +126,7 @@ def channels() -> list[tuple[str, str]]:
     return [
         *((name, "degrees Celsius") for name in temperatures),
         ("payload_mass_kg", "kg"),
+        ("gravity_x_m_s2`, `gravity_y_m_s2`, `gravity_z_m_s2", "m/s^2, gravity in the frame of a base that tilts"),
         ("m1` .. `mn", "m, measuring limbs"),
         ("anything else", "a covariate that the diagnosis may use by its name"),
     ]

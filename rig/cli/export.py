@@ -7,7 +7,7 @@ Parquet.
 from __future__ import annotations
 
 import sys
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 
 from rig.cli.shared.argument_parser_and_common_options import (
@@ -29,6 +29,7 @@ FORMATS = (
     "linuxcnc-comp",
     "grid",
     "c",
+    "lut",
     "camera-info",
     "opencv",
     "tum",
@@ -52,7 +53,8 @@ def arguments(parser: ArgumentParser) -> None:
         "urdf, sdf: for simulators, a hexapod's URDF as a tree; linuxcnc-comp: the correction on top of "
         "genhexkins, a file for each joint "
         "in the folder OUT; grid: a CSV of corrections to the nominal model; c: a C99 file that computes corrected "
-        "lengths as `rig correct` does, for a controller; camera-info, opencv: "
+        "lengths as `rig correct` does, for a controller; lut: a CSV of commands for --poses over sensor channels, "
+        "with covariance; camera-info, opencv: "
         "lenses of a rig.toml, a "
         "YAML file for each camera in the folder OUT; tum, parquet: the poses, or all tables, of a recording "
         "or of what "
@@ -81,6 +83,15 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="Q",
         help="of linuxcnc-comp and grid: into how many intervals each actuator's range is divided (default 64, and 3)",
     )
+    parser.add_argument("--poses", metavar="FILE", type=Path, help="of lut: the wanted poses, frame,x,y,z,rx,ry,rz")
+    parser.add_argument(
+        "--over",
+        metavar="CHANNEL=LOW:HIGH:STEP",
+        nargs="+",
+        default=[],
+        type=_channel_values,
+        help="of lut: sensor channels and their values, such as elevation_deg=0:90:10 ambient_temperature_C=10,25",
+    )
     add_earlier_option(parser, "--parts", "parts", parse_whole_number)
     add_overwrite_option(parser)
     add_json_result_option(parser)
@@ -91,7 +102,9 @@ def run(arguments: Namespace) -> None:
     from calib.api.export import ExportOptions, export
 
     _require_out(arguments)
-    options = ExportOptions(arguments.units, arguments.coupling, arguments.lead, arguments.parts)
+    options = ExportOptions(
+        arguments.units, arguments.coupling, arguments.lead, arguments.parts, arguments.poses, dict(arguments.over)
+    )
     result = export(arguments.machine, arguments.format, options)
     for line in result.left_out:
         print(f"rig export: {line}; use `rig correct` where it matters", file=sys.stderr)
@@ -110,6 +123,21 @@ def run(arguments: Namespace) -> None:
     }
 
 
+def _channel_values(text: str) -> tuple[str, list[float]]:
+    """(channel, values) of NAME=LOW:HIGH:STEP or NAME=A,B,..; raises ArgumentTypeError for another text."""
+    name, equals, rest = text.partition("=")
+    try:
+        numbers = [parse_number(part) for part in rest.split(":" if ":" in rest else ",")]
+    except ValueError as error:
+        raise ArgumentTypeError(f"{text!r}: {error}") from None
+    if not name or not equals or (":" in rest and (len(numbers) != 3 or numbers[2] <= 0 or numbers[1] < numbers[0])):
+        raise ArgumentTypeError(f"expected CHANNEL=LOW:HIGH:STEP or CHANNEL=A,B,.., got {text!r}")
+    if ":" not in rest:
+        return name, numbers
+    low, high, step = numbers
+    return name, [low + step * k for k in range(int((high - low) / step + 1e-9) + 1)]
+
+
 def _require_out(arguments: Namespace) -> None:
     """Raise RigError where a format takes --out, or another kind of file."""
     kind, is_design, nowhere = arguments.format, arguments.machine.suffix == ".toml", arguments.out is None
@@ -118,7 +146,7 @@ def _require_out(arguments: Namespace) -> None:
             "--json reports what was written: name a file or a folder with --out; without it the export "
             "is printed itself"
         )
-    if kind in ("linuxcnc-comp", "grid", "c") and (is_design or nowhere):
+    if kind in ("linuxcnc-comp", "grid", "c", "lut") and (is_design or nowhere):
         raise RigError(f"{kind} takes a calibration.json and --out")
     if kind in ("camera-info", "opencv") and (not is_design or nowhere):
         raise RigError(f"{kind} takes a rig.toml, as `rig measure` writes it too, and --out DIR")

@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
+from rig.model.base_tilt import BaseTilt
 from rig.model.controller_protocol_list_and_port_name_check import PROTOCOLS as PROTOCOLS
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2, freeze_array
 
@@ -302,10 +303,8 @@ class Target:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Design:
-    """The whole rig.toml. name : of the rig; gravity : (3,) m/s^2 in the base frame
-
-    sensor : of its simulated cameras; controller : None where nothing is driven
-    """
+    """The whole rig.toml. name : of the rig; gravity : (3,) m/s^2 in the base frame; tilts : turns of the base by
+    which gravity turns in it; sensor : of its simulated cameras; controller : None where nothing is driven"""
 
     name: str
     gravity: Floats
@@ -320,6 +319,7 @@ class Design:
     controller: Controller | None = None
     sensors: SensorPort | None = None
     experiment: Permission = Permission()
+    tilts: tuple[BaseTilt, ...] = ()
 
     def __repr__(self) -> str:
         counts = f"{len(self.cameras)} cameras, {len(self.targets)} targets"

@@ -13,6 +13,7 @@ from rig.model.design import TURN, Camera, Design, Target
 SAME = 1e-9  # m, rad, or the figure's own unit; less is how a number was written
 STATED = (
     "gravity",
+    "tilts",
     "mechanism",
     "instrument",
     "actuator",

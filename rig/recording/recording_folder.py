@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from rig.formats.csv_and_parquet_tables_and_time_origin import Table, TimeOrigin
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import require_complete_folder, write_bytes, write_text
 from rig.formats.rig_toml import design_file
+from rig.model.base_tilt import GRAVITY, BaseTilt, gravity_channels
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
 from rig.recording.image_file_check_and_reading import UnreadableImage
@@ -193,7 +194,7 @@ def load_recording(folder: str | Path, skip_unreadable: bool = False) -> Recordi
         if local_and_remote_input_files.exists(folder / "poses.csv")
         else None
     )
-    sensors = _sensors(folder / "sensors.csv", origin, exposures)
+    sensors = sensors_with_gravity(design.gravity, design.tilts, _sensors(folder / "sensors.csv", origin, exposures))
     return Recording(
         folder,
         design,
@@ -254,6 +255,25 @@ def load_wanted_poses(path: str | Path) -> WantedPoses:
 def load_sensors(path: str | Path, origin: TimeOrigin) -> Sensors:
     """Load Sensors from a sensors.csv, times relative to an TimeOrigin. Raises FileError with line and column."""
     return _sensor_rows(csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("t",)), origin)
+
+
+def sensors_with_gravity(gravity: Floats, tilts: tuple[BaseTilt, ...], sensors: Sensors | None) -> Sensors | None:
+    """Sensors with channels of gravity in the base frame where the base tilts. gravity : (3,) m/s^2 at zero tilt
+
+    Gravity that was logged itself, by an accelerometer on the base, is left as it is.
+    Raises RigError where a tilt was not logged
+    """
+    logged = set() if sensors is None else set(sensors.channels)
+    if not tilts or set(GRAVITY) <= logged:
+        return sensors
+    missing = [tilt.channel for tilt in tilts if tilt.channel not in logged]
+    if missing or sensors is None:
+        raise RigError(
+            f"rig.toml states that the base tilts by {', '.join(missing)} ([[environment.tilt]]), which sensors.csv "
+            "does not have: log it, or gravity in the base frame as " + ", ".join(GRAVITY)
+        )
+    turned = gravity_channels(gravity, tilts, lambda name: sensors.channels[name])
+    return replace(sensors, channels={**sensors.channels, **turned})
 
 
 def _origin(rows: Table) -> TimeOrigin:

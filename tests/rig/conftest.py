@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rig.model.base_tilt import GRAVITY
 from rig.model.design import PROTOCOLS, Controller
 from tests.conftest import ROOT
 
@@ -28,6 +29,7 @@ def setting(design):
         {
             "ambient_temperature_C": np.array([21.0, 25.0]),
             "payload_mass_kg": np.array([0.0, 0.0]),
+            **{name: np.full(2, own) for name, own in zip(GRAVITY, design.gravity)},  # as an accelerometer has it
             **{f"strut{i}_temperature_C": np.array([20.0, 20.0 + 4 * i]) for i in range(1, 7)},
         },
     )

@@ -14,8 +14,10 @@ from calib.models.platform.identification import pose_parameter_jacobian
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model import motion_simulation
+from rig.model.base_tilt import BaseTilt
 from rig.model.pose import exp
 from rig.planning import plan
+from rig.recording.recording_folder import sensors_with_gravity
 from synthetic import recording_simulation, secret_machine
 from vision import lens
 from vision.predict import State, is_inside_image, marker_map, predict_sightings, sightings_of_markers_facing_cameras
@@ -47,6 +49,7 @@ EFFECTS = [
     "focal_drift:cameras:per_kelvin=1e-4",
     "focal_drift:cam1:per_kelvin=1e-4",
     "camera_drift:cam1:motion=1e-4/0/0/0/0/0,time_constant=1500",
+    "camera_sag:cam1:yields=" + "/".join(["1e-4", "0", "0"] * 6),
     "camera_bump:cam1:motion=1e-4/0/0/0/0/0,time=900",
     "rolling_shutter:cameras:row_time=2e-5",
     "rolling_shutter:cam1:row_time=2e-5",
@@ -99,18 +102,22 @@ def signatures(design):
             )
     columns = np.stack(columns, axis=1)
     Q = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)[0]
+    elevation = 30 + 30 * np.sin(s.sensors.t / 300)  # degrees
+    logged = replace(s.sensors, channels={**s.sensors.channels, "elevation_deg": elevation})
+    tilting = sensors_with_gravity(design.gravity, (BaseTilt("elevation_deg", np.array([0.0, 1.0, 0.0])),), logged)
     left = {}
     for text in EFFECTS:
         effect = parse_effect(text)
         rolls = effect.name == "rolling_shutter"
-        run = motion_simulation.simulate_machine_run(design, route.commands, route.t, [effect], s.sensors, rates=rolls)
+        sensors = tilting if effect.name == "camera_sag" else s.sensors
+        run = motion_simulation.simulate_machine_run(design, route.commands, route.t, [effect], sensors, rates=rolls)
         seen = predict_sightings(
             found,
             State(design.cameras, run.T_base_platform, {}),
             markers,
             route.t,
             [effect],
-            s.sensors,
+            sensors,
             run if rolls else None,
         )
         raw = seen.ravel() - clean

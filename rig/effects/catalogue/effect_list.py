@@ -13,6 +13,7 @@ from rig.effects.catalogue.backlash import Backlash
 from rig.effects.catalogue.base_expansion import BaseExpansion
 from rig.effects.catalogue.camera_bump import CameraBump
 from rig.effects.catalogue.camera_drift import CameraDrift
+from rig.effects.catalogue.camera_sag import CameraSag
 from rig.effects.catalogue.clock_drift import ClockDrift
 from rig.effects.catalogue.compliance import Compliance
 from rig.effects.catalogue.creep import Creep
@@ -69,6 +70,7 @@ ALL: tuple[type[Effect], ...] = (
     LensDistortion,
     FocalDrift,
     CameraDrift,
+    CameraSag,
     CameraBump,
     RollingShutter,
     Refraction,

@@ -11,6 +11,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.errors import RigError
 from rig.model import mechanisms
+from rig.model.base_tilt import GRAVITY
 from rig.model.design import Actuator, Platform
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, MechanismKinematics
 from rig.recording.recording_folder import PAYLOAD, Sensors
@@ -265,6 +266,12 @@ class Motion:
             raise ValueError("this requires a motion with its poses")
         return self.T
 
+    def gravity_in_base(self) -> Floats:
+        """(n, 3) m/s^2 of gravity in the frame of poses: as logged where the base tilts, else as stated."""
+        if self.sensors is None or not set(GRAVITY) <= set(self.sensors.channels):
+            return np.broadcast_to(self.gravity, (len(self.t), 3))
+        return np.stack([self.channel(name) for name in GRAVITY], axis=1)
+
     def loads(self) -> Floats:
         """(n, axes) N or N m with which the axes hold the platform and its payload at the poses T, worked out once.
 
@@ -285,9 +292,8 @@ class Motion:
 
     def _loads(self) -> Floats:
         platform, payload = self.platform, self.payload()
-        down = (
-            np.swapaxes(self.posed().rotation.as_matrix(), 1, 2) @ self.gravity
-        )  # acceleration in the platform's axes
+        R = self.posed().rotation.as_matrix()
+        down = np.einsum("nji,nj->ni", R, self.gravity_in_base())  # acceleration in the platform's axes
         wrench = np.concatenate([platform.mass * down, _moment(platform.centre_of_mass, platform.mass * down)], axis=1)
         if payload.any():
             weight = payload[:, None] * down
@@ -299,7 +305,8 @@ class Motion:
         mechanisms.kind.
         """
         return self.once(
-            ("links",), lambda: self.kind.link_weight_loads(self.T, self.lengths, self.mechanism, self.gravity)
+            ("links",),
+            lambda: self.kind.link_weight_loads(self.T, self.lengths, self.mechanism, self.gravity_in_base()),
         )
 
 

@@ -17,11 +17,12 @@ from rig.errors import RigError
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
+from rig.model.base_tilt import BaseTilt
 from rig.model.design import Camera, Design
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.pose import exp, pose_difference
 from rig.planning.layout import hexapod_layout_and_camera_placement
-from rig.recording.recording_folder import PAYLOAD, Commands, Sensors
+from rig.recording.recording_folder import PAYLOAD, Commands, Sensors, sensors_with_gravity
 from rig.report.pages.page_templates_and_elements import TEXT, WIDTH, svg_figure, svg_text
 from rig.report.pages.plots import Series, plot_panel_svg
 
@@ -43,7 +44,8 @@ PERIODS = {
 }  # of an effect's own time that the way lasts otherwise, by its role
 COUNT = 401  # exposures
 SEED = 4  # of what has several numbers, which are drawn
-WARM, LOADED = 20.0, 6.0  # K and kg, by which temperatures and the payload rise
+ELEVATION = BaseTilt("elevation_deg", np.array([0.0, 1.0, 0.0]))  # by which the base tilts where cameras are looked at
+WARM, LOADED, TILTED = 20.0, 6.0, 60.0  # K, kg and degrees, by which temperatures, the payload and the base rise
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +91,8 @@ def example_run_with_effect(
     span = _span(kind, place)
     t = np.linspace(0.0, span, COUNT)
     commands, sensors = _commands(base, span), _sensors(span, tuple(camera.name for camera in seen.cameras))
+    if kind.stage == "view":
+        sensors = sensors_with_gravity(base.gravity, (ELEVATION,), sensors) or sensors
     motion = motion_simulation.motion_of_commands(base, commands, t, (), sensors)
     motion = replace(motion, T=motion_simulation.simulate_machine_run(base, commands, t, (), sensors).T_base_platform)
     drawn = kind.drawn(place, Drawing(seen, t, motion, displaced), np.random.default_rng(SEED))
@@ -192,7 +196,8 @@ def _sensors(span: float, cameras: tuple[str, ...]) -> Sensors:
         *(f"camera_{name}_temperature_C" for name in cameras),
     )
     t = np.array([0.0, 0.3, 0.7, 1.0]) * span
-    return Sensors(t, {**{name: 20 + WARM * t / span for name in warm}, PAYLOAD: np.array([0.0, 0.0, LOADED, LOADED])})
+    rising = {name: 20 + WARM * t / span for name in warm} | {ELEVATION.channel: TILTED * t / span}
+    return Sensors(t, {**rising, PAYLOAD: np.array([0.0, 0.0, LOADED, LOADED])})
 
 
 SHARE = 0.5  # of what is told, that errors are drawn as large as at the most

@@ -3,12 +3,15 @@
 from dataclasses import fields
 from pathlib import Path
 
-from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries, Required
+import numpy as np
+
+from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries, Required, name_problem
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import camera_instrument_and_cube_entries
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table, user_program_text
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_table
+from rig.model.base_tilt import ANGLE_UNITS, BaseTilt
 from rig.model.controller_protocol_list_and_port_name_check import is_user_program, port_problem
 from rig.model.design import (
     DICTIONARIES,
@@ -73,7 +76,7 @@ def design_of_entries(root: Entries) -> Design:
     )
     root.table("dynamics", optional=True).refuse_misspelt(DYNAMICS)  # its figures are read by what needs them
     environment = root.table("environment", optional=True)
-    environment.refuse_misspelt(("gravity",))
+    environment.refuse_misspelt(("gravity", "tilt"))
     gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY))
     mechanism, actuator = mechanism_of_table(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
     cameras, targets = (
@@ -96,6 +99,7 @@ def design_of_entries(root: Entries) -> Design:
         insitu=_limbs(root.table("insitu")) if "insitu" in root.tree else None,
         controller=_controller(root.table("controller"), mechanism, actuator) if "controller" in root.tree else None,
         sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None,
+        tilts=tuple(base_tilt_of_table(entry) for entry in environment.tables("tilt")),
         experiment=camera_instrument_and_cube_entries.experiment_permission(
             root.table("experiment", optional=True), targets
         ),
@@ -165,6 +169,20 @@ def _port(table: Entries, default: str | Required = REQUIRED) -> str:
     if problem := port_problem(port):
         table.fail(f"{table.name('port')}: {problem}", "port", value=port)
     return port
+
+
+def base_tilt_of_table(table: Entries) -> BaseTilt:
+    """BaseTilt of an [[environment.tilt]]. Raises FileError for a channel that is no angle, or an axis of no length."""
+    table.refuse_misspelt(("channel", "axis", "zero"))
+    channel, axis = table.text("channel"), table.array("axis", (3,))
+    if name_problem(channel) or not channel.endswith(tuple(ANGLE_UNITS)):
+        table.fail(
+            f"channel must name a column of sensors.csv in {' or '.join(ANGLE_UNITS)}, not {channel!r}", "channel"
+        )
+    size = float(np.linalg.norm(axis))
+    if not size > 0:
+        table.fail("axis has no direction", "axis")
+    return BaseTilt(channel, axis / size, table.number("zero", 0.0))
 
 
 def _sensors(table: Entries) -> SensorPort:

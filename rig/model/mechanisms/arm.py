@@ -129,18 +129,19 @@ def axis_loads(T: RigidTransform, q: Floats, arm: Arm, wrench: Floats) -> Floats
 def link_weight_loads(T: RigidTransform, q: Floats, arm: Arm, gravity: Floats) -> Floats:
     """Loads (m, n, 4 n) N m of the links' own weight on the joints, per kg and kg m of each link.
 
-    gravity : (3,) m/s^2 in the frame of poses. Source: Luh, Walker and Paul's recursion at rest, as a regressor:
-        Gautier and Khalil 1990
+    gravity : (3,), or (m, 3) of each posture, m/s^2 in the frame of poses
+    Source: Luh, Walker and Paul's recursion at rest, as a regressor: Gautier and Khalil 1990
     """
     chain, n = link_frames(q, arm), len(arm.joints)
     z, o, R = chain[:, :n, :3, 2], chain[:, : n + 1, :3, 3], chain[:, 1 : n + 1, :3, :3]
     out = np.zeros((len(chain), n, n, 4))
-    tipped = np.cross(np.swapaxes(R, 2, 3), gravity)  # (m, link, axis of its frame, 3)
+    down = np.broadcast_to(gravity, (len(chain), 3))
+    tipped = np.cross(np.swapaxes(R, 2, 3), down[:, None, None])  # (m, link, axis of its frame, 3)
     for j in range(n):
         if arm.slides[j]:
-            out[:, j, j:, 0] = -(z[:, j] @ gravity)[:, None]
+            out[:, j, j:, 0] = -(z[:, j] * down).sum(axis=1)[:, None]
             continue
-        out[:, j, j:, 0] = -np.einsum("mki,mi->mk", np.cross(o[:, j + 1 :] - o[:, [j]], gravity), z[:, j])
+        out[:, j, j:, 0] = -np.einsum("mki,mi->mk", np.cross(o[:, j + 1 :] - o[:, [j]], down[:, None]), z[:, j])
         out[:, j, j:, 1:] = -np.einsum("mkai,mi->mka", tipped[:, j:], z[:, j])
     return out.reshape(len(chain), n, 4 * n)
 

@@ -47,6 +47,7 @@ SOME = {  # one instance of each, of a size that rigs show
     "lens_distortion": "cam1:terms=0.01/0/0/0/0/0.02/0/0/0/0/0/0",
     "focal_drift": "cameras:per_kelvin=1e-4",
     "camera_drift": "cam1:motion=1e-4/0/0/0/1e-4/0,time_constant=900",
+    "camera_sag": "cam1:yields=" + "/".join(["0"] * 12 + ["1e-4"] * 6),
     "camera_bump": "cam1:motion=1e-4/0/0/0/1e-4/0,time=50",
     "rolling_shutter": "cameras:row_time=2e-5",
     "refraction": "cam1:thickness=5e-3",

@@ -16,6 +16,7 @@ from rig.effects.framework.machine_motion_and_play import Path
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import RigError
 from rig.model import mechanisms, motion_simulation
+from rig.model.base_tilt import GRAVITY
 from rig.model.design import Actuator, Arm, Design, Planar2, Platform
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
@@ -46,6 +47,7 @@ def setting_of(design, kind):
     values = (low + high) / 2 + 0.6 * (high - low) / 2 * rng.uniform(-1, 1, (81, len(low)))
     values[10:20] = values[10]
     channels = {f"strut{i + 1}_temperature_C": np.array([20.0, 24.0]) for i in range(len(low))} if kind != "arm" else {}
+    channels |= {name: np.full(2, own) for name, own in zip(GRAVITY, design.gravity)}  # as an accelerometer has it
     sensors = Sensors(np.array([0.0, 1e3]), {"ambient_temperature_C": np.array([21.0, 25.0]), **channels})
     return design, Commands(t, values), np.sort(rng.uniform(1, t[-1], 60)), sensors
 

@@ -1,0 +1,164 @@
+"""A hexapod on an axis that tilts by 90 degrees, its struts springs: corrected as well as where the base stands still.
+
+The statics, the tilt and the kinematics are those of a second writer: see tests.truth.loads.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import calib
+import rig
+from calib.api.calibrate import CalibrateOptions
+from calib.api.correct import CorrectOptions
+from calib.files.calibration_file import save
+from rig.cli.command_line import main
+from rig.errors import RigError
+from rig.recording.recording_folder import Sensors
+from tests.truth import draw, record, rms, wanted
+from tests.truth.case import Case
+from tests.truth.eyes import Camera, Sight
+from tests.truth.journey import journey
+from tests.truth.laws import stood
+from tests.truth.loads import Springs
+from tests.truth.motion import Motion
+from tests.truth.rigid import displaced, errors, rows_of
+from tests.truth.written import table, write_wanted
+
+AXIS = np.array([0.0, 1.0, 0.0])
+TILT = """
+[[environment.tilt]]
+channel = "elevation_deg"
+axis = [0.0, 2.0, 0.0]
+
+"""
+
+
+@dataclass(frozen=True)
+class TiltedSprings(Springs):
+    """Springs on a base that is tilted by (start, end) degrees over span s, up and down in cosines."""
+
+    sweep: tuple[float, float, float]
+
+    def elevation(self, t: np.ndarray) -> np.ndarray:
+        """(n,) degrees."""
+        start, end, span = self.sweep
+        return start + (end - start) * (1 - np.cos(2 * np.pi * 3 * t / span)) / 2
+
+    def forces(self, motion: Motion, poses: np.ndarray) -> np.ndarray:
+        tilted = Rotation.from_rotvec(np.radians(self.elevation(motion.looked))[:, None] * AXIS).as_matrix()
+        down = np.einsum("nji,j->ni", tilted, [0.0, 0.0, -9.80665])
+        moment = np.cross(poses[:, :3, :3] @ self.centre, self.mass * down)
+        wrench = np.concatenate([self.mass * down, moment], axis=1)
+        return np.linalg.solve(np.swapaxes(motion.machine.rates(poses), 1, 2), -wrench[..., None])[..., 0]
+
+
+def tilting(seed: int, end: float) -> Case:
+    """A case whose struts give by some 100 um under the platform's weight, tilted from 0 to end degrees."""
+    case = draw(seed, "none", count=60)
+    stiffness = case.mass * 9.81 / 6 / 1e-4
+    law = TiltedSprings(
+        np.ones(6), case.mass, case.centre, case.payload, stiffness, np.inf, (0.0, end, float(case.way.t[-1]))
+    )
+    noise = np.random.default_rng([seed, 5]).normal(size=(len(case.way.looked), 6)) * np.repeat(case.sigma, 3)
+    case = replace(case, laws=(law,))
+    return replace(case, seen=rows_of(displaced(stood(case.machine, case.way, case.day, case.laws), noise)))
+
+
+def recorded(case: Case, folder: Path, stated: bool = True) -> rig.Recording:
+    """The case's recording; stated : whether rig.toml and sensors.csv say that the base tilts."""
+    record(case, folder)
+    if stated:
+        text = (folder / "rig.toml").read_text()
+        (folder / "rig.toml").write_text(text.replace("[actuator]", TILT + "[actuator]", 1))
+        t = np.linspace(0.0, float(case.way.t[-1]), 2000)
+        table(folder / "sensors.csv", ("t", "elevation_deg"), np.column_stack([t, case.laws[0].elevation(t)]))
+    return rig.load(folder)
+
+
+def error_when_driven(case: Case, recording: rig.Recording, folder: Path, elevations: np.ndarray) -> float:
+    """m, RMS position error of fresh poses at logged elevations (k,) degrees, by a calibration of a diagnosis."""
+    folder.mkdir()
+    calib.diagnose(recording).write(folder)
+    calibration = calib.calibrate(recording, CalibrateOptions(diagnosis=folder, quick=True)).calibration
+    goals, out = np.split(wanted(case, 10 * len(elevations)), len(elevations)), []
+    for elevation, goal in zip(elevations.tolist(), goals):
+        log = Sensors(np.zeros(1), {"elevation_deg": np.array([elevation])}) if recording.design.tilts else None
+        commands = calib.correct(calibration, RigidTransform.from_matrix(goal), CorrectOptions(sensors=log)).values
+        way = journey(commands, case.owner.ranges.mean(axis=1), case.speeds, case.dwell)
+        law = replace(case.laws[0], sweep=(elevation, elevation, 1.0))
+        out.append(errors(stood(case.machine, way, case.day, (law,)), goal))
+    return rms(np.concatenate(out))[0]
+
+
+def test_struts_that_give_are_corrected_at_every_elevation(tmp_path):
+    turning, still = tilting(3, 90.0), tilting(3, 0.0)
+    elevations = np.linspace(5.0, 85.0, 6)
+    found = error_when_driven(turning, recorded(turning, tmp_path / "a"), tmp_path / "da", elevations)
+    rest = error_when_driven(still, recorded(still, tmp_path / "b", False), tmp_path / "db", np.zeros(6))
+    unstated = error_when_driven(turning, recorded(turning, tmp_path / "c", False), tmp_path / "dc", elevations)
+    print(f"error {found * 1e6:.2f} um, at rest {rest * 1e6:.2f} um, tilt not stated {unstated * 1e6:.2f} um")
+    assert found < 1.5 * rest and unstated > 5 * found
+
+
+def test_a_lookup_table_holds_between_its_rows_to_what_it_states(tmp_path, capsys):
+    case = tilting(4, 90.0)
+    recording = recorded(case, tmp_path / "a")
+    (tmp_path / "d").mkdir()
+    calib.diagnose(recording).write(tmp_path / "d")
+    calibration = calib.calibrate(recording, CalibrateOptions(diagnosis=tmp_path / "d", quick=True)).calibration
+    save(tmp_path / "calibration.json", calibration)
+    goal = wanted(case, 12)
+    write_wanted(goal, tmp_path / "wanted.csv")
+    run = ["export", str(tmp_path / "calibration.json"), "--format", "lut", "--poses", str(tmp_path / "wanted.csv")]
+    assert main([*run, "--over", "elevation_deg=0:90:7.5", "--out", str(tmp_path / "lut.csv")]) == 0
+    assert "156 rows (13 of elevation_deg)" in capsys.readouterr().out
+    rows = np.genfromtxt(tmp_path / "lut.csv", delimiter=",", names=True)
+    commands = np.stack([rows[name] for name in case.owner.names], axis=1).reshape(13, 12, 6)
+    sigma = np.sqrt(sum(rows[f"c{k}{k}"] for k in range(3))).reshape(13, 12)
+    half = (commands[6] + commands[7]) / 2  # at 48.75 degrees
+    law = replace(case.laws[0], sweep=(48.75, 48.75, 1.0))
+    way = journey(half, case.owner.ranges.mean(axis=1), case.speeds, case.dwell)
+    off = np.linalg.norm(errors(stood(case.machine, way, case.day, (law,)), goal)[:, :3], axis=1)
+    assert (off < 3 * sigma[6]).mean() > 0.9 and off.mean() < 2 * sigma[6].mean()
+    assert main([*run, "--over", "elevation=0:90:7.5", "--out", str(tmp_path / "no.csv")]) == 1
+    assert "not learnt with a channel 'elevation'; it has elevation_deg" in capsys.readouterr().err
+
+
+@dataclass(frozen=True)
+class Sagging(Sight):
+    """One camera's mount bends by the weight of what it carries: it turns about its own axes and moves with it."""
+
+    camera: int
+    law: TiltedSprings
+
+    def standing(self, camera: Camera, number: int, t: np.ndarray) -> np.ndarray:
+        if number != self.camera:
+            return np.zeros((len(t), 6))
+        tilted = Rotation.from_rotvec(np.radians(self.law.elevation(t))[:, None] * AXIS).as_matrix()
+        across = np.einsum("nji,j->ni", tilted, [0.0, 0.0, -1.0]) @ camera.place[:3, :3]
+        bent = 4e-4 * np.cross([0.0, 0.0, 1.0], across)  # rad, about what lies across the optical axis
+        return np.concatenate([0.1 * across * 4e-4, bent], axis=1)
+
+
+def test_a_camera_that_sags_is_named(tmp_path):
+    case = draw(5, "none", count=30, seen=True)
+    law = TiltedSprings(
+        np.zeros(6), case.mass, case.centre, case.payload, 1e9, np.inf, (0.0, 90.0, float(case.way.t[-1]))
+    )
+    eyes = replace(case.eyes, fault=Sagging(1, law))
+    rng = np.random.default_rng(6)
+    poses = stood(case.machine, case.way, case.day, ())
+    case = replace(case, laws=(law,), eyes=eyes, seen=eyes.corners(case.way.looked, (poses,) * 3, case.day, rng))
+    report = calib.diagnose(recorded(case, tmp_path / "a")).report
+    assert [(one.effect, one.place) for one in report.findings] == [("camera_sag", f"camera {eyes.stated[1].name}")]
+
+
+def test_a_tilt_that_was_not_logged_is_refused(tmp_path):
+    recorded(tilting(3, 90.0), tmp_path / "a")
+    (tmp_path / "a" / "sensors.csv").write_text("t,ambient_temperature_C\n0,20\n1e4,20\n")
+    with pytest.raises(RigError, match="the base tilts by elevation_deg"):
+        rig.load(tmp_path / "a")
