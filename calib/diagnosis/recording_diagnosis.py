@@ -32,6 +32,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     Misfit,
     NestedSelection,
     Noise,
+    NoiseEstimation,
     RegionValidation,
     RepeatedCommands,
     RequestedEffects,
@@ -174,7 +175,13 @@ def _measured_evidence(recording: Recording) -> Callable[..., Evidence[Any, Any]
 
 def diagnose_evidence(evidence: Evidence[Fit, C], name: str, progress: Progress | None = None) -> Diagnosis:
     """Diagnosis of Evidence. name : of the recording"""
-    (selection, left, tolerable, not_asked), outliers = _explained_without_outliers(evidence, progress)
+    explained, outliers = _explained_without_outliers(evidence, progress)
+    if isinstance(evidence, NoiseEstimation):
+        estimated = evidence.with_estimated_noise(explained.selection)
+        if estimated is not None:
+            evidence = estimated
+            explained, outliers = _explained_without_outliers(evidence, progress)
+    selection, left, tolerable, not_asked = explained
     if isinstance(evidence, TemperatureAlternatives):
         selection = evidence.with_temperature_alternatives(selection)
     held = evidence.held_out_poses(selection, progress) if isinstance(evidence, NestedSelection) else []

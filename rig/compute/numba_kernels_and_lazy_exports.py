@@ -25,12 +25,15 @@ F = TypeVar("F", bound=Callable[..., object])
 
 
 class CompilerOptions(TypedDict, total=False):
-    """Options of numba.njit."""
+    """Options of numba.njit.
+
+    There is no fastmath here. It lets the compiler round differently in each caller of a kernel. A process links one
+    of these copies, another one where kernels come from the cache, and results would depend on the cache.
+    """
 
     cache: bool
     nogil: bool
     error_model: Literal["python", "numpy"]
-    fastmath: bool | set[str]
     inline: Literal["never", "always"]
 
 

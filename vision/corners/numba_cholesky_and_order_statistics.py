@@ -10,9 +10,7 @@ from typing import Any, TypeVar, cast
 from rig.array_and_json_types import Floats
 from rig.compute.numba_kernels_and_lazy_exports import CompilerOptions, Kernel, kernel_cache_folder
 
-# all of fast mathematics but the promise that nothing is infinite or no number
-_FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
-_OPTIONS: CompilerOptions = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": _FAST}
+_OPTIONS: CompilerOptions = {"cache": True, "nogil": True, "error_model": "numpy"}
 
 F = TypeVar("F", bound=Callable[..., object])
 

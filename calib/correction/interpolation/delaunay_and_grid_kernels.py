@@ -263,7 +263,7 @@ def compiled_simplex_kernels(axes: int) -> SimplexKernels:
             for k in range(values.shape[1]):
                 out[k] += weight * values[vertex, k]
 
-    at = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})(_named(at_point, axes))
+    at = njit(cache=True, nogil=True, error_model="numpy")(_named(at_point, axes))
 
     def simplex(
         x: Floats, levels: Floats, inverse: Floats, cells: Floats, strides: Floats, values: Floats, out: Floats

@@ -5,7 +5,7 @@ A common core and parts of some machines; effects of the catalogue, at which pla
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -183,7 +183,8 @@ def onset_time_value(
 @dataclass(frozen=True, slots=True)
 class Noise:
     """Standard deviations of what was measured, cameras known: px of a corner, m and rad of a pose, m of a strut; None
-    where there is none. source : whence it comes
+    where there is none. source : whence it comes; times : {position or rotation: Value} by which poses scatter more
+    than is stated, where that was estimated
     """
 
     corner_px: float | None
@@ -191,6 +192,7 @@ class Noise:
     pose_rad: float | None
     strut_m: float | None
     source: str
+    times: dict[str, Value] = field(default_factory=dict)
 
 
 class Misfit(NamedTuple):
@@ -373,6 +375,14 @@ class ScatterSize(Protocol[Fit, C]):
 
     def scatter_beyond_stated(self, selection: Selection[Fit, C]) -> tuple[float, bool]:
         """(m by length, whether that is more than a statement of noise may be wrong by)."""
+
+
+@runtime_checkable
+class NoiseEstimation(Protocol[Fit, C]):
+    """Capability: the residuals show that the noise of all poses is a multiple of what is stated."""
+
+    def with_estimated_noise(self, selection: Selection[Fit, C]) -> Self | None:
+        """The same Evidence with that noise, to be explained anew; None where the stated noise stands."""
 
 
 @runtime_checkable

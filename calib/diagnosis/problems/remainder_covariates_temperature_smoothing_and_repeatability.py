@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from calib.diagnosis.engine.cross_validation_and_chance import Interval
 from calib.diagnosis.engine.formula_search import Formula, Library, Quantity
-from rig.array_and_json_types import Floats
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.formula_quantities import POSE, quantities_of_motion
 from rig.effects.framework.machine_motion_and_play import Motion, Path
@@ -130,14 +130,14 @@ class Repeats:
     p_value: float
 
 
-def repeated_pairs(commands: Floats, units: Sequence[str]) -> Floats:
+def repeated_pairs(commands: Floats, units: Sequence[str]) -> Integers:
     """Pairs (p, 2) of rows of commands (n, axes), in units "m" or "rad", that repeat one command."""
     apart_by = np.array([SAME[unit] for unit in units])
     return np.array(sorted(cKDTree(commands / apart_by).query_pairs(1.0, p=np.inf)), int).reshape(-1, 2)
 
 
 def repeatability_of_pairs(
-    pairs: Floats, poses_of_pairs: tuple[Floats, Floats], residuals_of_pairs: tuple[Floats, Floats]
+    pairs: Integers, poses_of_pairs: tuple[Floats, Floats], residuals_of_pairs: tuple[Floats, Floats]
 ) -> Repeats | None:
     """Repeatability (Repeats) of pairs (p, 2) of poses with one command and of their residuals; None for too few.
 

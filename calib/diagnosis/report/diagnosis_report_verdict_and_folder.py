@@ -12,12 +12,12 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import ALO
 from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import Crowd, LeftOut
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     ASSUMED_NOISE,
-    RESIDUALS,
     STATED,
     NestedSelection,
     RegionValidation,
     RepeatedCommands,
     ScatterSize,
+    Value,
     WeighedPoses,
 )
 from calib.diagnosis.recording_diagnosis import Diagnosis
@@ -50,7 +50,6 @@ from calib.diagnosis.report.report_sentences import (
     as_sentence,
     finding_size_text,
     finding_title,
-    outliers_not_excluded_sentence,
     stated_beforehand_text,
     value_text,
 )
@@ -71,6 +70,8 @@ from rig.report.verdict_and_refutations_by_later_recordings import Evidence, Mis
 ROWS = "Examine the excluded rows below: record those configurations again"
 TAKE_IN = "Include it in the calibration: `rig calibrate REC --diagnosis DIR --out calibration.json`"
 
+STATE_NOISE = "State the noise that the poses have, position_sigma and rotation_sigma in [instrument] of rig.toml"
+
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Report(OneLineRepr):
@@ -86,7 +87,8 @@ class Report(OneLineRepr):
     crowd : what is far off in too many to be left out, or None
     noise_from : "stated", "residuals" (which determine a corner's noise) or "assumed" (that of poses)
     calibrations : of those made from the recording that are beside it
-    asked : how many hypotheses, an effect at a place each, were tested"""
+    asked : how many hypotheses, an effect at a place each, were tested
+    noise_times : {position or rotation: Value} by which all poses scatter more than is stated, where they do"""
 
     recording: str
     start_s: float
@@ -109,6 +111,7 @@ class Report(OneLineRepr):
     crowd: Crowd | None = None
     calibrations: OfCalibrations = ALONE
     asked: int = 0
+    noise_times: dict[str, Value] = field(default_factory=dict)
 
     def __str__(self) -> str:
         return summary_sentence(self)
@@ -156,7 +159,8 @@ def summary_sentence(report: Report) -> str:
         )
         left += f", correlated with {' and '.join(worst.depends_on)}" if worst.depends_on else ""
     if not report.named:
-        return f"There is {left}." if left else _all_clear_sentence(report)
+        clear = report_sentences.all_clear_sentence(report.crowd, report.noise_from, report.noise_times)
+        return f"There is {left}." if left else clear
     main = report.mattering or report.named
     said = [f"{finding_title(f)}{finding_size_text(f)}{stated_beforehand_text(f)}" for f in main]
     fewer = len(report.named) - len(main)
@@ -170,20 +174,6 @@ def summary_sentence(report: Report) -> str:
         else ""
     )
     return as_sentence(text)
-
-
-def _all_clear_sentence(report: Report) -> str:
-    """What it is worth that nothing was found: nothing, where the noise is not stated."""
-    if report.crowd is not None:
-        return f"No catalogued effect was found, and {outliers_not_excluded_sentence(report.crowd)}."
-    if report.noise_from == ASSUMED_NOISE:
-        return (
-            "Nothing was found, which is inconclusive: the noise is not stated, and the residual of the poses "
-            "was used instead. State it: "
-            "position_sigma and rotation_sigma in [instrument] of rig.toml."
-        )
-    whence = ", estimated from the residuals of the corners: not stated" if report.noise_from == RESIDUALS else ""
-    return f"Nothing is unmodelled: the recording and the model of the rig agree within the noise{whence}."
 
 
 def diagnosis_verdict(report: Report) -> Verdict:
@@ -247,6 +237,8 @@ def missing_evidence_of_report(report: Report) -> tuple[MissingEvidence, ...]:
     missing = []
     if report.noise_from == ASSUMED_NOISE:
         missing.append(MissingEvidence("the noise is not stated, so unmodelled effects cannot be tested"))
+    if report.noise_times:
+        missing.append(MissingEvidence(report_sentences.noise_times_text(report.noise_times), STATE_NOISE))
     if report.left_out:
         count = len(report.left_out)
         agreeing = f"{count} rows agree with no others and were" if count > 1 else "1 row agrees with no others and was"
@@ -280,6 +272,8 @@ def recommended_actions(report: Report) -> list[str]:
         ]
     if report.findings or report.crowd is not None:
         return ["See the correlated covariates below, and record possible causes: temperature, load, time"]
+    if report.noise_times:
+        return [STATE_NOISE]
     if report.noise_from == ASSUMED_NOISE:
         return [
             "State the noise of the poses, position_sigma and rotation_sigma in [instrument] of rig.toml, "
@@ -295,6 +289,7 @@ def diagnosis_report(diagnosis: Diagnosis) -> Report:
     fits = {name: misfit_before_and_after_entry(fit) for name, fit in diagnosis.misfits.items()}
     noise = asdict(diagnosis.noise)
     noise_from = noise.pop("source")
+    del noise["times"]
     return Report(
         diagnosis.recording,
         diagnosis.origin.shown(0.0),
@@ -316,6 +311,7 @@ def diagnosis_report(diagnosis: Diagnosis) -> Report:
         left_out=diagnosis.outliers.left_out,
         crowd=diagnosis.outliers.crowd,
         asked=diagnosis.selection.asked,
+        noise_times=diagnosis.noise.times,
     )
 
 

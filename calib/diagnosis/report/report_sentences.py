@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import Crowd, LeftOut
-from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value
+from calib.diagnosis.problems.evidence_interface_and_requested_effects import ASSUMED_NOISE, RESIDUALS, Value
 from calib.diagnosis.report.diagnosis_json_entries import (
     ASSUMED,
     CovariateEntry,
@@ -295,3 +295,30 @@ def _printed(name: str, p: Value, few: int) -> str:
         shown = " ".join(f"{v:.3g}" + (f" ({ends[0]:.3g} to {ends[1]:.3g})" if ends else "") for v, ends in pairs)
         return f"{name} {shown} {unit}"
     return f"{name} ({len(value)} numbers)" if numbers else f"{name} {', '.join(map(str, value)) or 'nothing known'}"
+
+
+def noise_times_text(times: dict[str, Value]) -> str:
+    """Text on the factors by which poses scatter more than is stated."""
+    each = [
+        f"{value.value:.2f} ({value.ci95[0]:.2f} to {value.ci95[1]:.2f}) times in {kind}"
+        for kind, value in times.items()
+        if value.ci95 is not None
+    ]
+    return f"the noise of the poses exceeds what is stated: {' and '.join(each)}"
+
+
+def all_clear_sentence(crowd: Crowd | None, noise_from: str, noise_times: dict[str, Value]) -> str:
+    """What it is worth that nothing was found: nothing, where the noise is not stated."""
+    if crowd is not None:
+        return f"No catalogued effect was found, and {outliers_not_excluded_sentence(crowd)}."
+    if noise_from == ASSUMED_NOISE:
+        return (
+            "Nothing was found, which is inconclusive: the noise is not stated, and the residual of the poses "
+            "was used instead. State it: "
+            "position_sigma and rotation_sigma in [instrument] of rig.toml."
+        )
+    if noise_times:
+        noise = as_sentence(noise_times_text(noise_times))
+        return f"{noise} Nothing else is unmodelled: all was tested at that noise."
+    whence = ", estimated from the residuals of the corners: not stated" if noise_from == RESIDUALS else ""
+    return f"Nothing is unmodelled: the recording and the model of the rig agree within the noise{whence}."

@@ -1,5 +1,5 @@
-"""The same recording gives the same calibration.json, to the last byte, for any number of threads and processes at
-work.
+"""The same recording gives the same results, to the last byte, for any number of threads and processes at work, and
+whether kernels are compiled or loaded.
 """
 
 import os
@@ -11,7 +11,7 @@ import pytest
 
 from tests.calib.secret_arms import secret, tracked, write
 from tests.cli import RIG
-from tests.conftest import BENCH, make_recording
+from tests.conftest import BENCH, ROOT, make_recording
 from tests.rig.arms import UR10
 
 WHEN = re.compile(rb'"created": "[^"]*"')
@@ -68,3 +68,27 @@ def test_so_is_an_arms(tmp_path):
     nominal = UR10
     write(tmp_path / "arm", nominal, tracked(secret(nominal, rng), nominal, 150, rng))
     same_for_all(tmp_path / "arm")
+
+
+@pytest.mark.slow
+def test_corners_do_not_depend_on_the_cache_of_kernels(tmp_path):
+    """Kernels from the cache may not round differently from those just compiled."""
+    found = []
+    for run, workers in enumerate(("2", "2", "1")):  # the first one compiles
+        done = subprocess.run(
+            [*RIG, "measure", str(BENCH / "fit"), "--out", str(tmp_path / str(run)), "--workers", workers],
+            capture_output=True,
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")},
+            timeout=900,
+        )
+        assert done.returncode == 0, done.stderr.decode()
+        found.append([(tmp_path / str(run) / name).read_bytes() for name in ("corners.csv", "poses.csv")])
+    assert found[1] == found[0] and found[2] == found[0]
+
+
+def test_no_kernel_may_reorder_arithmetic():
+    """Else every caller's copy of a kernel rounds differently, and the cache decides which of them is linked."""
+    sources = [path for package in ("rig", "vision", "calib", "synthetic") for path in (ROOT / package).rglob("*.py")]
+    assert len(sources) > 100
+    for path in sources:
+        assert not re.search(r"fastmath\"?\s*[=:]", path.read_text()), path

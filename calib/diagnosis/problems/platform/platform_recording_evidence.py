@@ -1,6 +1,6 @@
 """Evidence of a platform's recording for its diagnosis: corners and closures about an operating point."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -43,6 +43,7 @@ from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation
     find_marker_swaps,
 )
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
+from calib.diagnosis.problems.platform.pose_noise_factors import noise_factors_of_poses, scaled_pose_covariance
 from calib.diagnosis.problems.platform.strut_formula_suggestions import FORMULA_PLACES, suggest_strut_formulas
 from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import (
     add_temperature_effects_as_alternatives_of_findings,
@@ -56,7 +57,7 @@ from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_rep
     repeated_pairs,
 )
 from calib.samples.pose_samples import Sampled
-from rig.array_and_json_types import Floats
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect import AT_REST, Effect
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
@@ -75,7 +76,8 @@ class PlatformEvidence:
     source : of the poses, in words
     requested : RequestedEffects; given : what is said beforehand
     swapped : discrete effects found before all else; moved : [Move] of the faces of a free body's rig that are not
-        where it is stated, measured before all else and taken as measured"""
+        where it is stated, measured before all else and taken as measured
+    noise_times : {position or rotation: Value} by which the poses' covariance was scaled, over what is stated"""
 
     point: OperatingPoint
     covariance: Floats
@@ -84,6 +86,7 @@ class PlatformEvidence:
     given: StatedTerms
     swapped: tuple[Effect, ...] = ()
     moved: tuple[Move, ...] = ()
+    noise_times: dict[str, Value] = field(default_factory=dict)
 
     @property
     def family(self) -> Family:
@@ -125,13 +128,25 @@ class PlatformEvidence:
         )
         return replace(selection, fit=replace(selection.fit, refined=refined))
 
+    def with_estimated_noise(self, selection: PlatformSelection) -> "PlatformEvidence | None":
+        """The same with the noise of its poses as they scatter, where all do by a common factor; see Capability."""
+        model = selection.problem.residual(selection.fit)
+        k = model.point
+        if self.noise_times or self.point.own is None or k.assumed or not k.axes:
+            return None
+        fitted = sum(p.size for e in k.effects for p in e.parameters)
+        times = noise_factors_of_poses(model, fitted, _repeated_at_rest(k))
+        if times is None:
+            return None
+        point = replace(self.point, own=scaled_pose_covariance(self.point.own, times))
+        return replace(self, point=point, covariance=scaled_pose_covariance(self.covariance, times), noise_times=times)
+
     def repeats(self, selection: PlatformSelection) -> Repeats | None:
         """Repeats of the poses at rest."""
         k = selection.fit.refined.point
         if not k.axes:
             return None
-        still = np.flatnonzero(np.abs(k.motion(()).path.speed).max(axis=1) < AT_REST)
-        pairs = still[repeated_pairs(k.commanded.at(k.t)[still], ("m",) * k.axes)]
+        pairs = _repeated_at_rest(k)
         left = closure_residuals(selection.fit.refined.model)
         apart = pose_difference(k.T[pairs[:, 0]], k.T[pairs[:, 1]]) if len(pairs) else np.zeros((0, 6))
         return repeatability_of_pairs(pairs, (apart, np.zeros_like(apart)), (left[pairs[:, 0]], left[pairs[:, 1]]))
@@ -225,6 +240,7 @@ class PlatformEvidence:
             _length(covariance[:, 3:, 3:]),
             float(np.sqrt(np.mean(model.strut_noise() - model.closures.scatter**2))) if k.axes else None,
             source,
+            self.noise_times,
         )
 
 
@@ -255,6 +271,12 @@ def platform_evidence(
     return PlatformEvidence(
         correct_marker_swaps(point, swapped), covariance, source, requested, stated_terms, tuple(swapped), tuple(moved)
     )
+
+
+def _repeated_at_rest(k: OperatingPoint) -> Integers:
+    """(n, 2) indices of frames at rest that have the same command."""
+    still = np.flatnonzero(np.abs(k.motion(()).path.speed).max(axis=1) < AT_REST)
+    return still[repeated_pairs(k.commanded.at(k.t)[still], ("m",) * k.axes)]
 
 
 def _problem(selection: PlatformSelection) -> PlatformProblem:
