@@ -36,7 +36,7 @@ class Vibration(Effect):
     lasting: ClassVar = False
     parameters: ClassVar = (
         Parameter("amplitude", "m", (0, 5e-3), (1e-6, 1e-4)),
-        Parameter("frequency", "Hz", (1e-4, 1e3), (0.1, 50), role="frequency"),
+        Parameter("frequency", "Hz", (1e-4, 1e3), (0.1, 100), role="frequency"),
         Parameter("mode", "1, 1/m", (-1e3, 1e3), (0.5, 2), 6, role="direction"),
         Parameter("phase", "rad", (-7, 7), (-3.1416, 3.1416), role="phase"),
     )

@@ -19,6 +19,7 @@ from rig.array_and_json_types import Booleans, Floats
 
 FREQUENCIES = 8  # bins of the coarse spectrum for each cycle that the highest frequency makes
 ALIAS = 0.25  # of the spectral window's height from which a frequency mirrors a slow one
+CLEAR = 4.0  # times the power that a slow change can mirror there, from which a frequency is one of its own
 SLOWEST = 20  # cycles in the recording, below which it is a drift
 OVERSAMPLED = 4  # frequencies looked at for each that the recording's length can tell apart
 LEAST = 1e-12  # of the largest square of a direction, by which all are scaled at least
@@ -55,7 +56,7 @@ def best_vibration_frequency_score(
     inside = (
         (frequency >= max(parameter.usual[0], SLOWEST / length))
         & (frequency <= high)
-        & ~_aliased(t, len(spectrum), length, high)
+        & ~_mirrors_of_slow_changes(t, spectrum, length, high)
     )
     if not inside.any():
         return Score(
@@ -149,15 +150,25 @@ def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tup
     )
 
 
-def _aliased(t: Floats, count: int, length: float, high: float) -> Booleans:
-    """(count,) bool: frequencies that look like a drift, or like none, at these times."""
+def _mirrors_of_slow_changes(t: Floats, spectrum: Floats, length: float, high: float) -> Booleans:
+    """(bins,) bool: frequencies of a spectrum (bins,) that may mirror a drift, or cannot be told from none, at times
+    t (F,) s.
+
+    What a slow change mirrors at a frequency is its power by the square of the spectral window between the two.
+    """
     bins, step = _bins(length, high)
     window = np.abs(
         np.fft.rfft(np.bincount(np.rint((t - t[0]) / step).astype(int), minlength=bins)[:bins], bins)
     ) / len(t)
     reach, before = SLOWEST * OVERSAMPLED, np.r_[0, np.cumsum(window > ALIAS)]
-    at = np.arange(count)
-    return before[np.minimum(at + reach + 1, len(window))] > before[np.maximum(at - reach, 0)]
+    at = np.arange(len(spectrum))
+    near = before[np.minimum(at + reach + 1, len(window))] > before[np.maximum(at - reach, 0)]
+    found, slow = np.flatnonzero(near), np.arange(-reach, reach + 1)
+    apart = np.abs(found[:, None] - slow)
+    apart = np.where(apart < len(window), apart, bins - apart)
+    mirrored = (spectrum[np.abs(slow)] * window[apart] ** 2).max(axis=1)
+    near[found] = spectrum[found] < CLEAR * mirrored
+    return near
 
 
 def _tick(t: Floats) -> float:

@@ -1,0 +1,68 @@
+"""Which frequencies a vibration can be told at: every one of its own, none that mirrors a drift."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib
+import rig
+from calib.diagnosis.problems.platform.vibration_frequency import _bins, _mirrors_of_slow_changes
+from tests.truth import draw, record
+from tests.truth.case import Case
+from tests.truth.draw_faults import FAULTS, Asked
+from tests.truth.laws import stood
+from tests.truth.rigid import displaced, rows_of
+
+HIGH = 50.0  # Hz
+
+
+def spectrum(t, x):
+    """Power of x (n,) at times t (n,) s on the bins that are searched."""
+    length = np.ptp(t) + 1e-9
+    bins, step = _bins(length, HIGH)
+    return np.abs(np.fft.rfft(np.bincount(np.rint((t - t[0]) / step).astype(int), x, bins)[:bins], bins)) ** 2, length
+
+
+def at(frequency, t):
+    """Number of a frequency's bin at times t (n,) s."""
+    length = np.ptp(t) + 1e-9
+    bins, step = _bins(length, HIGH)
+    return int(round(frequency * bins * step))
+
+
+def test_a_drift_at_even_times_is_mirrored_about_their_rate():
+    t = np.arange(200) * 4.0
+    power, length = spectrum(t, np.sin(2 * np.pi * 0.002 * t))
+    assert _mirrors_of_slow_changes(t, power, length, HIGH)[at(10.0 + 0.002, t)]
+
+
+def test_a_vibration_at_uneven_times_is_its_own_even_where_they_mirror_a_little():
+    rng = np.random.default_rng(2)
+    t = np.cumsum(rng.uniform(3, 8, 100))
+    window, length = spectrum(t, np.ones(100))
+    frequency = float(np.argmax(window[at(5.0, t) :]) + at(5.0, t)) / (_bins(length, HIGH)[0] * _bins(length, HIGH)[1])
+    shaken = np.sin(2 * np.pi * frequency * t) + 0.3 * rng.normal(size=100)
+    assert not _mirrors_of_slow_changes(t, spectrum(t, shaken)[0], length, HIGH)[at(frequency, t)]
+    drift = np.cos(2 * np.pi * 0.5 / length * t)
+    assert _mirrors_of_slow_changes(t, spectrum(t, drift)[0], length, HIGH)[at(frequency, t)]
+
+
+def shaken_case(seed: int) -> Case:
+    """A hexapod that shakes at two frequencies, by a law of the independent truth."""
+    rng = np.random.default_rng([5, seed])
+    case = draw(5000 + seed, "vibration", "weak", "shuffled", "hexapod", count=120)
+    size = 16 * case.sigma[0]
+    asked = Asked(size, np.eye(6)[0], case.machine, case.way, 5.0, case.mass, case.centre, case.payload, rng)
+    case = replace(case, laws=(FAULTS["vibration"](asked)[1],))
+    noise = rng.normal(size=(len(case.way.looked), 6)) * np.repeat(case.sigma, 3)
+    return replace(case, seen=rows_of(displaced(stood(case.machine, case.way, case.day, case.laws), noise)))
+
+
+@pytest.mark.parametrize("seed", [2, 3])  # at times that mirror a drift a little there; beyond 50 Hz
+def test_two_frequencies_are_two_findings_and_nothing_else(tmp_path, seed):
+    case = shaken_case(seed)
+    findings = calib.diagnose(rig.load(record(case, tmp_path / "a"))).report.findings
+    assert [(one.effect, one.place) for one in findings] == [("vibration", "rig")] * 2
+    found = sorted(one.parameters["frequency"].value for one in findings)
+    np.testing.assert_allclose(found, np.sort(case.laws[0].rates), atol=1e-4)
