@@ -26,8 +26,9 @@ from rig.formats.importers.frame_times import (
     seconds_since_origin,
 )
 from rig.formats.importers.image_file_frames import ImportedExposures
-from rig.formats.importers.import_recipe import Images, Recipe
+from rig.formats.importers.import_recipe import Images, Recipe, recipe_with_settings
 from rig.formats.importers.pose_table import ImportedPoses, read_poses
+from rig.formats.importers.units_and_timestamps import UnclearInput
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_bytes, read_text
 from rig.formats.output_files import write_bytes
@@ -84,8 +85,37 @@ def assemble_recording(recipe: Recipe, skip_unreadable: bool = False) -> Importe
     """Assemble an ImportedRecording from a Recipe, unreadable images skipped if requested.
     skip_unreadable : whether images that cannot be used are left out, and said
 
-    Raises RigError for what cannot be used, for what is missing and for what reads well in two ways.
+    Raises RigError for what cannot be used, for what is missing and for what reads well in two ways. What one error
+    leaves open is supposed, to find those behind it, and all are raised together.
     """
+    problems: list[str] = []
+    supposed: list[str] = []
+    while True:
+        try:
+            imported = _assembled(recipe_with_settings(recipe, supposed), skip_unreadable)
+            break
+        except UnclearInput as error:
+            problems.append(str(error))
+            is_new = bool(set(error.settings) - set(supposed))
+            supposed += error.settings
+            if error.is_decided and is_new:
+                continue
+        except RigError as error:
+            problems.append(str(error))
+            if not supposed:
+                raise
+        break
+    if not problems:
+        return imported
+    if len(problems) == 1 and not supposed:
+        raise RigError(problems[0])
+    options = " ".join(f"--set '{one}'" for one in supposed)
+    ending = f"look at what is likely here; if it is right, these options state it all:\n  {options}"
+    raise RigError("\n".join([*problems, ending] if supposed else problems))
+
+
+def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
+    """The same, up to the first error."""
     design, rig, of_cameras = design_with_imported_cameras(recipe)
     if recipe.bag is not None:
         of_cameras = (*of_cameras, *recipe.bag.said)

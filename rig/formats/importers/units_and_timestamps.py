@@ -15,6 +15,16 @@ from rig.formats.length_and_angle_units import ANGLES, LENGTHS
 from rig.formats.local_and_remote_input_files import short_repr
 
 
+class UnclearInput(RigError):
+    """What a foreign file leaves open. settings : "KEY=VALUE" that likely decide it; is_decided : whether these are
+    all that it needs, so that the rest can be read on that supposition
+    """
+
+    def __init__(self, message: str, settings: tuple[str, ...] = (), is_decided: bool = False) -> None:
+        super().__init__(message)
+        self.settings, self.is_decided = settings, is_decided
+
+
 def ambiguity_error(subject: str, readings: Iterable[tuple[str, str]]) -> RigError:
     """Error about an ambiguous input that lists all readings, each with the setting that selects it.
     readings : (what it would mean, "key=value" that decides for it)
