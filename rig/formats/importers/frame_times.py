@@ -177,13 +177,13 @@ def require_one_clock(exposures: ImportedExposures, commands: ImportedCommands |
         f"{first:f} to {last:f} s"
     )
     standing = dwell_clock_shift(
-        seconds_since_origin(t, first), seconds_since_origin(commands.t, first), commands.values
+        seconds_since_origin(t, first), seconds_since_origin(commands.t, first), commands.values, need_distinct=False
     )
     if standing is not None:
         raise UnclearInput(
             f"{clash}; --set {section}.shift={standing.shift:.3f} is what puts {standing.frames} of {len(t)} "
             "frames where the commands "
-            f"stand still, the middle of what does, +-{standing.room:.2g} s",
+            f"stand still, the middle of what does, +-{standing.room:.2g} s (any other shift at most {standing.fewer})",
             (f"{section}.shift={standing.shift:.3f}",),
             True,
         )
