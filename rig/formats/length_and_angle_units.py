@@ -56,21 +56,19 @@ SI = LengthAndAngleUnits()
 
 
 def parse_length_and_angle_units(text: str) -> LengthAndAngleUnits:
-    """LengthAndAngleUnits of a text such as "mm, deg"; a length or an angle alone leaves the other in m or rad.
+    """LengthAndAngleUnits of a text such as "mm, deg". Raises ValueError unless it is one of each, in any order.
 
-    >>> str(parse_length_and_angle_units("mm, deg")), str(parse_length_and_angle_units("deg"))
-    ('mm, deg', 'm, deg')
-
-    Raises ValueError for other words, and where two are of one kind
+    >>> str(parse_length_and_angle_units("deg, mm"))
+    'mm, deg'
     """
     words = [word.strip() for word in text.split(",")]
     lengths, angles = ([word for word in words if word in known] for known in (LENGTHS, ANGLES))
-    if len(lengths) > 1 or len(angles) > 1 or len(lengths) + len(angles) < len(words):
+    if len(lengths) != 1 or len(angles) != 1 or len(words) != 2:
         raise ValueError(
             f'a unit of lengths ({", ".join(LENGTHS)}) and one of angles ({", ".join(ANGLES)}), as "mm, deg", '
             f"not {text[:64]!r}"
         )
-    return LengthAndAngleUnits(*(lengths or ["m"]), *(angles or ["rad"]))
+    return LengthAndAngleUnits(*lengths, *angles)
 
 
 def stated_units(tree: Mapping[str, object]) -> LengthAndAngleUnits:

@@ -2,6 +2,7 @@
 
 import difflib
 import re
+import shlex
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -166,7 +167,8 @@ def find_columns(
         lines = [
             f"  {ours}: "
             + (
-                f"likely {short_repr(supposed[ours])}: --set '{section}.columns.{ours}={supposed[ours]}'"
+                f"likely {short_repr(supposed[ours])}: "
+                f"--set {shlex.quote(f'{section}.columns.{ours}={supposed[ours]}')}"
                 if ours in supposed
                 else f"--set '{section}.columns.{ours}=HEADER'"
             )

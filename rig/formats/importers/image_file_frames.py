@@ -243,6 +243,8 @@ def group_images_into_exposures(
         if t is None:
             raise FileError(image_files[0].path, "its name has neither a frame nor a time")
         return _grouped(image_files, t, images, said)
+    if images.tolerance is not None:
+        raise RigError("images.tolerance groups images by their times, and these have frame numbers; leave it out")
     order = sorted(range(len(image_files)), key=lambda k: (numbers[k], image_files[k].camera))
     _once([(numbers[k], image_files[k].camera, image_files[k].path) for k in order])
     if t is not None:

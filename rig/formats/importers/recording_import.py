@@ -1,5 +1,6 @@
 """Import of a recording: all foreign files of a recipe assembled and written as one recording."""
 
+import shlex
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import partial
@@ -90,28 +91,28 @@ def assemble_recording(recipe: Recipe, skip_unreadable: bool = False) -> Importe
     """
     problems: list[str] = []
     supposed: list[str] = []
-    while True:
+    is_decided = True
+    while is_decided:
         try:
             imported = _assembled(recipe_with_settings(recipe, supposed), skip_unreadable)
-            break
         except UnclearInput as error:
+            is_decided = error.is_decided and bool(set(error.settings) - set(supposed))
             problems.append(str(error))
-            is_new = bool(set(error.settings) - set(supposed))
             supposed += error.settings
-            if error.is_decided and is_new:
-                continue
         except RigError as error:
-            problems.append(str(error))
-            if not supposed:
+            if not problems:
                 raise
-        break
+            is_decided = False
+            problems.append(str(error))
+        else:
+            break
     if not problems:
         return imported
-    if len(problems) == 1 and not supposed:
-        raise RigError(problems[0])
-    options = " ".join(f"--set '{one}'" for one in supposed)
-    ending = f"look at what is likely here; if it is right, these options state it all:\n  {options}"
-    raise RigError("\n".join([*problems, ending] if supposed else problems))
+    if supposed:
+        every = "these options state it all" if is_decided else "these options state it; the rest is named above"
+        options = " ".join(f"--set {shlex.quote(one)}" for one in supposed)
+        problems.append(f"look at what is likely here; if it is right, {every}:\n  {options}")
+    raise RigError("\n".join(problems))
 
 
 def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
@@ -142,6 +143,7 @@ def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
         exposed, posed = _placed(exposed, posed, commanded)
     if exposed is None:
         raise RigError("there are no observations")
+    _refuse_unused_options(recipe, skip_unreadable)
     commanded = _clocked(exposed, commanded)
     logged = read_sensors(recipe.sensors, _like(exposed.t)) if recipe.sensors else None
     require_one_clock(exposed, commanded)
@@ -157,6 +159,20 @@ def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
         *dict.fromkeys(line for part in (commanded, exposed, posed, logged) if part for line in part.said),
     )
     return ImportedRecording(design, exposed, commanded, posed, logged, replace(recipe, said=said), said, rig)
+
+
+def _refuse_unused_options(recipe: Recipe, skip_unreadable: bool) -> None:
+    """Raise RigError for options that nothing here uses."""
+    unused = []
+    if recipe.images is None and recipe.frames is not None:
+        unused.append("--frames states times of images, and there are none")
+    if recipe.images is None and skip_unreadable:
+        unused.append("--skip-unreadable excludes images, and there are none")
+    c = recipe.commands
+    if c is not None and c.steps_per_mm is not None and c.unit not in (None, "steps"):
+        unused.append(f"commands.steps_per_mm is of lengths in steps, and they are in {c.unit}")
+    if unused:
+        raise RigError("\n".join(f"{one}; leave it out" for one in unused))
 
 
 def _like(others: list[Decimal] | None) -> Like:

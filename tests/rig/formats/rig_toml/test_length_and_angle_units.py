@@ -144,6 +144,7 @@ def test_the_units_that_the_reader_asks_for_are_those_that_the_docstrings_state(
         ("gravity = [0, 0, -9806.65]", "gravity = [0, 0, -9.80665]", "standard gravity is 9806.65 mm/s^2"),
         ('"mm, deg"', '"mm, degs"', "units must be a unit of lengths (m, mm, cm, um, in) and one of angles"),
         ('"mm, deg"', '"mm, cm"', "units must be"),
+        ('"mm, deg"', '"mm"', "units must be"),
     ],
 )
 def test_a_message_has_the_figure_as_it_stands_in_the_file(old, new, says):
