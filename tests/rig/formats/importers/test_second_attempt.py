@@ -83,6 +83,7 @@ def test_the_first_attempt_names_everything_and_the_second_is_right(tmp_path):
     assert abs(shift + AHEAD) < 2.0
     status, text = said(*words(tmp_path), *options)
     assert status == 0 and f"imported: {FRAMES} frames, {3 * FRAMES} images of 3 cameras" in text, text
+    assert len(re.findall(r"found: camera cam\d: the base markers put it (?:19|20)\d mm", text)) == 3, text
     ours, good = (recording_folder.load_recording(path) for path in (tmp_path / "rec", BENCH / "fit"))
     times = [r.exposures.times()[1][:FRAMES] for r in (ours, good)]
     np.testing.assert_allclose(np.diff(times[0]), np.diff(times[1]), atol=1e-6)
