@@ -163,12 +163,12 @@ def _options(
 ) -> CorrectOptions:
     """How wanted poses are corrected, by the arguments, whose figures are in these units."""
     from calib.api.correct import CorrectOptions
-    from rig.model.mechanisms import axis_units
+    from rig.model import mechanisms
     from rig.recording.recording_folder import load_sensors
 
     return CorrectOptions(
         load_sensors(arguments.sensors, wanted.origin) if arguments.sensors else None,
-        _start(arguments.start, axis_units(calibration.correction.nominal), units),
+        _start(arguments.start, mechanisms.axis_units(calibration.correction.nominal), units),
         arguments.approach,
         arguments.skip_unreachable,
         arguments.uncorrected,
