@@ -17,10 +17,12 @@ from calib.models.wanted_pose_commands import RouteCommands, commands_along_rout
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.driving.protocols.gcs import HEXAPOD_AXES, gcs_values_of_pose
 from rig.errors import RigError, Unreachable
+from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, TableFormat
+from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Sensors, WantedPoses
-from rig.recording.recording_table_loading_and_writing import POSE_COLUMNS, Poses, write_table
+from rig.recording.recording_table_loading_and_writing import POSE_COLUMNS, POSE_UNITS, Poses
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 
 APPROACHES = ("auto", "always", "never")
@@ -83,6 +85,13 @@ class CorrectionResult(OneLineRepr):
         if self.pose_frames is None:
             return self.calibration.correction.nominal.axes
         return HEXAPOD_AXES if self.pose_frames.gcs else POSE_COLUMNS
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """SI units of the values of a command; none of what MOV takes, which is in mm and degrees."""
+        if self.pose_frames is None:
+            return mechanisms.axis_units(self.calibration.correction.nominal)
+        return ("",) * 6 if self.pose_frames.gcs else POSE_UNITS
 
     def commands(self, values: Floats, pose: Integers) -> Floats:
         """(m, columns) to command for values (m, axes) m or rad, near the wanted poses of indices pose (m,): the same,
@@ -163,30 +172,22 @@ class CorrectionResult(OneLineRepr):
         """(n, columns) to command at the poses."""
         return self.commands(self.values, np.arange(len(self.values)))
 
-    def write(self, path: Path) -> None:
-        """Write the commands, in time with the rows on the way."""
+    def write(self, path: Path, form: TableFormat = PLAIN) -> None:
+        """Write the commands, in time with the rows on the way. form : of the file; what MOV takes is in mm and degrees
+        in any
+        """
         axes, frames, wanted = self.columns, self.frames, self.wanted
         if wanted.t is None:
-            rows = [
-                ",".join([str(frame), *(f"{length:.10f}" for length in lengths)])
-                for frame, lengths in zip(frames, self._held())
-            ]
-            write_table(path, ("frame", *axes), rows)
+            lines = [[str(frame), *cells] for frame, cells in zip(frames, form.figures(self._held(), self.units))]
+            write_text(path, "\n".join([form.line(("frame", *axes)), *map(form.line, lines)]) + "\n")
             return
-        route, rows = self.commanded.route, []
+        route, lines = self.commanded.route, []
         commands = self.commands(route.values(self.values), np.asarray(route.pose, np.int64))
-        for t, pose, doing, lengths in zip(route.t.tolist(), route.pose, route.doing, commands):
+        for t, pose, doing, cells in zip(route.t.tolist(), route.pose, route.doing, form.figures(commands, self.units)):
             held = doing == HOLDING
-            rows.append(
-                ",".join(
-                    [
-                        str(frames[pose]) if held else "",
-                        wanted.origin.text(t if held else round(t, 6)),
-                        *(f"{x:.10f}" for x in lengths),
-                    ]
-                )
-            )
-        write_table(path, ("frame", "t", *axes), rows)
+            time = wanted.origin.text(t if held else round(t, 6))
+            lines.append([str(frames[pose]) if held else "", time, *cells])
+        write_text(path, "\n".join([form.line(("frame", "t", *axes)), *map(form.line, lines)]) + "\n")
 
 
 def correct(

@@ -14,6 +14,7 @@ import tomlkit
 from docs.make.told import fields_told, headline
 from rig.formats.checked_entries import REQUIRED, Entries, Key
 from rig.formats.json_toml_and_yaml_loading import toml_value_positions
+from rig.formats.length_and_angle_units import UnitNames
 from rig.formats.rig_toml import arm_dynamics_entries, design_file
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
 from rig.formats.rig_toml.mechanism_entries import Joint
@@ -36,7 +37,7 @@ from rig.model.design import (
     SensorPort,
     Target,
 )
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import axis_units, has_links
 from rig.planning.layout import hexapod_layout_and_camera_placement, shipped_arm_layout
 
 HEAD = """# rig.toml, table by table
@@ -50,7 +51,10 @@ A key that the reader does not know is an error, with its line and the nearest k
 known; remarks are TOML comments. `rig new design` writes a file to begin with; [conventions](conventions.md) say how \
 frames, faces and corners are meant.
 
-`schema = "rig/1"` stands first.
+`schema = "rig/1"` stands first. After it `units = "mm, deg"` may state that the whole file has millimetres and degrees
+wherever this page has m and rad: in rotation vectors, `look_at`, tolerances, speeds (mm/s), gravity (mm/s^2).
+Lengths may be in m, mm, cm, um or in, angles in rad, deg or mrad. Forces, torques, masses and inertias stay in N, N m,
+kg and kg m^2; `degrees` are degrees in any file.
 """
 TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of it)
     "name and [environment]": (Design, "Of the rig as a whole. All of it may be left out."),
@@ -115,11 +119,12 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
 
 @dataclass
 class Asked:
-    """What is asked of one key. takes : in words; default : None where it is required"""
+    """What is asked of one key. takes : in words; default : None where it is required; unit : SI, of the reader"""
 
     takes: str
     default: str | None
     limits: str = ""
+    unit: UnitNames = ""
 
 
 @dataclass
@@ -128,10 +133,10 @@ class Log(Entries):
 
     found: dict[tuple[str, Key], Asked] = field(default_factory=dict)
 
-    def _note(self, key: Key, takes: str, default: Any, limits: str = "") -> None:
+    def _note(self, key: Key, takes: str, default: Any, limits: str = "", unit: UnitNames = "") -> None:
         at = (self._heading(), key)
         if at not in self.found:
-            self.found[at] = Asked(takes, None if default is REQUIRED else _shown(default), limits)
+            self.found[at] = Asked(takes, None if default is REQUIRED else _shown(default), limits, unit)
 
     def _heading(self) -> str:
         names = [str(part) for part in self.path if not isinstance(part, int)]
@@ -141,9 +146,6 @@ class Log(Entries):
             return f'[mechanism] kind = "{self.tree["kind"]}"'
         dotted = ".".join(names)
         return f"[[{dotted}]]" if isinstance(self.path[-1], int) else f"[{dotted}]"
-
-    def _inner(self, tree: dict[int, object] | dict[str, object], *keys: Key) -> "Log":
-        return Log(tree, self.path + keys, self.file, self.places, self.found)
 
     def get(self, key: Key, default: Any = REQUIRED) -> Any:
         self._note(key, KINDS_OF_GET.get(str(key), "list"), default)
@@ -169,19 +171,18 @@ class Log(Entries):
         unit: str = "",
         nulls: bool = False,
     ) -> Any:
-        self._note(key, "number", default, _limits(least, most, above, unit))
+        self._note(key, "number", default, _limits(least, most, above, unit), unit)
         limits = {"least": least, "most": most, "above": above, "unit": unit or None}
         stated = {name: value for name, value in limits.items() if value is not None}
         return super().number(key, default, nulls=nulls, **stated)
 
     def each(self, key: Key, count: int, default: Any = REQUIRED, **limits: Any) -> Any:
         within = _limits(*(limits.get(name) for name in ("least", "most", "above")), limits.get("unit", ""))
-        self._note(key, "number, or one for each axis", default, within)
+        self._note(key, "number, or one for each axis", default, within, limits.get("units", limits.get("unit", "")))
         return super().each(key, count, default, **limits)
 
-    def array(
-        self, key: Key, shape: Any, default: Any = REQUIRED, length_limit: float | None = None, nulls: bool = False
-    ) -> Any:
+    def array(self, key: Key, shape: Any, default: Any = REQUIRED, **options: Any) -> Any:
+        length_limit = options.get("length_limit")
         if str(self.tree.get("kind")) == "arm" or self.path == ("dynamics",):
             shape = (None, *shape[1:])
         self._note(
@@ -189,12 +190,13 @@ class Log(Entries):
             "x".join("n" if n is None else str(n) for n in shape) + " numbers",
             default,
             f"none beyond {length_limit:g} m" if length_limit else "",
+            options.get("unit") or ("m" if length_limit else ""),
         )
-        return super().array(key, shape, default, length_limit, nulls)
+        return super().array(key, shape, default, **options)
 
     def pose(self, key: Key) -> Any:
         self._note(key, "{position = [x, y, z], rotvec = [rx, ry, rz]}, m and rad; or look_at, or euler", REQUIRED)
-        return Entries.pose(Entries(self.tree, self.path, self.file, self.places), key)
+        return Entries(self.tree, self.path, self.file, self.places, self.units).pose(key)
 
 
 HANGS_ON_ANOTHER = {
@@ -229,7 +231,7 @@ def _limits(least: float | None, most: float | None, above: float | None, unit: 
         f"from {least:g}" if least is not None else "",
         f"to {most:g}" if most is not None else "",
     ]
-    return " ".join(filter(None, [*words, unit.split(" (")[0]]))
+    return " ".join(filter(None, [*words, unit.split(" (")[0]])) if any(words) else ""
 
 
 def samples() -> list[dict[str, Any]]:
@@ -265,15 +267,16 @@ def asked() -> dict[tuple[str, Key], Asked]:
     found: dict[tuple[str, Key], Asked] = {}
     for tree in samples():
         text = tomlkit.dumps({key: value for key, value in tree.items() if value is not None})
-        root = Log(tomllib.loads(text), (), Path("rig.toml"), toml_value_positions(text), found)
+        root = Log(tomllib.loads(text), (), Path("rig.toml"), toml_value_positions(text), found=found)
         mechanism = design_file.design_of_entries(root).mechanism
         if has_links(mechanism):
-            arm_dynamics_entries.dynamics_of_table(root.table("dynamics", optional=True), len(mechanism.axes))
+            arm_dynamics_entries.dynamics_of_table(root.table("dynamics", optional=True), axis_units(mechanism))
     return {at: what for at, what in found.items() if at[1] not in TABLE_KEYS or at == ("[instrument]", "kind")}
 
 
 TABLE_KEYS = (
     "schema",
+    "units",
     "environment",
     "tilt",
     "mechanism",

@@ -10,7 +10,7 @@ from typing import Any
 from unittest.mock import patch
 
 from rig.formats import csv_and_parquet_tables_and_time_origin
-from rig.formats.csv_and_parquet_tables_and_time_origin import Table
+from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, Table, TableFormat
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 
@@ -75,9 +75,9 @@ def asked() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
     found: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {}
     read = csv_and_parquet_tables_and_time_origin.read_csv_table
 
-    def noted(path: Any, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> Table:
+    def noted(path: Any, required: tuple[str, ...], optional: tuple[str, ...] = (), form: TableFormat = PLAIN) -> Table:
         found[Path(path).name] = (required, optional)
-        return read(path, required, optional)
+        return read(path, required, optional, form)
 
     with TemporaryDirectory() as name, patch.object(csv_and_parquet_tables_and_time_origin, "read_csv_table", noted):
         recording_folder.load_recording(_sample(Path(name)))

@@ -10,6 +10,7 @@ from rig.array_and_json_types import Json
 from rig.checks import mistake_dataclass_and_clock_mistakes, unit_and_convention_mistakes
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.formats import local_and_remote_input_files
+from rig.formats.length_and_angle_units import stated_units
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.output_files.atomic_file_and_manifest import file_digest
 from rig.model.design import Camera, Design
@@ -36,7 +37,11 @@ def implausible_values(design: Design) -> Iterator[Mistake]:
 
 
 def overlong_rotation_vectors(tree: Json) -> Iterator[Mistake]:
-    """Mistakes of overlong rotation vectors (beyond one turn, so in degrees) in the tree of a rig.toml."""
+    """Mistakes of overlong rotation vectors (beyond one turn, so in degrees) in the tree of a rig.toml; none where it
+    states the unit of angles.
+    """
+    if stated_units(tree).angle != "rad":
+        return
     found = []
     for kind in ("camera", "target"):
         for entry in tree.get(kind, []):

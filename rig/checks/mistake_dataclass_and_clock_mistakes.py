@@ -187,18 +187,20 @@ MOST_PAIRS = 4_000_000
 @dataclass(frozen=True, slots=True)
 class DwellShift:
     """shift : s to add to frames; room : s, half the width of the shifts that serve as well; frames : how many then lie
-    in a dwell.
+    in a dwell; fewer : how many do at the best shift elsewhere
     """
 
     shift: float
     room: float
     frames: int
+    fewer: int
 
 
-def dwell_clock_shift(frames: Floats, t: Floats, values: Floats) -> DwellShift | None:
+def dwell_clock_shift(frames: Floats, t: Floats, values: Floats, need_distinct: bool = True) -> DwellShift | None:
     """Clock shift (DwellShift) that puts the most frames into dwells of the commands; None if none is distinct.
 
     frames : (m,) s; t : (n,) s of the commands, increasing; values : (n, axes) m or rad
+    need_distinct : False for one that alone puts all frames there, though another may miss only few
     """
     dwells = _dwells(t, values)
     if min(len(frames), len(dwells)) < FEWEST or len(frames) * len(dwells) > MOST_PAIRS:
@@ -212,9 +214,11 @@ def dwell_clock_shift(frames: Floats, t: Floats, values: Floats) -> DwellShift |
     best = int(count.argmax())
     low, high = at[best], at[best + 1]
     far = (at < low - (dwells[:, 1] - dwells[:, 0]).max()) | (at > high + (dwells[:, 1] - dwells[:, 0]).max())
-    if count[best] < SHARE * len(frames) or count[far].max(initial=0) > UNIQUENESS * count[best]:
+    fewer = int(count[far].max(initial=0))
+    alone = not need_distinct and fewer < count[best] == len(frames)
+    if not alone and (count[best] < SHARE * len(frames) or fewer > UNIQUENESS * count[best]):
         return None
-    return DwellShift(float(low + high) / 2, float(high - low) / 2, int(count[best]))
+    return DwellShift(float(low + high) / 2, float(high - low) / 2, int(count[best]), fewer)
 
 
 def dwell_clock_offset_mistake(frames: Floats, t: Floats, values: Floats) -> Iterator[Mistake]:

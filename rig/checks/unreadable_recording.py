@@ -12,6 +12,7 @@ from rig.checks import implausible_design_values_and_image_mistakes, mistake_dat
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
+from rig.formats.length_and_angle_units import SI, stated_units
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import design_file
 
@@ -39,6 +40,8 @@ def _figures(folder: Path, complaint: str) -> Iterator[Mistake]:
     if "rig.toml" not in complaint:
         return
     tree = tomllib.loads(read_text(folder / "rig.toml"))
+    if stated_units(tree) != SI:
+        return  # the owner states the units, and the complaint is in them
     yield from implausible_design_values_and_image_mistakes.overlong_rotation_vectors(tree)
     for target in tree.get("target", []):
         if (

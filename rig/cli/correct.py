@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from calib.api.correct import CorrectionResult, CorrectOptions, PoseFrames
     from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
     from rig.array_and_json_types import Floats
+    from rig.formats.csv_and_parquet_tables_and_time_origin import TableFormat
+    from rig.formats.length_and_angle_units import LengthAndAngleUnits
     from rig.recording.recording_folder import WantedPoses
 
 
@@ -92,6 +94,17 @@ def arguments(parser: ArgumentParser) -> None:
         parser.add_argument(
             f"--{name}", metavar="NUMBERS", help=f"of --as poses and gcs: the controller's {name} {text}"
         )
+    parser.add_argument(
+        "--units",
+        metavar="mm,deg",
+        help="units of lengths and angles in --poses, --out, --start, --work, --tool and --pivot (default m,rad)",
+    )
+    parser.add_argument(
+        "--decimal",
+        choices=("point", "comma"),
+        default="point",
+        help="decimal sign in --poses and --out: point, commas between the cells (the default), or comma, semicolons",
+    )
     input_options_and_output_display.add_user_effect_files_option(parser)
     add_overwrite_option(parser)
     add_json_result_option(parser)
@@ -109,19 +122,22 @@ def run(arguments: Namespace) -> None:
         or arguments.skip_unreachable
         or arguments.sensors
         or arguments.kind != "lengths"
+        or arguments.units
+        or arguments.decimal != "point"
     ):
         raise RigError(
-            "--uncorrected, --single-step, --skip-unreachable, --sensors and --as poses apply to commands for wanted "
-            "poses, not to --forward"
+            "--uncorrected, --single-step, --skip-unreachable, --sensors, --as poses, --units and --decimal apply to "
+            "commands for wanted poses, not to --forward"
         )
     calibration = input_options_and_output_display.calibration_of_arguments(arguments)
     out = arguments.outputs.file(arguments.out)
     if arguments.forward:
         return _write_read_poses(arguments, calibration, out)
     input_options_and_output_display.read_and_print_refutations(arguments.calibration)
-    wanted = load_wanted_poses(arguments.poses)
-    result = correct(calibration, wanted, _options(arguments, wanted))
-    result.write(out)
+    form = _format(arguments)
+    wanted = load_wanted_poses(arguments.poses, form)
+    result = correct(calibration, wanted, _options(arguments, wanted, calibration, form.units))
+    result.write(out, form)
     arguments.result = result.tree()
     poses = result.poses
     beside = None if poses is None else arguments.outputs.stage_file(out, ".poses.csv")
@@ -130,24 +146,41 @@ def run(arguments: Namespace) -> None:
     _print_result(arguments, result, None if beside is None else beside.name)
 
 
-def _options(arguments: Namespace, wanted: WantedPoses) -> CorrectOptions:
-    """How wanted poses are corrected, by the arguments."""
+def _format(arguments: Namespace) -> TableFormat:
+    """Format of the tables of poses and commands. Raises RigError for what are no units."""
+    from rig.formats.csv_and_parquet_tables_and_time_origin import TableFormat
+    from rig.formats.length_and_angle_units import SI, parse_length_and_angle_units
+
+    try:
+        units = SI if arguments.units is None else parse_length_and_angle_units(arguments.units)
+    except ValueError as error:
+        raise RigError(f"--units takes {error}") from None
+    return TableFormat(units, arguments.decimal)
+
+
+def _options(
+    arguments: Namespace, wanted: WantedPoses, calibration: Calibration, units: LengthAndAngleUnits
+) -> CorrectOptions:
+    """How wanted poses are corrected, by the arguments, whose figures are in these units."""
     from calib.api.correct import CorrectOptions
+    from rig.model import mechanisms
     from rig.recording.recording_folder import load_sensors
 
     return CorrectOptions(
         load_sensors(arguments.sensors, wanted.origin) if arguments.sensors else None,
-        _start(arguments.start),
+        _start(arguments.start, mechanisms.axis_units(calibration.correction.nominal), units),
         arguments.approach,
         arguments.skip_unreachable,
         arguments.uncorrected,
         arguments.single_step,
-        _pose_frames(arguments),
+        _pose_frames(arguments, units),
     )
 
 
-def _pose_frames(arguments: Namespace) -> PoseFrames | None:
+def _pose_frames(arguments: Namespace, units: LengthAndAngleUnits) -> PoseFrames | None:
     """Frames of a controller that takes poses, None for lengths. Raises RigError for what is no frame."""
+    import numpy as np
+
     from calib.api.correct import PoseFrames
     from rig.model.pose import pose
 
@@ -164,25 +197,25 @@ def _pose_frames(arguments: Namespace) -> PoseFrames | None:
         except ValueError:
             numbers[name] = []
         if len(numbers[name]) != count:
-            raise RigError(f"--{name} takes {count} numbers separated by commas, m and rad, not {text!r}")
-    import numpy as np
-
+            raise RigError(f"--{name} takes {count} numbers separated by commas, {units}, not {text!r}")
+        numbers[name] = units.si(np.array(numbers[name]), ["m"] * 3 + ["rad"] * (count - 3)).tolist()
     work, tool = (pose(numbers[name][:3], numbers[name][3:]) for name in ("work", "tool"))
     return PoseFrames(work, tool, np.array(numbers["pivot"]), arguments.kind == "gcs")
 
 
-def _start(text: str) -> Floats | None:
+def _start(text: str, axis_units: tuple[str, ...], units: LengthAndAngleUnits) -> Floats | None:
     """(axes,) m or rad, initial axis positions, None for home. Raises RigError for what is no such place"""
     import numpy as np
 
     if text == "home":
         return None
     try:
-        return np.array(parse_numbers(text.split(",")))
+        stated = np.array(parse_numbers(text.split(",")))
     except ValueError:
         raise RigError(
-            f"--start must be home or an axis' values each, separated by commas, m or rad, got {text!r}"
+            f"--start must be home or an axis' values each, separated by commas, {units}, got {text!r}"
         ) from None
+    return units.si(stated, axis_units) if len(stated) == len(axis_units) else stated
 
 
 def _write_read_poses(arguments: Namespace, calibration: Calibration, out: Path) -> None:

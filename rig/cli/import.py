@@ -102,6 +102,7 @@ def run(arguments: argparse.Namespace) -> None:
     arguments.result = _result(
         imported, [str(remark) for remark in remarks], kept if arguments.recipe is None else arguments.recipe
     )
+    _print_camera_places(out)
     for remark in remarks:
         print(f"{'wrong' if remark.spoils else 'to look at'}: {remark}")
     print(
@@ -109,6 +110,18 @@ def run(arguments: argparse.Namespace) -> None:
         + (f"; {kept} repeats it (rig import --recipe)" if arguments.recipe is None else "")
         + f"; `rig check {arguments.out}` checks it in detail"
     )
+
+
+def _print_camera_places(folder: Path) -> None:
+    """Print where a few images of the recording in a folder put its cameras, of which poses are stated by hand."""
+    from rig.recording.recording_folder import load_recording
+    from vision.checks.image_sample_corners_and_dictionary_mistakes import few_image_corners
+    from vision.checks.mistake_search_by_trial_corrections import camera_place_sentences
+
+    recording = load_recording(folder)
+    corners = few_image_corners(recording) if recording.has_images else None
+    for line in () if corners is None else camera_place_sentences(recording, corners):
+        print(f"found: {line}")
 
 
 def _read(recipe: "Recipe") -> list[Path]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NoReturn, TypedDict, Unpack, cast, overload
@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.errors import FileError
+from rig.formats.length_and_angle_units import SI, LengthAndAngleUnits, UnitNames, parse_length_and_angle_units
 from rig.formats.local_and_remote_input_files import require_schema, short_repr
 from rig.model.pose import pose
 
@@ -39,7 +40,7 @@ REQUIRED = Required()
 
 
 class Limits(TypedDict, total=False):
-    """Limits of a number. least, most : both included; above : not included; unit : of all three, for messages"""
+    """Limits of a number. least, most : both included; above : not included; unit : SI unit of these and the number"""
 
     least: float
     most: float
@@ -65,16 +66,42 @@ def name_problem(name: str) -> str | None:
     return f"{short_repr(name)} cannot be a name: names have {NAMES}" + (f"; {better!r} would do" if better else "")
 
 
+class LimitsOfEach(Limits, total=False):
+    """The same of several numbers. units : SI unit of each where they differ, in place of the unit of all"""
+
+    units: Sequence[str]
+
+
+class ArrayOptions(TypedDict, total=False):
+    """Options of an array. length_limit : m, catches figures in another unit; nulls : whether a null may stand for what
+    was not measured, and becomes NaN; unit : SI unit, m where there is a length_limit, or several that broadcast
+    """
+
+    length_limit: float | None
+    nulls: bool
+    unit: UnitNames
+
+
 @dataclass
 class Entries:
     """A table that knows its position. tree : {key: value}, of a list {0: value, ..}; path : keys and indices that
     lead to it
-    places : {path: (line, column)} of the values whose place in the file is known, the path () among them"""
+    places : {path: (line, column)} of the values whose place in the file is known, the path () among them
+    units : in which the file states lengths and angles; all methods give SI"""
 
     tree: dict[Any, Any]
     path: tuple[str | int, ...]
     file: Path
     places: Mapping[Any, Any]
+    units: LengthAndAngleUnits = SI
+
+    def in_stated_units(self) -> Entries:
+        """The same, read in what the key `units` states: "mm, deg". Raises FileError for what is no such units."""
+        text = self.text("units", default="m, rad")
+        try:
+            return replace(self, units=parse_length_and_angle_units(text))
+        except ValueError as error:
+            self.fail(f"{self.name('units')} must be {error}", "units", value=text)
 
     def fail(self, message: str, *keys: Key, value: object = None) -> NoReturn:
         """Raise FileError at the value under keys, or at the nearest thing above it that has a place."""
@@ -89,7 +116,7 @@ class Entries:
         self.fail(f"{self.name(key)} must be {expected}, not {short_repr(value)}", key, value=value)
 
     def _inner(self, tree: dict[int, object] | dict[str, object], *keys: Key) -> Entries:
-        return Entries(tree, self.path + keys, self.file, self.places)
+        return replace(self, tree=tree, path=self.path + keys)
 
     def name(self, key: Key) -> str:
         """A key with its path, as in camera.1.width."""
@@ -203,7 +230,7 @@ class Entries:
         self, key: Key, default: object = REQUIRED, *, nulls: bool = False, **limits: Unpack[Limits]
     ) -> float | None:
         """A finite number within limits; None where that is the default.
-        nulls : whether it may be null, and then is NaN; limits : least, most, above, unit
+        nulls : whether it may be null, and then is NaN; limits : least, most, above, unit; in the SI unit
         """
         value = self.get(key, default)
         if value is None and default is None:
@@ -211,25 +238,30 @@ class Entries:
         self.numbers(value, (), key, (), nulls=nulls)
         if not isinstance(value, int | float):
             return math.nan
-        self._within(value, (key,), **limits)
-        return float(value)
+        found = float(self.units.si(value, limits.get("unit", ""))) if key in self.tree else float(value)
+        self._within(found, (key,), **limits)
+        return found
 
     @overload
-    def each(self, key: Key, count: int, default: float | Required = ..., **limits: Unpack[Limits]) -> Floats: ...
+    def each(self, key: Key, count: int, default: float | Required = ..., **limits: Unpack[LimitsOfEach]) -> Floats: ...
 
     @overload
-    def each(self, key: Key, count: int, default: None, **limits: Unpack[Limits]) -> Floats | None: ...
+    def each(self, key: Key, count: int, default: None, **limits: Unpack[LimitsOfEach]) -> Floats | None: ...
 
     def each(
-        self, key: Key, count: int, default: float | Required | None = REQUIRED, **limits: Unpack[Limits]
+        self, key: Key, count: int, default: float | Required | None = REQUIRED, **limits: Unpack[LimitsOfEach]
     ) -> Floats | None:
         """(count,) finite numbers within limits, stated one by one or one for all; None where that is the default."""
-        if not isinstance(self.get(key, default), list):
-            value = self.number(key, default, **limits)
-            return None if value is None else np.full(count, value)
-        values = self.array(key, (count,))
+        stated = self.get(key, default)
+        if stated is None and default is None:
+            return None
+        units = limits.pop("units", [limits.get("unit", "")] * count)
+        of_each = [cast(Limits, {**limits, "unit": unit}) for unit in units]
+        if not isinstance(stated, list):
+            return np.array([self.number(key, default, **one) for one in of_each], float)
+        values = self.array(key, (count,), unit=units)
         for i, value in enumerate(values):
-            self._within(value, (key, i), **limits)
+            self._within(value, (key, i), **of_each[i])
         return values
 
     def _within(
@@ -244,36 +276,34 @@ class Entries:
         if not (value < least or value > most or value <= above):  # true for NaN, which stands for null
             return
         stated = ((">=", least), (">", above), ("<=", most))
-        limits = " and ".join(f"{sign} {limit}" for sign, limit in stated if math.isfinite(limit))
+        scale = self.units.per_si(unit)
+        unit = unit if scale == 1 else self.units.name(unit.split(" (is")[0])
+        shown = value if scale == 1 else float(f"{value * scale:.12g}")
+        limits = " and ".join(f"{sign} {limit * scale:.15g}" for sign, limit in stated if math.isfinite(limit))
         label = self._label(keys[0], cast(tuple[int, ...], keys[1:]))
-        self.fail(f"{label} must be {limits} {unit}".rstrip() + f", not {short_repr(value)}", *keys, value=value)
+        self.fail(f"{label} must be {limits} {unit}".rstrip() + f", not {short_repr(shown)}", *keys, value=shown)
 
     @overload
     def array(
-        self,
-        key: Key,
-        shape: Shape,
-        default: list[float] | Required = ...,
-        length_limit: float | None = None,
-        nulls: bool = False,
+        self, key: Key, shape: Shape, default: list[float] | Required = ..., **options: Unpack[ArrayOptions]
     ) -> Floats: ...
 
     @overload
-    def array(
-        self, key: Key, shape: Shape, default: None, length_limit: float | None = None, nulls: bool = False
-    ) -> Floats | None: ...
+    def array(self, key: Key, shape: Shape, default: None, **options: Unpack[ArrayOptions]) -> Floats | None: ...
 
     def array(
-        self, key: Key, shape: Shape, default: object = REQUIRED, length_limit: float | None = None, nulls: bool = False
+        self, key: Key, shape: Shape, default: object = REQUIRED, **options: Unpack[ArrayOptions]
     ) -> Floats | None:
-        """Numbers nested as shape says (None: any length). length_limit (m) catches figures in another unit;
-        nulls : whether a null may stand for what was not measured, and becomes NaN."""
+        """Numbers nested as shape says (None: any length), in SI."""
+        length_limit, nulls = options.get("length_limit"), options.get("nulls", False)
         value = self.get(key, default)
         if value is None and default is None:
             return None
         self.numbers(value, shape, key, (), length_limit, nulls)
         found = np.array(value, float)
-        return found if found.size else found.reshape([n or 0 for n in shape])
+        if not found.size:
+            return found.reshape([n or 0 for n in shape])
+        return self.units.si(found, options.get("unit") or ("m" if length_limit else "")) if key in self.tree else found
 
     def numbers(
         self,
@@ -287,49 +317,38 @@ class Entries:
         """Check that a value is a number, or numbers nested as shape says; index : where within the key's value it
         stands.
         """
+
+        def fail(message: str) -> NoReturn:
+            self.fail(f"{self._label(key, index)} {message}", key, *index, value=value)
+
         if shape:
             if not isinstance(value, list) or (shape[0] is not None and len(value) != shape[0]):
                 got = f"{len(value)} entries" if isinstance(value, list) else short_repr(value)
-                self.fail(
-                    f"{self._label(key, index)} must have "
-                    f"{'x'.join('n' if n is None else str(n) for n in shape)} numbers, got {got}",
-                    key,
-                    *index,
-                    value=value,
-                )
+                fail(f"must have {'x'.join('n' if n is None else str(n) for n in shape)} numbers, got {got}")
             for i, item in enumerate(value):
                 self.numbers(item, shape[1:], key, (*index, i), length_limit, nulls)
         elif isinstance(value, bool) or not isinstance(value, int | float):
             if not (nulls and value is None):
-                self.fail(
-                    f"{self._label(key, index)} must be a number, not {short_repr(value)}", key, *index, value=value
-                )
+                fail(f"must be a number, not {short_repr(value)}")
         elif nulls and value != value:
             return
         elif not -LARGEST_NUMBER <= value <= LARGEST_NUMBER:  # true for what is not a number, too
             finite = isinstance(value, int) or math.isfinite(value)
-            self.fail(
-                f"{self._label(key, index)} is {'too large to compute with' if finite else 'not finite'}: "
-                f"{short_repr(value)}",
-                key,
-                *index,
-                value=value,
-            )
-        elif length_limit is not None and abs(value) > length_limit:
-            self.fail(
-                f"{self._label(key, index)} = {short_repr(value)} m is implausible (more than "
-                f"{length_limit:g} m): lengths are in metres; "
-                f"is this in millimetres ({value / 1000:g} m)?",
-                key,
-                *index,
-                value=value,
-            )
+            fail(f"is {'too large to compute with' if finite else 'not finite'}: {short_repr(value)}")
+        elif length_limit is not None and abs(value) > length_limit * self.units.per_si("m"):
+            limit, metres = self.units.shown(length_limit, "m"), self.units.length == "m"
+            hint = f"lengths are in metres; is this in millimetres ({value / 1000:g} m)?" if metres else self._stated()
+            fail(f"= {short_repr(value)} {self.units.length} is implausible (more than {limit}): {hint}")
+
+    def _stated(self) -> str:
+        return f'the file states units = "{self.units}"'
 
     def _label(self, key: Key, index: tuple[int, ...]) -> str:
         return self.name(key) + "".join(f"[{i + 1}]" for i in index)
 
     def pose(self, key: Key) -> RigidTransform:
-        """RigidTransform of a table with position (m) and one of rotvec (rad), look_at (m), or euler with degrees.
+        """RigidTransform of a table with position (m) and one of rotvec (rad), look_at (m), or euler with degrees;
+        in the file's units but for the degrees.
 
         look_at : point that the z axis points to, as a camera's; up : direction against the y axis, z if absent
         euler : order of the turns, xyz about fixed axes, XYZ about those already turned; degrees : (3,), in that order
@@ -371,14 +390,10 @@ class Entries:
 
     def turn(self, key: Key) -> Floats:
         """(3,) rad, a rotation vector."""
-        value = self.array(key, (3,))
+        value = self.array(key, (3,), unit="rad")
         if np.abs(value).max() > LARGEST_TURN:
-            self.fail(
-                f"{self.name(key)} = {value.tolist()} turns more than once round: it is in radians; is this "
-                "in degrees?",
-                key,
-                value=value,
-            )
+            hint = "it is in radians; is this in degrees?" if self.units.angle == "rad" else self._stated()
+            self.fail(f"{self.name(key)} = {self.get(key)} turns more than once round: {hint}", key, value=value)
         return value
 
     def refuse_misspelt(self, known: Collection[str]) -> None:

@@ -20,6 +20,7 @@ import numpy as np
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError, MissingLibrary
 from rig.formats.checked_entries import LARGEST_NUMBER, LARGEST_WHOLE
+from rig.formats.length_and_angle_units import SI, LengthAndAngleUnits
 from rig.formats.local_and_remote_input_files import open_regular_file, read_text, short_repr
 from rig.formats.number_parsing_and_rounding import LONGEST_NUMBER, NotFinite, parse_number, parse_numbers
 
@@ -69,13 +70,45 @@ MOST_COLUMNS = 1000
 
 
 @dataclass(frozen=True, slots=True)
+class TableFormat:
+    """How a table writes figures. units : of lengths and angles; decimal : "point", commas between the cells, or
+    "comma", semicolons between them
+    """
+
+    units: LengthAndAngleUnits = SI
+    decimal: str = "point"
+
+    def __post_init__(self) -> None:
+        if self.decimal not in SEPARATORS:
+            raise ValueError(f"decimal takes {', '.join(SEPARATORS)}, got {self.decimal!r}")
+
+    def line(self, cells: Iterable[str]) -> str:
+        """A line of cells, which have decimal points."""
+        text = SEPARATORS[self.decimal].join(cells)
+        return text.replace(".", ",") if self.decimal == "comma" else text
+
+    def figures(self, values: Floats, units: Sequence[str]) -> list[list[str]]:
+        """Texts of values (n, k) in SI units, resolved to 1e-10 m and rad. units : k SI units"""
+        per = np.array([self.units.per_si(unit) for unit in units])
+        digits = np.maximum(10 - np.floor(np.log10(per)).astype(int), 4)
+        return [[f"{v:.{d}f}" for v, d in zip(row, digits)] for row in (np.asarray(values) * per).tolist()]
+
+
+SEPARATORS = {"point": ",", "comma": ";"}  # between the cells of a table with these decimal signs
+PLAIN = TableFormat()
+
+
+@dataclass(frozen=True, slots=True)
 class Table:
-    """path; columns: header names in file order; rows: lists of text; lines: (n,) file line of each row, from 1."""
+    """path; columns: header names in file order; rows: lists of text, decimals with a point; lines: (n,) file line of
+    each row, from 1; form : of the file
+    """
 
     path: Path
     columns: tuple[str, ...]
     rows: list[list[str]]
     lines: Floats
+    form: TableFormat = PLAIN
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -154,18 +187,21 @@ def _number_problem(cell: str) -> str | None:
 
 
 def read_csv_table(
-    path: str | Path, required_columns: tuple[str, ...], optional_columns: tuple[str, ...] = ()
+    path: str | Path,
+    required_columns: tuple[str, ...],
+    optional_columns: tuple[str, ...] = (),
+    form: TableFormat = PLAIN,
 ) -> Table:
     """Read the Table of a CSV file with required and optional columns in its header.
 
     required_columns : column names that must be there; optional_columns : names that may be. Further columns are kept,
         unless one looks
-    like a slip of a known name.
+    like a slip of a known name; form : of the file
     Raises FileError: no file, no header, a column missing, twice given or misspelt, a row of another length, no rows.
     """
     path = Path(path)
     text = read_text(path)
-    reader = csv.reader(StringIO(text, newline=""))
+    reader = csv.reader(StringIO(text, newline=""), delimiter=SEPARATORS[form.decimal])
     try:
         header = _header(path, next(reader, ()), required_columns, optional_columns)
         rows, lines = [], []
@@ -182,13 +218,13 @@ def read_csv_table(
                     reader.line_num,
                     min(len(row), len(header)) or None,
                 )
-            rows.append(row)
+            rows.append([cell.replace(",", ".") for cell in row] if form.decimal == "comma" else row)
             lines.append(reader.line_num)
     except csv.Error as error:
         raise FileError(path, f"not valid CSV: {error}", reader.line_num) from None
     if not rows:
         raise FileError(path, "has a header but no rows", 1)
-    return Table(path, header, rows, np.array(lines))
+    return Table(path, header, rows, np.array(lines), form)
 
 
 def _header(path: Path, cells: Iterable[str], required: tuple[str, ...], optional: tuple[str, ...]) -> tuple[str, ...]:

@@ -12,7 +12,13 @@ from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
 from rig.formats.checked_entries import name_problem
-from rig.formats.csv_and_parquet_tables_and_time_origin import Table, TimeOrigin, parse_exact_decimal
+from rig.formats.csv_and_parquet_tables_and_time_origin import (
+    PLAIN,
+    Table,
+    TableFormat,
+    TimeOrigin,
+    parse_exact_decimal,
+)
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import require_complete_folder, write_bytes, write_text
 from rig.formats.rig_toml import design_file
@@ -238,13 +244,13 @@ class WantedPoses:
     origin: TimeOrigin = TimeOrigin()
 
 
-def load_wanted_poses(path: str | Path) -> WantedPoses:
-    """Load WantedPoses from a table frame,x,y,z,rx,ry,rz with or without t. Raises FileError.
-    Raises FileError with line and column.
+def load_wanted_poses(path: str | Path, form: TableFormat = PLAIN) -> WantedPoses:
+    """Load WantedPoses from a table frame,x,y,z,rx,ry,rz with or without t. Raises FileError with line and column.
+    form : of the file
     """
     poses, rows = (
-        load_poses(path, are_commands=True),
-        csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame",)),
+        load_poses(path, are_commands=True, form=form),
+        csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame",), form=form),
     )
     if "t" not in rows.columns:
         return WantedPoses(poses, None, TimeOrigin())

@@ -12,7 +12,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError
 from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
 from rig.formats.checked_entries import LARGEST_RIG
-from rig.formats.csv_and_parquet_tables_and_time_origin import Table, TimeOrigin
+from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, Table, TableFormat, TimeOrigin
 from rig.formats.output_files import write_text
 from rig.model.design import Camera, Design, Instrument
 from rig.model.pose import (
@@ -144,6 +144,7 @@ def _listed(path: Path, _: Camera) -> str | None:
 
 
 POSE_COLUMNS = ("x", "y", "z", "rx", "ry", "rz")
+POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 DISTANCE = "distance"  # column of a drawn wire's length, m
 COVARIANCE_COLUMNS = tuple(f"c{i}{j}" for i, j in zip(*TRIANGLE))
 CORNER_COLUMNS = ("frame", "camera", "marker", "corner", "u", "v")
@@ -249,21 +250,25 @@ def _corner_covariance(rows: Table) -> Floats | None:
 
 
 def load_poses(
-    path: str | Path, known_frames: set[int] | None = None, positions_only: bool = False, are_commands: bool = False
+    path: str | Path,
+    known_frames: set[int] | None = None,
+    positions_only: bool = False,
+    are_commands: bool = False,
+    form: TableFormat = PLAIN,
 ) -> Poses:
     """Load the Poses of a poses.csv, measured or wanted.
 
     known_frames : set of frame numbers that there are, or None; positions_only : rotations and covariances, if there
     are any, mean nothing: the poses are unrotated; are_commands : a covariance may be 0 in directions in which the
-    machine has no freedom
+    machine has no freedom; form : of the file
     Raises FileError with line and column.
     """
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(
-        path, ("frame", *POSE_COLUMNS[: 3 if positions_only else 6]), COVARIANCE_COLUMNS
+        path, ("frame", *POSE_COLUMNS[: 3 if positions_only else 6]), COVARIANCE_COLUMNS, form
     )
     frame = _frames(rows, known_frames)
-    values = np.zeros((len(rows), 6))
-    values[:, : 3 if positions_only else 6] = rows.matrix(POSE_COLUMNS[: 3 if positions_only else 6])
+    values, k = np.zeros((len(rows), 6)), 3 if positions_only else 6
+    values[:, :k] = form.units.si(rows.matrix(POSE_COLUMNS[:k]), POSE_UNITS[:k])
     _plausible(rows, values[:, :3], POSE_COLUMNS[:3])
     return Poses(
         frame, pose(values[:, :3], values[:, 3:]), None if positions_only else _pose_covariance(rows, are_commands)
@@ -311,12 +316,9 @@ def _plausible(rows: Table, values: Floats, columns: tuple[str, ...]) -> None:
     far = np.argwhere(np.abs(values) > LARGEST_RIG)
     if len(far):
         i, j = far[0]
-        rows.fail(
-            f"{columns[j]} = {values[i, j]:g} m is implausible: poses are in metres (millimetres?)",
-            i,
-            columns[j],
-            values[i, j],
-        )
+        hint = "metres (millimetres?)" if rows.form.units.length == "m" else f"{rows.form.units}, as stated"
+        size = rows.form.units.shown(values[i, j], "m")
+        rows.fail(f"{columns[j]} = {size} is implausible: poses are in {hint}", i, columns[j], values[i, j])
 
 
 def _pose_covariance(rows: Table, commanded: bool) -> Floats | None:
@@ -328,7 +330,8 @@ def _pose_covariance(rows: Table, commanded: bool) -> Floats | None:
         raise FileError(
             rows.path, f"column {missing!r} is missing: a covariance has all of {','.join(COVARIANCE_COLUMNS)}", 1
         )
-    covariance = covariance_from_triangle(rows.matrix(COVARIANCE_COLUMNS))
+    per = rows.form.units.si(np.ones(6), POSE_UNITS)
+    covariance = covariance_from_triangle(rows.matrix(COVARIANCE_COLUMNS)) * np.outer(per, per)
     scale = np.sqrt(np.abs(np.einsum("nii->ni", covariance)))
     whitened = covariance / np.maximum(scale[:, :, None] * scale[:, None, :], 1e-300)
     if commanded:

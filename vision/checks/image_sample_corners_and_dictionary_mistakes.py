@@ -41,18 +41,15 @@ def read_corners_and_mistakes_of_image_sample(recording: Recording) -> tuple[Cor
     """Corners read from a sample of a recording's images, None without images; and the images' Mistakes."""
     markers = marker_map(recording.design)
     sights, found = _sights(recording, markers, FRAMES)
-    rows = [
-        (frame, name, int(number), k) for frame, name, _, seen in sights for number in seen.marker for k in range(4)
-    ]
-    found += _other_dictionary_mistakes(
-        [image for _, _, image, _ in sights], Counter(number for _, _, number, k in rows if k == 0), markers
-    )
-    if not rows:
-        return None, found
-    frame, name, number, corner = zip(*rows)
-    uv = np.concatenate([seen.corners.reshape(-1, 2) for *_, seen in sights if len(seen.marker)])
-    corners = Corners(np.array(frame), list(name), np.array(number), np.array(corner), uv, None)
-    return corners, found + list(_against(recording.corners, corners))
+    numbers = Counter(int(number) for *_, seen in sights for number in seen.marker)
+    found += _other_dictionary_mistakes([image for _, _, image, _ in sights], numbers, markers)
+    corners = _corners(sights)
+    return corners, found if corners is None else found + list(_against(recording.corners, corners))
+
+
+def few_image_corners(recording: Recording) -> Corners | None:
+    """Corners read from the images of a few frames, None where there are none."""
+    return _corners(_sights(recording, marker_map(recording.design), FEW)[0])
 
 
 def dictionary_and_identity_mistakes(recording: Recording) -> list[Mistake]:
@@ -68,6 +65,18 @@ def dictionary_and_identity_mistakes(recording: Recording) -> list[Mistake]:
 
 
 Sight = tuple[int, str, Pixels, Detection]
+
+
+def _corners(sights: list[Sight]) -> Corners | None:
+    """Corners of what was detected, None where that is nothing."""
+    rows = [
+        (frame, name, int(number), k) for frame, name, _, seen in sights for number in seen.marker for k in range(4)
+    ]
+    if not rows:
+        return None
+    frame, name, number, corner = zip(*rows)
+    uv = np.concatenate([seen.corners.reshape(-1, 2) for *_, seen in sights if len(seen.marker)])
+    return Corners(np.array(frame), list(name), np.array(number), np.array(corner), uv, None)
 
 
 def _sights(recording: Recording, markers: MarkerMap, count: int) -> tuple[list[Sight], list[Mistake]]:

@@ -65,6 +65,28 @@ def find_corner_mistakes(recording: Recording, corners: Corners, thorough: bool 
     return sort_mistakes(found)
 
 
+def camera_place_sentences(recording: Recording, corners: Corners) -> list[str]:
+    """Where the base's markers put each fixed camera against where rig.toml states it, or that they are exchanged; none
+    where the corners do not show it.
+    """
+    seen = sample_frames(recording.design, corners, *recording.exposures.times())
+    m = None if seen is None else measure_trial(seen).measured
+    if m is None or has_hand_cameras(recording.design):
+        return []
+    wrong = [one.what for one in _camera_pose_mistakes(m, recording.design) if "exchanged" in one.what]
+    on_base = set(m.observations.camera[~m.observations.on_platform & m.inliers].tolist())
+    for i in sorted(on_base):
+        stated, found = recording.design.cameras[i], m.design.cameras[i]
+        if stated.mount == "fixed":
+            away = np.linalg.norm(stated.pose.translation - found.pose.translation) * 1e3
+            turned = np.degrees((stated.pose.rotation.inv() * found.pose.rotation).magnitude())
+            wrong.append(
+                f"camera {stated.name}: the base markers put it {away:.0f} mm and {turned:.1f} degrees from its pose "
+                "in rig.toml"
+            )
+    return wrong
+
+
 def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
     """Mistakes that explain a misfit, and the Trial that is best. most : mistakes to try"""
     if first.misfit < FINE:

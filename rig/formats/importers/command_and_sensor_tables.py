@@ -24,8 +24,6 @@ from rig.formats.importers.foreign_table_columns import (
 )
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.units_and_timestamps import (
-    ANGLES,
-    LENGTHS,
     ambiguity_error,
     fits_ranges,
     is_likely_length_unit,
@@ -33,6 +31,7 @@ from rig.formats.importers.units_and_timestamps import (
     likely_length_units,
     split_header,
 )
+from rig.formats.length_and_angle_units import ANGLES, LENGTHS
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm

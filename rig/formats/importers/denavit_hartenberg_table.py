@@ -12,7 +12,8 @@ from rig.formats.checked_entries import LARGEST_RIG, nearest_known_word
 from rig.formats.importers.csv_dialect import read_header_and_cells_of_foreign_table
 from rig.formats.importers.foreign_table_columns import Cells
 from rig.formats.importers.import_recipe import ForeignTable
-from rig.formats.importers.units_and_timestamps import ANGLES, LENGTHS, split_header
+from rig.formats.importers.units_and_timestamps import split_header
+from rig.formats.length_and_angle_units import ANGLES, LENGTHS, SI, parse_length_and_angle_units
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.model.mechanisms.denavit_hartenberg_rows_of_joint_axes import PlacedRows, distal_rows_of_modified_rows
 
@@ -79,10 +80,11 @@ def _fail(cells: Cells, message: str) -> NoReturn:
 
 def _units(units: str | None) -> tuple[str, str]:
     """(unit of lengths, unit of angles) of columns whose header states none."""
-    words = ("m", "rad") if units is None else tuple(word.strip() for word in units.split(","))
-    if len(words) != 2 or words[0] not in LENGTHS or words[1] not in ANGLES:
-        raise RigError(f"--units takes lengths and angles as mm,deg, not {units!r}")
-    return words[0], words[1]
+    try:
+        found = SI if units is None else parse_length_and_angle_units(units)
+    except ValueError as error:
+        raise RigError(f"--units takes {error}") from None
+    return found.length, found.angle
 
 
 def _columns(cells: Cells) -> dict[str, int]:

@@ -1,7 +1,10 @@
 """Columns of foreign tables: cells as text and numbers, columns found by their headers, headers and times added."""
 
+import difflib
 import re
-from collections.abc import Callable, Iterable, Mapping
+import shlex
+import unicodedata
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
@@ -11,23 +14,57 @@ from rig.errors import FileError, RigError
 from rig.formats.checked_entries import LARGEST_NUMBER
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.importers.import_recipe import ForeignTable
-from rig.formats.importers.units_and_timestamps import TIMES, Times, read_times, split_header
+from rig.formats.importers.units_and_timestamps import TIMES, Times, UnclearInput, read_times, split_header
 from rig.formats.local_and_remote_input_files import short_repr
 
 TIME = {
     "t": (
         *("t", "time", "timestamp", "stamp", "zeit", "zeitstempel", "uhrzeit", "elapsed", "elapsedtime"),
-        *("epoch", "datetime", "utc", "unixtime", "clock"),
+        *("epoch", "datetime", "utc", "unixtime", "clock", "zeitpunkt", "aufnahmezeit", "temps", "horodatage"),
+        *("heure", "tiempo", "hora", "fechahora", "marcadetiempo", "时间", "时间戳", "时刻", "時間"),
     )
-}  # {our name of a column: what its header may be called}
-FRAME = {"frame": ("frame", "index", "nr", "no", "number", "i", "id", "bild", "n", "pose", "point")}
-IMAGE = {"image": ("image", "file", "filename", "img", "picture", "path")}
-CAMERA = {"camera": ("camera", "cam", "kamera")}
-LIMB = ("l", "leg", "strut", "length", "actuator", "act", "axis", "limb", "bein", "m", "pos")
-JOINT = ("q", "joint", "j", "theta", "axis", "a", "angle")
+}  # {our name of a column: what its header may be called, without accents}
+FRAME = {
+    "frame": (
+        *("frame", "index", "nr", "no", "number", "i", "id", "bild", "n", "pose", "point", "nummer", "bildnummer"),
+        *("numero", "trame", "cuadro", "fotograma", "帧", "帧号", "编号", "序号"),
+    )
+}
+IMAGE = {
+    "image": (
+        *("image", "file", "filename", "img", "picture", "path", "bilddatei", "datei", "dateiname", "fichier"),
+        *("photo", "imagen", "archivo", "fichero", "foto", "图像", "图片", "文件", "文件名"),
+    )
+}
+CAMERA = {"camera": ("camera", "cam", "kamera", "appareil", "camara", "相机", "摄像头")}
+LIMB = (
+    *(
+        "l",
+        "leg",
+        "strut",
+        "length",
+        "actuator",
+        "act",
+        "axis",
+        "limb",
+        "bein",
+        "m",
+        "pos",
+        "strebe",
+        "lange",
+        "laenge",
+    ),
+    *("zylinder", "verin", "jambe", "longueur", "pierna", "pata", "longitud", "actuador", "cilindro"),
+    *("腿", "支腿", "杆", "杆长", "缸", "长度"),
+)
+JOINT = (
+    *("q", "joint", "j", "theta", "axis", "a", "angle", "gelenk", "achse", "winkel", "articulation", "axe"),
+    *("articulacion", "eje", "angulo", "关节", "轴", "角度"),
+)
 
 
 LONGEST = 100  # characters of a number
+ALIKE = 0.6  # of difflib's ratio, between a header and a known word that it likely means
 NUMBER = {
     "point": re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII),
     "comma": re.compile(r"[+-]?(\d+(,\d*)?|,\d+)([eE][+-]?\d{1,3})?", re.ASCII),
@@ -78,7 +115,8 @@ class Cells:
 
 def _normalised_header(header: str) -> str:
     """A header's name without its unit, capitals and punctuation: what is compared."""
-    return re.sub(r"[^a-z0-9]+", "", split_header(header)[0].lower())
+    plain = unicodedata.normalize("NFKD", split_header(header)[0].lower())
+    return re.sub(r"[\W_]+", "", "".join(one for one in plain if not unicodedata.combining(one)))
 
 
 def axis_header_names(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
@@ -121,14 +159,74 @@ def find_columns(
             )
         if alike:
             found[ours] = alike[0]
-    missing = [ours for ours in required_names if ours not in found]
-    if missing:
-        raise RigError(
-            f"{cells.path}: no column is {missing[0]}: the header is {', '.join(cells.header)}; state which "
-            "one it is with "
-            f"--set '{section}.columns.{missing[0]}=HEADER'"
+    missing = [ours for ours in header_names if ours not in found and (ours in required_names or ours == "t")]
+    supposed = _supposed_columns(cells, missing, header_names, set(found.values()))
+    absent = [ours for ours in missing if ours in required_names or ours in supposed]
+    if absent:
+        unread = [header for k, header in enumerate(cells.header) if k not in found.values()]
+        lines = [
+            f"  {ours}: "
+            + (
+                f"likely {short_repr(supposed[ours])}: "
+                f"--set {shlex.quote(f'{section}.columns.{ours}={supposed[ours]}')}"
+                if ours in supposed
+                else f"--set '{section}.columns.{ours}=HEADER'"
+            )
+            for ours in absent
+        ]
+        raise UnclearInput(
+            "\n".join(
+                [
+                    f"{cells.path}: no column is {', '.join(absent)}; columns of unknown meaning are "
+                    f"{', '.join(unread) or 'none'}; state which one it is:",
+                    *lines,
+                ]
+            ),
+            tuple(f"{section}.columns.{ours}={supposed[ours]}" for ours in absent if ours in supposed),
+            all(ours in supposed for ours in absent),
         )
     return found
+
+
+def _supposed_columns(
+    cells: Cells, missing: Sequence[str], header_names: Mapping[str, tuple[str, ...]], used: set[int]
+) -> dict[str, str]:
+    """{our name: header} of likely columns: numbered headers that share a word, increasing ones for t, like words."""
+    left = {header: _normalised_header(header) for k, header in enumerate(cells.header) if k not in used}
+    numbered = [re.fullmatch(r"(.*?)(\d+)", word) for word in left.values()]
+    stems = [match[1] for match in numbered if match]
+    stem = max(stems, key=stems.count, default="")
+    found: dict[str, str] = {}
+    for header, match in zip(list(left), numbered):
+        ours = next((name for name in missing if match and re.fullmatch(rf"[lq]{match[2]}", name)), None)
+        if match and match[1] == stem and ours is not None:
+            found[ours] = header
+            del left[header]
+    for ours in [name for name in missing if name not in found]:
+        words = {word: header for header, word in left.items() if word}
+        ratios = {
+            word: max(
+                difflib.SequenceMatcher(None, word, known).ratio() for known in header_names[ours] if len(known) > 2
+            )
+            for word in words
+        }
+        best = max(ratios, key=ratios.__getitem__, default=None)
+        near = words[best] if best is not None and ratios[best] >= ALIKE else None
+        if near is None and ours == "t":
+            near = next((header for header in left if _increases(cells, cells.header.index(header))), None)
+        if near is not None:
+            found[ours] = near
+            del left[near]
+    return found
+
+
+def _increases(cells: Cells, at: int) -> bool:
+    """Whether a column has numbers that only increase."""
+    texts = cells.column(at)
+    if not all(len(text) <= LONGEST and NUMBER["point"].fullmatch(text) for text in texts):
+        return False
+    values = [Decimal(text) for text in texts]
+    return len(values) > 1 and all(a < b for a, b in zip(values, values[1:]))
 
 
 def column_headers_for_import_recipe(

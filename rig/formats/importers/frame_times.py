@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.checks.mistake_dataclass_and_clock_mistakes import dwell_clock_shift
-from rig.errors import RigError
+from rig.errors import FileError, RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.importers import image_file_frames
 from rig.formats.importers.command_and_sensor_tables import ImportedCommands
@@ -19,11 +19,13 @@ from rig.formats.importers.foreign_table_columns import (
     FRAME,
     IMAGE,
     TIME,
+    Cells,
     column_headers_for_import_recipe,
     find_columns,
 )
 from rig.formats.importers.image_file_frames import ImportedExposures
 from rig.formats.importers.import_recipe import ForeignTable, Recipe
+from rig.formats.importers.units_and_timestamps import UnclearInput
 from rig.recording.recording_folder import LAST_DWELL
 
 LISTED = 20  # of what is missing, in a message
@@ -86,9 +88,7 @@ def _by_table(
     cells = read_header_and_cells_of_foreign_table(table, "frames")
     found = find_columns(cells, "frames", {**TIME, **FRAME, **IMAGE, **CAMERA}, ("t",))
     if "frame" not in found and "image" not in found:
-        raise RigError(
-            f"{cells.path}: no column names the frame or the image; --set 'frames.columns.frame=HEADER' states which"
-        )
+        found |= find_columns(cells, "frames", IMAGE, ("image",))
     if "image" not in found and any(
         Path(cell).suffix.lower() in image_file_frames.KINDS for cell in cells.column(found["frame"])
     ):
@@ -106,11 +106,7 @@ def _by_table(
         cells.table, columns=column_headers_for_import_recipe(table, cells, found), time_unit=t.unit, zone=t.zone
     )
     if "image" in found:
-        parts = (
-            1 if len({path.name for path in exposed.path}) == len(exposed.path) else 2
-        )  # of a path, that tell images apart
-        at = {"/".join(Path(cell).parts[-parts:]): s for cell, s in zip(cells.column(found["image"]), t.seconds)}
-        keys = ["/".join(path.parts[-parts:]) for path in exposed.path]
+        at, keys = _times_of_image_names(cells, found, t.seconds, exposed)
         gone = [name for name in at if name not in set(keys)]
     else:
         at, keys = (
@@ -136,6 +132,36 @@ def _by_table(
     return replace(exposed, t=[first[frame] for frame in exposed.frame], said=said), replace(recipe, frames=resolved)
 
 
+def _times_of_image_names(
+    cells: Cells, found: dict[str, int], seconds: list[Decimal], exposed: ImportedExposures
+) -> tuple[dict[str, Decimal], list[str]]:
+    """({name: exact s} of a table, the name of each exposure). A name without folder is of that image of every camera,
+    or of the camera that a column names.
+
+    Raises FileError where one name has two times
+    """
+    images = [Path(cell) for cell in cells.column(found["image"])]
+    ours = {theirs.lower(): name for theirs, name in exposed.images.cameras}
+    if "camera" in found:
+        cameras = [ours.get(word.lower(), word) for word in cells.column(found["camera"])]
+        names = [f"{camera}/{path.name}" for camera, path in zip(cameras, images)]
+        keys = [f"{camera}/{path.name}" for camera, path in zip(exposed.camera, exposed.path)]
+    else:
+        unique = len({path.name for path in exposed.path}) == len(exposed.path)
+        parts = 1 if unique or all(len(path.parts) == 1 for path in images) else 2  # that tell images apart
+        names = ["/".join(path.parts[-parts:]) for path in images]
+        keys = ["/".join(path.parts[-parts:]) for path in exposed.path]
+    at: dict[str, Decimal] = {}
+    for name, s, line in zip(names, seconds, cells.lines):
+        if at.setdefault(name, s) != s:
+            raise FileError(
+                cells.path,
+                f"{name} has two times; a column camera, or its folder before its name, separates them",
+                line,
+            )
+    return at, keys
+
+
 def require_one_clock(exposures: ImportedExposures, commands: ImportedCommands | None) -> None:
     """Raise RigError unless exposures and commands are on one clock."""
     if commands is None or commands.t is None:
@@ -151,13 +177,15 @@ def require_one_clock(exposures: ImportedExposures, commands: ImportedCommands |
         f"{first:f} to {last:f} s"
     )
     standing = dwell_clock_shift(
-        seconds_since_origin(t, first), seconds_since_origin(commands.t, first), commands.values
+        seconds_since_origin(t, first), seconds_since_origin(commands.t, first), commands.values, need_distinct=False
     )
     if standing is not None:
-        raise RigError(
+        raise UnclearInput(
             f"{clash}; --set {section}.shift={standing.shift:.3f} is what puts {standing.frames} of {len(t)} "
             "frames where the commands "
-            f"stand still, the middle of what does, +-{standing.room:.2g} s"
+            f"stand still, the middle of what does, +-{standing.room:.2g} s (any other shift at most {standing.fewer})",
+            (f"{section}.shift={standing.shift:.3f}",),
+            True,
         )
     by = first - t[0]
     raise RigError(

@@ -14,7 +14,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import FileError, RigError
 from rig.formats.importers import units_and_timestamps as times
 from rig.formats.importers.import_recipe import Images
-from rig.formats.importers.units_and_timestamps import ambiguity_error
+from rig.formats.importers.units_and_timestamps import UnclearInput, ambiguity_error
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.model.design import Design
 
@@ -104,14 +104,17 @@ def image_files_of_folder(
         else:
             told.append((path, word, rest, parts))
     if unknown:
-        settings = " ".join(
-            f"--set 'images.cameras.{theirs}={rig_cameras[k % len(rig_cameras)] if rig_cameras else 'cam0'}'"
+        meant = [
+            f"images.cameras.{theirs}={rig_cameras[k % len(rig_cameras)] if rig_cameras else 'cam0'}"
             for k, theirs in enumerate(list(unknown)[: max(len(rig_cameras), 1)])
-        )
-        raise FileError(
-            next(iter(unknown.values())),
+        ]
+        settings = " ".join(f"--set '{one}'" for one in meant)
+        raise UnclearInput(
+            f"{next(iter(unknown.values()))}: "
             f"of which camera is it? rig.toml has {', '.join(rig_cameras) or 'none'}; {settings}, or the other "
             "way about, states the meaning of a word, --set 'images.names={camera}_{frame}' how names are built",
+            tuple(meant),
+            len(unknown) <= len(rig_cameras),
         )
     return [
         _picture(path, cameras[word.lower()], word, rest, parts if name_pattern else None)
@@ -240,6 +243,8 @@ def group_images_into_exposures(
         if t is None:
             raise FileError(image_files[0].path, "its name has neither a frame nor a time")
         return _grouped(image_files, t, images, said)
+    if images.tolerance is not None:
+        raise RigError("images.tolerance groups images by their times, and these have frame numbers; leave it out")
     order = sorted(range(len(image_files)), key=lambda k: (numbers[k], image_files[k].camera))
     _once([(numbers[k], image_files[k].camera, image_files[k].path) for k in order])
     if t is not None:

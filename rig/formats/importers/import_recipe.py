@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -157,6 +157,24 @@ def _set(tree: Json, settings: tuple[str, ...]) -> None:
                 inner[last] = parse_number(value)
             except ValueError:
                 raise RigError(f"--set {key} takes a number, not {short_repr(value)}") from None
+
+
+def recipe_with_settings(recipe: Recipe, settings: Sequence[str]) -> Recipe:
+    """The recipe with settings that an error supposes: SECTION.columns.NAME=HEADER, images.cameras.WORD=NAME,
+    SECTION.shift=S.
+    """
+    for setting in settings:
+        key, _, value = setting.partition("=")
+        section, name, *last = key.split(".", 2)
+        part = getattr(recipe, section)
+        if part is None:
+            continue
+        if last:
+            changed = replace(part, **{name: (*getattr(part, name), (last[0], value))})
+        else:
+            changed = replace(part, **{name: parse_number(value)})
+        recipe = replace(recipe, **{section: changed})
+    return recipe
 
 
 def _recipe(root: Entries, folder: Path) -> Recipe:

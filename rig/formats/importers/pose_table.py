@@ -19,7 +19,8 @@ from rig.formats.importers.foreign_table_columns import (
     find_columns,
 )
 from rig.formats.importers.import_recipe import EULER, ForeignTable
-from rig.formats.importers.units_and_timestamps import ANGLES, LENGTHS, ambiguity_error
+from rig.formats.importers.units_and_timestamps import ambiguity_error
+from rig.formats.length_and_angle_units import ANGLES, LENGTHS
 from rig.model.design import Design
 from rig.model.mechanisms import hexapod, kinematics_of
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, is_hexapod

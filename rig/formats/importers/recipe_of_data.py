@@ -8,7 +8,8 @@ from rig.formats.checked_entries import nearest_known_word
 from rig.formats.importers.csv_dialect import read_header_and_cells_of_foreign_table
 from rig.formats.importers.foreign_table_columns import Cells
 from rig.formats.importers.import_recipe import TABLES, ForeignTable, Recipe, recipe_of_options
-from rig.formats.importers.units_and_timestamps import ANGLES, LENGTHS, split_header
+from rig.formats.importers.units_and_timestamps import split_header
+from rig.formats.length_and_angle_units import ANGLES, LENGTHS
 from rig.formats.local_and_remote_input_files import exists, is_empty, is_folder, list_folder
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links

@@ -1,5 +1,6 @@
 """Import of a recording: all foreign files of a recipe assembled and written as one recording."""
 
+import shlex
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import partial
@@ -26,8 +27,9 @@ from rig.formats.importers.frame_times import (
     seconds_since_origin,
 )
 from rig.formats.importers.image_file_frames import ImportedExposures
-from rig.formats.importers.import_recipe import Images, Recipe
+from rig.formats.importers.import_recipe import Images, Recipe, recipe_with_settings
 from rig.formats.importers.pose_table import ImportedPoses, read_poses
+from rig.formats.importers.units_and_timestamps import UnclearInput
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_bytes, read_text
 from rig.formats.output_files import write_bytes
@@ -84,8 +86,37 @@ def assemble_recording(recipe: Recipe, skip_unreadable: bool = False) -> Importe
     """Assemble an ImportedRecording from a Recipe, unreadable images skipped if requested.
     skip_unreadable : whether images that cannot be used are left out, and said
 
-    Raises RigError for what cannot be used, for what is missing and for what reads well in two ways.
+    Raises RigError for what cannot be used, for what is missing and for what reads well in two ways. What one error
+    leaves open is supposed, to find those behind it, and all are raised together.
     """
+    problems: list[str] = []
+    supposed: list[str] = []
+    is_decided = True
+    while is_decided:
+        try:
+            imported = _assembled(recipe_with_settings(recipe, supposed), skip_unreadable)
+        except UnclearInput as error:
+            is_decided = error.is_decided and bool(set(error.settings) - set(supposed))
+            problems.append(str(error))
+            supposed += error.settings
+        except RigError as error:
+            if not problems:
+                raise
+            is_decided = False
+            problems.append(str(error))
+        else:
+            break
+    if not problems:
+        return imported
+    if supposed:
+        every = "these options state it all" if is_decided else "these options state it; the rest is named above"
+        options = " ".join(f"--set {shlex.quote(one)}" for one in supposed)
+        problems.append(f"look at what is likely here; if it is right, {every}:\n  {options}")
+    raise RigError("\n".join(problems))
+
+
+def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
+    """The same, up to the first error."""
     design, rig, of_cameras = design_with_imported_cameras(recipe)
     if recipe.bag is not None:
         of_cameras = (*of_cameras, *recipe.bag.said)
@@ -112,6 +143,7 @@ def assemble_recording(recipe: Recipe, skip_unreadable: bool = False) -> Importe
         exposed, posed = _placed(exposed, posed, commanded)
     if exposed is None:
         raise RigError("there are no observations")
+    _refuse_unused_options(recipe, skip_unreadable)
     commanded = _clocked(exposed, commanded)
     logged = read_sensors(recipe.sensors, _like(exposed.t)) if recipe.sensors else None
     require_one_clock(exposed, commanded)
@@ -127,6 +159,20 @@ def assemble_recording(recipe: Recipe, skip_unreadable: bool = False) -> Importe
         *dict.fromkeys(line for part in (commanded, exposed, posed, logged) if part for line in part.said),
     )
     return ImportedRecording(design, exposed, commanded, posed, logged, replace(recipe, said=said), said, rig)
+
+
+def _refuse_unused_options(recipe: Recipe, skip_unreadable: bool) -> None:
+    """Raise RigError for options that nothing here uses."""
+    unused = []
+    if recipe.images is None and recipe.frames is not None:
+        unused.append("--frames states times of images, and there are none")
+    if recipe.images is None and skip_unreadable:
+        unused.append("--skip-unreadable excludes images, and there are none")
+    c = recipe.commands
+    if c is not None and c.steps_per_mm is not None and c.unit not in (None, "steps"):
+        unused.append(f"commands.steps_per_mm is of lengths in steps, and they are in {c.unit}")
+    if unused:
+        raise RigError("\n".join(f"{one}; leave it out" for one in unused))
 
 
 def _like(others: list[Decimal] | None) -> Like:

@@ -11,7 +11,18 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
+from rig.formats.length_and_angle_units import ANGLES, LENGTHS
 from rig.formats.local_and_remote_input_files import short_repr
+
+
+class UnclearInput(RigError):
+    """What a foreign file leaves open. settings : "KEY=VALUE" that likely decide it; is_decided : whether these are
+    all that it needs, so that the rest can be read on that supposition
+    """
+
+    def __init__(self, message: str, settings: tuple[str, ...] = (), is_decided: bool = False) -> None:
+        super().__init__(message)
+        self.settings, self.is_decided = settings, is_decided
 
 
 def ambiguity_error(subject: str, readings: Iterable[tuple[str, str]]) -> RigError:
@@ -21,8 +32,6 @@ def ambiguity_error(subject: str, readings: Iterable[tuple[str, str]]) -> RigErr
     return RigError("\n".join([f"{subject}:", *(f"  {reading}: --set '{setting}'" for reading, setting in readings)]))
 
 
-LENGTHS = {"m": 1.0, "mm": 1e3, "cm": 1e2, "um": 1e6, "in": 1 / 0.0254}  # per metre
-ANGLES = {"rad": 1.0, "deg": 180 / np.pi, "mrad": 1e3}  # per radian
 TIMES = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}  # per second
 ALL = (*LENGTHS, *ANGLES, "steps")
 OTHER = ("C", "K", "F", "kg", "g")

@@ -11,10 +11,17 @@ from rig.formats.checked_entries import Entries
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import LinkMasses
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import axis_units, has_links
 
 HEAVIEST = 1e5  # kg, and kg m^2
 STRONGEST = 1e7  # N m or N
+UNITS = {  # of what is stated joint by joint: of a turn, of a slide
+    "torque_limits": ("N m", "N"),
+    "torque_sigma": ("N m", "N"),
+    "torque_constants": ("N m/A", "N/A"),
+    "angle_sigma": ("rad", "m"),
+    "speed_sigma": ("rad/s", "m/s"),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,20 +62,28 @@ def load_arm_dynamics(path: Path | str) -> tuple[Design, ArmDynamics]:
     design = design_file.design_of_entries(root)
     if not has_links(design.mechanism):
         raise RigError(f"{path} has a mechanism of kind {design.mechanism.kind!r}; forces at the hand are for arms")
-    return design, dynamics_of_table(root.table("dynamics", optional=True), len(design.mechanism.axes))
+    table = root.in_stated_units().table("dynamics", optional=True)
+    return design, dynamics_of_table(table, axis_units(design.mechanism))
 
 
-def dynamics_of_table(table: Entries, joint_count: int) -> ArmDynamics:
-    """ArmDynamics of the table [dynamics] of an arm. Raises FileError with line and column.
+def dynamics_of_table(table: Entries, joint_units: tuple[str, ...]) -> ArmDynamics:
+    """ArmDynamics of the table [dynamics] of an arm. joint_units : "rad", of slides "m".
     Raises FileError with line and column for figures that cannot be
     """
     table.refuse_misspelt(design_file.DYNAMICS)
+    joint_count = len(joint_units)
     each = {
-        name: table.each(name, joint_count, None, above=0, most=STRONGEST)
-        for name in design_file.DYNAMICS
-        if name not in ("links", "friction")
+        name: table.each(
+            name,
+            joint_count,
+            None,
+            units=[of_slide if one == "m" else unit for one in joint_units],
+            above=0,
+            most=STRONGEST,
+        )
+        for name, (unit, of_slide) in UNITS.items()
     }
-    friction = table.array("friction", (joint_count, 2), None)
+    friction = table.array("friction", (joint_count, 2), None, unit=("N m", "N m s/rad"))
     if friction is not None:
         for i, j in np.argwhere(friction < 0):
             table.fail(f"friction[{i + 1}] must not be negative, not {friction[i, j]:g}", "friction", int(i), int(j))
@@ -77,7 +92,7 @@ def dynamics_of_table(table: Entries, joint_count: int) -> ArmDynamics:
 
 def _links(table: Entries, n: int) -> LinkMasses | None:
     """Links of rows mass, centre x y z, inertia xx yy zz xy xz yz; None where none are stated."""
-    rows = table.array("links", (n, 10), None)
+    rows = table.array("links", (n, 10), None, unit=("kg", *["m"] * 3, *["kg m^2"] * 6))
     if rows is None:
         return None
     inertia = np.empty((n, 3, 3))

@@ -7,8 +7,10 @@ from dataclasses import fields, replace
 from pathlib import PurePosixPath
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from rig.formats.checked_entries import Entries
+from rig.formats.length_and_angle_units import SI, LengthAndAngleUnits, stated_units
 from rig.model.controller_protocol_list_and_port_name_check import USER_PROGRAMS, is_user_program
 from rig.model.design import (
     DISTORTION_TERMS,
@@ -54,7 +56,7 @@ def cameras_of_tables(tables: list[Entries]) -> tuple[Camera, ...]:
         name = table.identifier("name")
         if name in [camera.name for camera in found]:
             table.fail(f"camera {name!r} is listed twice", "name", value=name)
-        matrix = table.array("matrix", (3, 3))
+        matrix = table.array("matrix", (3, 3), unit="px")
         for (i, j), want in {(0, 1): 0, (1, 0): 0, (2, 0): 0, (2, 1): 0, (2, 2): 1}.items():
             if matrix[i, j] != want:
                 table.fail(
@@ -271,29 +273,36 @@ def replace_cameras(text: str, cameras: Iterable[Camera]) -> str:
     import tomlkit
 
     document = tomlkit.parse(text)
+    units = stated_units(document)
     tables = {table["name"]: table for table in document["camera"]}
     for camera in cameras:
         table = tables[camera.name]
         table["matrix"] = np.round(camera.matrix, 6).tolist()
         table["distortion"] = np.round(camera.distortion, 9).tolist()
-        position, rotvec = np.split(np.round(pose_to_vector(camera.pose), 10), 2)
         entry = tomlkit.inline_table()
-        entry.update({"position": position.tolist(), "rotvec": rotvec.tolist()})
+        entry.update(_pose_entry(camera.pose, units))
         table["pose"] = entry
     return tomlkit.dumps(document)
 
 
-def camera_toml(camera: Camera, has_pose: bool = False) -> str:
+def _pose_entry(pose: RigidTransform, units: LengthAndAngleUnits) -> dict[str, list[float]]:
+    """A pose as the tables of a file in these units state it."""
+    position, rotvec = np.split(pose_to_vector(pose), 2)
+    scaled = (position * units.per_si("m"), rotvec * units.per_si("rad"))
+    return {name: np.round(one, 10).tolist() for name, one in zip(("position", "rotvec"), scaled)}
+
+
+def camera_toml(camera: Camera, has_pose: bool = False, units: LengthAndAngleUnits = SI) -> str:
     """TOML text of a [[camera]] table, with its pose or a blank to fill in.
-    has_pose : whether its pose is known; else it is a place to fill in
+    has_pose : whether its pose is known; else it is a place to fill in; units : of the file that it is for
     """
-    place = np.round(pose_to_vector(camera.pose), 10) if has_pose else np.zeros(6)
+    place = _pose_entry(camera.pose if has_pose else RigidTransform.identity(), units)
     remark = "" if has_pose else "   # camera in base: enter its pose"
     matrix, distortion = np.round(camera.matrix, 6).tolist(), np.round(camera.distortion, 9).tolist()
     return (
         f'[[camera]]\nname = "{camera.name}"\nwidth = {camera.width}\nheight = {camera.height}\nmatrix = {matrix}\n'
         f"distortion = {distortion}\n"
-        f"pose = {{ position = {place[:3].tolist()}, rotvec = {place[3:].tolist()} }}{remark}\n"
+        f"pose = {{ position = {place['position']}, rotvec = {place['rotvec']} }}{remark}\n"
         'shutter = "global"\n'
     )
 
@@ -307,6 +316,7 @@ def replace_target_markers(text: str, markers: dict[str, tuple[Marker, ...]]) ->
     import tomlkit
 
     document = tomlkit.parse(text)
+    units = stated_units(document)
     for table in (table for table in document["target"] if table["name"] in markers):
         found = {marker.id for marker in markers[table["name"]]}
         listed = table["marker"] if isinstance(table.get("marker"), list) else []
@@ -315,14 +325,13 @@ def replace_target_markers(text: str, markers: dict[str, tuple[Marker, ...]]) ->
             table.pop(key, None)
         rows = tomlkit.aot()
         for marker in markers[table["name"]]:
-            position, rotvec = np.split(np.round(pose_to_vector(marker.T_body_marker), 10), 2)
             row, entry = tomlkit.table(), tomlkit.inline_table()
-            entry.update({"position": position.tolist(), "rotvec": rotvec.tolist()})
+            entry.update(_pose_entry(marker.T_body_marker, units))
             row.update(
                 {
                     "id": int(marker.id),
-                    "side": float(marker.side),
-                    "margin": float(np.round(marker.margin, 9)),
+                    "side": float(np.round(marker.side * units.per_si("m"), 12)),
+                    "margin": float(np.round(marker.margin * units.per_si("m"), 9)),
                     "pose": entry,
                 }
             )

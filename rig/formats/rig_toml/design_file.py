@@ -32,6 +32,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_s
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 DYNAMICS = ("links", "torque_limits", "torque_sigma", "torque_constants", "friction", "angle_sigma", "speed_sigma")
+LEAST_GRAVITY = 0.1  # m/s^2; a smaller one in a file in mm is in m/s^2
 LARGEST_MARKER = 5.0  # m
 LARGEST = 1 << 22  # bytes of a rig.toml
 
@@ -54,9 +55,11 @@ def design_of_entries(root: Entries) -> Design:
     Raises FileError as `load` does.
     """
     root.schema("rig.toml", SCHEMA)
+    root = root.in_stated_units()
     root.refuse_misspelt(
         (
             "schema",
+            "units",
             "name",
             "environment",
             "mechanism",
@@ -77,7 +80,14 @@ def design_of_entries(root: Entries) -> Design:
     root.table("dynamics", optional=True).refuse_misspelt(DYNAMICS)  # its figures are read by what needs them
     environment = root.table("environment", optional=True)
     environment.refuse_misspelt(("gravity", "tilt"))
-    gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY))
+    gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY), unit="m/s^2")
+    if root.units.length != "m" and 0 < np.linalg.norm(gravity) < LEAST_GRAVITY:
+        stated = root.units.shown(float(np.linalg.norm(gravity)), "m/s^2")
+        environment.fail(
+            f'environment.gravity of {stated} is nowhere: the file states units = "{root.units}", in which standard '
+            f"gravity is {root.units.shown(9.80665, 'm/s^2')}",
+            "gravity",
+        )
     mechanism, actuator = mechanism_of_table(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
     cameras, targets = (
         camera_instrument_and_cube_entries.cameras_of_tables(root.tables("camera")),
@@ -182,7 +192,7 @@ def base_tilt_of_table(table: Entries) -> BaseTilt:
     size = float(np.linalg.norm(axis))
     if not size > 0:
         table.fail("axis has no direction", "axis")
-    return BaseTilt(channel, axis / size, table.number("zero", 0.0))
+    return BaseTilt(channel, axis / size, table.number("zero", 0.0, unit="rad"))
 
 
 def _sensors(table: Entries) -> SensorPort:
@@ -208,8 +218,8 @@ def _platform(table: Entries) -> Platform:
     table.refuse_misspelt([field.name for field in fields(Platform)])
     return Platform(
         table.number("mass", None, least=0, unit="kg"),
-        table.array("centre_of_mass", (3,), None, LARGEST_RIG),
-        table.array("payload_centre_of_mass", (3,), None, LARGEST_RIG),
+        table.array("centre_of_mass", (3,), None, length_limit=LARGEST_RIG),
+        table.array("payload_centre_of_mass", (3,), None, length_limit=LARGEST_RIG),
     )
 
 
@@ -279,7 +289,10 @@ def _cube(table: Entries, name: str, body: str, dictionary: str) -> Target:
     marker = table.number("marker", above=0, most=LARGEST_MARKER, unit="m (is it in millimetres?)")
     if marker > edge:
         table.fail(
-            f"{table.name('marker')} = {marker:g} m does not fit on a cube of edge {edge:g} m", "marker", value=marker
+            f"{table.name('marker')} = {table.units.shown(marker, 'm')} does not fit on a cube of edge "
+            f"{table.units.shown(edge, 'm')}",
+            "marker",
+            value=marker,
         )
     faces = table.table("faces")
     if not faces.tree:

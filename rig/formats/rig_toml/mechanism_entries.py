@@ -16,8 +16,10 @@ from rig.model.mechanisms.file_mechanism import nominal_mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, singular_geometry_problem
 
 FILE = "file:"  # before the name of a kinematics file
+SHORTEST = 2e-3  # m; no strut is shorter, so that a smaller figure in a file in mm is in metres
 LARGEST_SOURCE = 1 << 20  # bytes of one
 KINDS = {"revolute": False, "prismatic": True}
+ROW_UNITS = ("rad", "m", "m", "rad", "rad")  # of theta, d, a, alpha, beta
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +76,8 @@ def joint_rows_and_kinds(table: Entries) -> tuple[Floats, Booleans]:
             )
         for j in range(columns):
             table.numbers(row[j + word], (), "joints", (i, j + word), LARGEST_RIG if j in (1, 2) else None)
-    return np.array([row[word:] for row, word in zip(rows, told)], float), slides
+    stated = np.array([row[word:] for row, word in zip(rows, told)], float)
+    return table.units.si(stated, ROW_UNITS[:columns]), slides
 
 
 def _tables(tables: list[Entries]) -> tuple[Floats, Booleans]:
@@ -88,16 +91,16 @@ def _table(table: Entries) -> Joint:
     kind = table.text("joint", tuple(KINDS), "revolute")
     found = Joint(
         kind,
-        table.number("theta"),
-        table.number("d"),
-        table.number("a"),
-        table.number("alpha"),
-        table.number("beta", 0.0),
+        table.number("theta", unit="rad"),
+        table.number("d", unit="m"),
+        table.number("a", unit="m"),
+        table.number("alpha", unit="rad"),
+        table.number("beta", 0.0, unit="rad"),
         _own_limits(table, KINDS[kind]),
     )
     table.refuse_misspelt([one.name for one in fields(Joint)])
     for name in ("d", "a"):
-        table.numbers(getattr(found, name), (), name, (), LARGEST_RIG)
+        table.numbers(table.get(name), (), name, (), LARGEST_RIG)
     return found
 
 
@@ -145,26 +148,34 @@ def joint_limits(table: Entries, is_prismatic: Booleans) -> Floats:
                     f"{table.name('joints')}.{i + 1}.limits is missing, and so is {table.name('limits')}", "joints", i
                 )
         return np.array(own, float)
-    found = table.array("limits", (len(is_prismatic), 2))
+    units = np.where(is_prismatic, "m", "rad")
+    found = table.array("limits", (len(is_prismatic), 2), unit=[[unit] for unit in units.tolist()])
     for i, (low, high) in enumerate(found):
         if not low < high:
-            table.fail(
-                f"{table.name('limits')}[{i + 1}] must run from small to large, not {low:g} .. {high:g}", "limits", i
-            )
+            table.fail(_disordered(table, "limits", (low, high), str(units[i]), i), "limits", i)
         if is_prismatic[i]:
             for j in range(2):
-                table.numbers(float(found[i, j]), (), "limits", (i, j), LARGEST_RIG)
+                length = float(found[i, j]) * table.units.per_si("m")
+                table.numbers(length, (), "limits", (i, j), LARGEST_RIG)
     return found
 
 
 def _own_limits(table: Entries, slide: bool) -> tuple[float, float] | None:
-    found = table.array("limits", (2,), None, LARGEST_RIG if slide else None)
+    unit = "m" if slide else "rad"
+    found = table.array("limits", (2,), None, length_limit=LARGEST_RIG if slide else None, unit=unit)
     if found is None:
         return None
     low, high = found.tolist()
     if not low < high:
-        table.fail(f"{table.name('limits')} must run from small to large, not {low:g} .. {high:g}", "limits")
+        table.fail(_disordered(table, "limits", (low, high), unit), "limits")
     return low, high
+
+
+def _disordered(table: Entries, key: str, limits: tuple[float, float], unit: str, row: int | None = None) -> str:
+    """Message about limits, in SI, of which the first is not the smaller. row : of the key, or None"""
+    low, high = (table.units.shown(value, unit).removesuffix(" rad" if unit == "rad" else " m") for value in limits)
+    label = table.name(key) + ("" if row is None else f"[{row + 1}]")
+    return f"{label} must run from small to large, not {low} .. {high}"
 
 
 def mechanism_of_table(table: Entries) -> Mechanism:
@@ -233,12 +244,14 @@ def _hexapod(table: Entries) -> Hexapod:
     base = table.array("base_joints", (6, 3), length_limit=LARGEST_RIG)
     platform = table.array("platform_joints", (6, 3), length_limit=LARGEST_RIG)
     hexapod = Hexapod(base, platform, _ranges(table, "strut_range", 6, LARGEST_RIG), table.pose("home"))
+    per_m, unit = table.units.per_si("m"), table.units.length
+    digits = 6 if unit == "m" else 3
     lengths = np.linalg.norm(hexapod.home.apply(platform) - base, axis=1)
     for i, (length, (low, high)) in enumerate(zip(lengths, hexapod.strut_range)):
         if not low <= length <= high:
             table.fail(
-                f"{table.name('home')} needs strut {i + 1} at {length:.6f} m, outside its strut_range "
-                f"{low:g} .. {high:g} m",
+                f"{table.name('home')} needs strut {i + 1} at {length * per_m:.{digits}f} {unit}, outside its "
+                f"strut_range {low * per_m:.10g} .. {high * per_m:.10g} {unit}",
                 "home",
             )
     if singular_geometry_problem(hexapod):
@@ -254,7 +267,15 @@ def _ranges(table: Entries, key: str, count: int, length_limit: float) -> Floats
     ranges = table.array(key, (count, 2), length_limit=length_limit)
     for i, (low, high) in enumerate(ranges):
         if not low < high:
-            table.fail(f"{table.name(key)}[{i + 1}] must run from small to large, not {low:g} .. {high:g}", key, i)
+            table.fail(_disordered(table, key, (low, high), "m", i), key, i)
         if low <= 0:
-            table.fail(f"{table.name(key)}[{i + 1}] must be positive, not {low:g} m", key, i, 0)
+            table.fail(f"{table.name(key)}[{i + 1}] must be positive, not {table.units.shown(low, 'm')}", key, i, 0)
+        if high < SHORTEST and table.units.length != "m":
+            table.fail(
+                f"{table.name(key)}[{i + 1}] ends at {table.units.shown(high, 'm')}, shorter than any strut: the file "
+                f'states units = "{table.units}"; is this in metres?',
+                key,
+                i,
+                1,
+            )
     return ranges

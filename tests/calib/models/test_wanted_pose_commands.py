@@ -149,3 +149,34 @@ def test_how_sure_each_pose_is_stands_beside_the_commands_of_every_machine(tmp_p
     with pytest.raises(FileError, match="not positive definite") if kind == "planar2" else nullcontext():
         recording_folder.load_poses(tmp_path / "k.poses.csv")
     assert (np.trace(stated.covariance[:, :3, :3], axis1=1, axis2=2) > 1e-12).all()
+
+
+@pytest.mark.parametrize("kind", ["hexapod", "planar2", "arm", "chain"])
+def test_commands_in_mm_and_degrees_with_decimal_commas_are_those_in_m_and_rad(tmp_path, capsys, kind):
+    design = designed(tmp_path, kind)
+    calibration, wanted = calibrated(design), wanted_of(design)
+    calibration_file.save(tmp_path / "c.json", calibration)
+    write_poses(tmp_path / "w.csv", Poses(np.arange(len(wanted)), wanted, None))
+    table = csv_and_parquet_tables_and_time_origin.read_csv_table(tmp_path / "w.csv", ("frame",))
+    factors = [1e3] * 3 + [180 / np.pi] * 3
+    lines = [";".join([row[0], *(f"{float(v) * f:.12f}" for v, f in zip(row[1:7], factors))]) for row in table.rows]
+    text = "\n".join(["frame;x;y;z;rx;ry;rz", *(line.replace(".", ",") for line in lines)]) + "\n"
+    (tmp_path / "mm.csv").write_text(text)
+    run = command(capsys, "correct", tmp_path / "c.json")
+    run("--poses", tmp_path / "w.csv", "--out", tmp_path / "k.csv")
+    stated = ("--units", "mm, deg", "--decimal", "comma")
+    run("--poses", tmp_path / "mm.csv", "--out", tmp_path / "k_mm.csv", *stated)
+    axes = design.mechanism.axes
+    plain = csv_and_parquet_tables_and_time_origin.read_csv_table(tmp_path / "k.csv", axes).matrix(axes)
+    form = csv_and_parquet_tables_and_time_origin.TableFormat(decimal="comma")
+    found = csv_and_parquet_tables_and_time_origin.read_csv_table(tmp_path / "k_mm.csv", axes, form=form).matrix(axes)
+    per = [1e3 if unit == "m" else 180 / np.pi for unit in mechanisms.axis_units(design.mechanism)]
+    np.testing.assert_allclose(found, plain * per, rtol=0, atol=1e-6)
+    assert "," in (tmp_path / "k_mm.csv").read_text().splitlines()[1]
+    (tmp_path / "far.csv").write_text("frame;x;y;z;rx;ry;rz\n0;90000,5;0;0;0;0;0\n")
+    said = run("--poses", tmp_path / "far.csv", "--out", tmp_path / "no.csv", *stated, ok=False)
+    assert "far.csv:2:2: x = 90000.5 mm is implausible" in said
+    said = run("--poses", tmp_path / "w.csv", "--out", tmp_path / "no.csv", "--units", "mm,degs", ok=False)
+    assert "--units takes a unit of lengths" in said
+    said = run("--forward", tmp_path / "k.csv", "--out", tmp_path / "no.csv", "--units", "mm,deg", ok=False)
+    assert "--units and --decimal apply to commands for wanted poses" in said

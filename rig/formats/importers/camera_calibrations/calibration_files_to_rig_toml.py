@@ -1,5 +1,6 @@
 """Camera calibration files of other programs read, and their cameras written into a rig.toml."""
 
+import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from rig.formats.checked_entries import LARGEST_RIG, Entries, name_problem
 from rig.formats.importers.camera_calibrations.calibration_programs import PROGRAMS
 from rig.formats.importers.camera_calibrations.foreign_camera_checks_and_fisheye_conversion import ForeignCamera
 from rig.formats.importers.import_recipe import Cameras
+from rig.formats.length_and_angle_units import stated_units
 from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.number_parsing_and_rounding import parse_numbers
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import camera_toml, replace_cameras
@@ -83,8 +85,9 @@ def rig_toml_with_cameras(
     added = [camera for camera in changed if camera.name not in known]
     if len(added) < len(changed):
         text = replace_cameras(text, [camera for camera in changed if camera.name in known])
+    units = stated_units(tomllib.loads(text))
     for camera in added:
-        text = text.rstrip("\n") + "\n\n" + camera_toml(camera, has_pose=True)
+        text = text.rstrip("\n") + "\n\n" + camera_toml(camera, has_pose=True, units=units)
     return text, said + ((f"added to rig.toml: {', '.join(camera.name for camera in added)}",) if added else ())
 
 

@@ -68,7 +68,7 @@ AMBIGUOUS = {
         dict(header=("t [s];timestamp", "L{}"), separator=";", time=lambda t: f"{t};{t}"),
         ("commands.columns.t=t [s]", "commands.columns.t=timestamp"),
     ),
-    "which column": (dict(header=("t", "beam{}")), ("commands.columns.l1=HEADER",)),
+    "which column": (dict(header=("t", "beam{}")), ("commands.columns.l1=beam1", "commands.columns.l6=beam6")),
     "steps": (
         dict(header=("t", "l{} [steps]"), values=lambda q: [f"{v * 1e6:.0f}" for v in q]),
         ("commands.steps_per_mm=N",),

@@ -122,6 +122,6 @@ def test_a_header_that_is_not_known_is_asked_for(tmp_path):
     )
     (tmp_path / "log.csv").write_text(log.replace("Time [ms]", "Tick [ms]"))
     status, text = said(*words)
-    assert status == 1 and "--set 'commands.columns.t=HEADER'" in text, text
+    assert status == 1 and "--set 'commands.columns.t=Tick [ms]'" in text, text
     (tmp_path / "log.csv").write_text(log.replace("Time [ms]", "Zeitstempel (ms)"))
     assert said(*words)[0] == 0

@@ -97,7 +97,7 @@ def test_a_missing_file_is_said(tmp_path):
         ("[actuator]", "screw_led = 0.002", "unknown key 'actuator.screw_led'; is 'screw_lead' meant"),
         ("[environment]", "gravitation = [0, 0, -9.8]", "unknown key 'environment.gravitation'; is 'gravity' meant"),
         ("[actuator]", 'colour = "blue"', "unknown key 'actuator.colour'; there are screw_lead, joints, max_speed"),
-        ('schema = "rig/1"', "notes = 1", "unknown key 'notes'; there are schema, name"),
+        ('schema = "rig/1"', "why = 1", "unknown key 'why'; there are schema, units, name"),
         ("[[target]]", 'colour = "blue"', "unknown key 'target.1.colour'"),
         ("[mechanism]", "strut_ranges = 1", "unknown key 'mechanism.strut_ranges'; is 'strut_range' meant"),
         ("[mechanism]", '"\\u001b[2J" = 1', r"unknown key 'mechanism.\\x1b\[2J'"),
