@@ -20,9 +20,11 @@ from rig.model.pose import (
     covariance_from_triangle,
     pose,
     pose_to_vector,
+    poses_pointing_along,
     roll_pitch_yaw,
     roll_pitch_yaw_sigmas,
 )
+from rig.recording.direction_table import read_direction_table
 from rig.recording.image_file_check_and_reading import (
     UnreadableImage,
     image_file_problem,
@@ -271,13 +273,16 @@ def load_poses(
 
 
 def load_instrument_poses(path: Path, known_frames: set[int], instrument: Instrument | None) -> Poses:
-    """Load the Poses of a poses.csv as its instrument measures them: poses, orientations or distances.
+    """Load the Poses of a poses.csv as its instrument measures them: poses, orientations, distances or directions.
 
     Raises FileError with line and column
     """
     kind = "pose" if instrument is None else instrument.kind
     if kind == "pose":
         return load_poses(path, known_frames, instrument is not None and instrument.rotation_sigma is None)
+    if kind == "direction":
+        rows, directions = read_direction_table(path)
+        return Poses(_frames(rows, known_frames), poses_pointing_along(directions), None)
     columns = POSE_COLUMNS[3:] if kind == "orientation" else (DISTANCE,)
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", *columns))
     frame, values = _frames(rows, known_frames), rows.matrix(columns)

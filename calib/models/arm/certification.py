@@ -66,6 +66,7 @@ ROUNDS = 2  # of fitting the geometry and the profiles in turn
 UNPLACED = {
     "orientation": "orientations alone were measured, which do not determine lengths and positions",
     "distance": "a wire's length alone was measured, which does not tell how the arm's base is turned",
+    "direction": "directions alone were measured, which do not determine lengths and positions",
 }
 
 
@@ -208,7 +209,8 @@ def _as_stated(found: Identified, measured: str) -> Identified:
             untold, [PLAUSIBLE[unit] ** 2 for unit in error_model_and_observations.parameter_units(found.arm)], 0.0
         )
     )
-    scatter = np.r_[np.zeros(3), found.scatter] if measured == "orientation" else np.repeat(found.scatter, 3)
+    turned = {"orientation": (3, 0), "direction": (3, 1)}  # numbers of a pose before and after those measured
+    scatter = np.pad(found.scatter, turned[measured]) if measured in turned else np.repeat(found.scatter, 3)
     return replace(found, covariance=covariance, scatter=scatter)
 
 
