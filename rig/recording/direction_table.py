@@ -32,7 +32,10 @@ def read_direction_table(path: Path) -> tuple[Table, Floats]:
         bad = np.flatnonzero(np.abs(values[:, k]) > most)
         if len(bad):
             rows.fail(
-                f"{ANGLES[k]} = {values[bad[0], k]:g} rad is implausible (degrees?)", bad[0], ANGLES[k], values[bad[0], k]
+                f"{ANGLES[k]} = {values[bad[0], k]:g} rad is implausible (degrees?)",
+                bad[0],
+                ANGLES[k],
+                values[bad[0], k],
             )
     return rows, directions_of_angles(values)
 

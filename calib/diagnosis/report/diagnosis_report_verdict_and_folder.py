@@ -354,7 +354,8 @@ def held_out_entries(diagnosis: Diagnosis) -> Json:
     """Entries of diagnosis.json {key: tree} on held-out data: time stretches, travel regions and repeats."""
     out: Json = {}
     if isinstance(diagnosis.evidence, ScatterSize):
-        out["scatter_beyond_stated_m"] = diagnosis.evidence.scatter_beyond_stated(diagnosis.selection)[0]
+        unit = diagnosis.misfits[diagnosis.shown_in].unit
+        out[f"scatter_beyond_stated_{unit}"] = diagnosis.evidence.scatter_beyond_stated(diagnosis.selection)[0]
     if isinstance(diagnosis.evidence, NestedSelection):
         out["held_out"] = [
             {

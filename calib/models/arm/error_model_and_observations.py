@@ -206,9 +206,7 @@ def sample_observations(samples: Samples) -> Observations:
             samples.effective, samples.T_base_platform, np.sqrt(samples.covariance[:, 3, 3])
         )
     if samples.measured == "direction":
-        return direction_observations(
-            samples.effective, samples.T_base_platform, np.sqrt(samples.covariance[:, 3, 3])
-        )
+        return direction_observations(samples.effective, samples.T_base_platform, np.sqrt(samples.covariance[:, 3, 3]))
     if samples.measured == "distance":
         return distance_observations(
             samples.effective, samples.T_base_platform.translation[:, 0], np.sqrt(samples.covariance[:, 0, 0])

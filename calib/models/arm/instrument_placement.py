@@ -61,7 +61,9 @@ def place_arm(observations: Observations, arm: Arm, base: bool, tool: bool) -> A
     """Arm placed by observations: base and tool solved for; base, tool : whether they are unknown.
 
     Good to what the arm's own errors leave; least squares goes on from there. With distances, what cannot be told in
-    closed form is as stated, and so is where on the hand a direction is seen. Raises NotEnoughData for too few observations, RigError where no placement fits or two
+    closed form is as stated, and so is where on the hand a direction is seen.
+
+    Raises NotEnoughData for too few observations, RigError where no placement fits or two
     different ones fit alike
     """
     if not (base or tool):

@@ -8,18 +8,21 @@ Antennas Propag. 16, 1968
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
 from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.compliance import Compliance
 from rig.effects.framework.effect import Effect
+from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 
 ZENITH, NORTH, EAST = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
 UPRIGHT = float(np.cos(np.radians(5)))  # first axes nearer to the vertical than this are of an altazimuth mount
@@ -88,9 +91,7 @@ class PointingTerms:
 
 
 def mount_kind(arm: Arm) -> str | None:
-    """ "altazimuth" or "equatorial" by an Arm's first axis, as stated; None for one that does not turn about two
-    axes.
-    """
+    """Kind of mount by an Arm's first axis as stated: "altazimuth" or "equatorial"; None without two turning axes."""
     if len(arm.joints) != 2 or arm.slides.any():
         return None
     axis = arm.base.rotation.as_matrix()[:, 2]
@@ -111,14 +112,42 @@ def tube_flexure(arm: Arm) -> tuple[Effect, ...]:
     return (Compliance("joint 2", moments=tuple(moments.tolist())),)
 
 
-def pointing_terms(
-    stated: Arm, fitted: Arm, covariance: Floats, visited: Floats, gravity: Floats, flexure: tuple[float, Floats] | None
+def pointing_terms(design: Design, calibration: Calibration, visited: Floats) -> PointingTerms | None:
+    """PointingTerms of a mount as calibrated against that stated; None for an arm that is none.
+
+    design : whose mechanism is the arm as stated; visited : (n, 2) rad, commands
+    """
+    stated, fitted = require_arm(design.mechanism), calibration.correction.fitted
+    physics = calibration.physics
+    flexure = None
+    if physics is not None:
+        for k, c in enumerate(physics.coordinates):
+            effect = physics.effects[c.effect]
+            if [isinstance(one, Compliance) for one in physics.effects].count(True) == 1 and _is_flexure(
+                effect, stated
+            ):
+                flexure = (float(c.read(effect)), float(physics.own[k, k]))
+    assert isinstance(fitted, Arm)
+    return pointing_terms_of_parameters(stated, fitted, calibration.covariance, visited, design.gravity, flexure)
+
+
+def _is_flexure(effect: Effect, arm: Arm) -> bool:
+    """Whether an effect is the flexure of an Arm's tube, and nothing more."""
+    own = tube_flexure(arm)
+    if not own or not isinstance(effect, Compliance) or effect.place != own[0].place:
+        return False
+    assert isinstance(own[0], Compliance)
+    return [bool(value) for value in effect.moments] == [bool(value) for value in own[0].moments]
+
+
+def pointing_terms_of_parameters(
+    stated: Arm, fitted: Arm, covariance: Floats, visited: Floats, gravity: Floats, flexure: tuple[float, float] | None
 ) -> PointingTerms | None:
     """PointingTerms of a mount as fitted against that stated; None for an arm that is none or has other errors.
 
     stated, fitted : Arm; covariance : (p, p) of its parameters; visited : (n, 2) rad, commands; gravity : (3,) m/s^2
-    flexure : (the mass moment over the stiffness of `tube_flexure`, rad per m/s^2, (p + 1,) its covariances with the
-        parameters and its variance), or None where it was not fitted
+    flexure : (the mass moment over the stiffness of `tube_flexure`, rad per m/s^2, its variance), or None where it was
+        not fitted
     """
     mount = mount_kind(stated)
     if mount is None:
@@ -143,7 +172,7 @@ def pointing_terms(
         sunk = -joints * np.repeat(loads[:, 1] @ (np.array(effect.moments) / START), 3)
         unit = float(sunk @ columns[FLEXURE] / (columns[FLEXURE] @ columns[FLEXURE]))
         names.append(FLEXURE)
-        values, sigma = np.r_[values, unit * flexure[0]], np.r_[sigma, abs(unit) * np.sqrt(flexure[1][-1])]
+        values, sigma = np.r_[values, unit * flexure[0]], np.r_[sigma, abs(unit) * np.sqrt(flexure[1])]
     untold = [name for name, size in zip(names, sigma) if not size > 0]
     if untold:
         lines.append(f"{', '.join(untold)} cannot be determined from these directions")
@@ -185,5 +214,5 @@ def _step(stated: Arm, fitted: Arm) -> Floats:
     tool = (stated.tool.inv() * fitted.tool).rotation.as_rotvec()
     step = np.zeros(12 + 5 * len(stated.joints))
     step[3:6], step[-3:] = lean.as_rotvec() + about, tool
-    step[6:-6] = (replace(fitted).rows - stated.rows).ravel()
+    step[6:-6] = (fitted.rows - stated.rows).ravel()
     return step
