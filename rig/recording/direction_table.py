@@ -12,7 +12,7 @@ VECTOR = ("x", "y", "z")
 UNIT_LENGTH = 1e-6  # that a direction's length may differ from one
 
 
-def read_direction_table(path: Path) -> tuple[Table, Floats]:
+def read_direction_table(path: str | Path) -> tuple[Table, Floats]:
     """(Table, unit vectors (n, 3)) of a poses.csv with columns azimuth and elevation (rad), or x, y and z.
 
     Raises FileError with line and column for a missing column, angles that no circle has and vectors that are not of

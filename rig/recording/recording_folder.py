@@ -24,6 +24,7 @@ from rig.recording.recording_table_loading_and_writing import (
     Exposures,
     Poses,
     load_corners,
+    load_directions,
     load_exposures,
     load_instrument_poses,
     load_poses,
@@ -230,25 +231,26 @@ def _stages(folder: Path, design: Design, known: set[int]) -> dict[int, Poses]:
 class WantedPoses:
     """Poses that a machine is to take. poses : Poses; t : (n,) s from the first, when each is to be held, or None where
     nobody says
-    origin : of the owner's clock, by which times are told"""
+    origin : of the owner's clock, by which times are told; directions : whether their z axes alone are wanted"""
 
     poses: Poses
     t: Floats | None = None
     origin: TimeOrigin = TimeOrigin()
+    directions: bool = False
 
 
 def load_wanted_poses(path: str | Path) -> WantedPoses:
-    """Load WantedPoses from a table frame,x,y,z,rx,ry,rz with or without t. Raises FileError.
+    """Load WantedPoses from a table frame,x,y,z,rx,ry,rz or frame,azimuth,elevation, with or without t.
+
     Raises FileError with line and column.
     """
-    poses, rows = (
-        load_poses(path, are_commands=True),
-        csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame",)),
-    )
+    rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame",))
+    directions = "azimuth" in rows.columns
+    poses = load_directions(path) if directions else load_poses(path, are_commands=True)
     if "t" not in rows.columns:
-        return WantedPoses(poses, None, TimeOrigin())
+        return WantedPoses(poses, None, TimeOrigin(), directions)
     origin = _origin(rows)
-    return WantedPoses(poses, _increasing(rows, origin), origin)
+    return WantedPoses(poses, _increasing(rows, origin), origin, directions)
 
 
 def load_sensors(path: str | Path, origin: TimeOrigin) -> Sensors:

@@ -281,8 +281,7 @@ def load_instrument_poses(path: Path, known_frames: set[int], instrument: Instru
     if kind == "pose":
         return load_poses(path, known_frames, instrument is not None and instrument.rotation_sigma is None)
     if kind == "direction":
-        rows, directions = read_direction_table(path)
-        return Poses(_frames(rows, known_frames), poses_pointing_along(directions), None)
+        return load_directions(path, known_frames)
     columns = POSE_COLUMNS[3:] if kind == "orientation" else (DISTANCE,)
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", *columns))
     frame, values = _frames(rows, known_frames), rows.matrix(columns)
@@ -296,6 +295,12 @@ def load_instrument_poses(path: Path, known_frames: set[int], instrument: Instru
             f"a wire's length must be positive, not {values[short[0], 0]:g} m", short[0], DISTANCE, values[short[0], 0]
         )
     return Poses(frame, pose(np.pad(values, ((0, 0), (0, 2))), nothing), None)
+
+
+def load_directions(path: str | Path, known_frames: set[int] | None = None) -> Poses:
+    """Load the Poses whose z axes are the directions of a table; nothing else of them means anything."""
+    rows, directions = read_direction_table(path)
+    return Poses(_frames(rows, known_frames), poses_pointing_along(directions), None)
 
 
 def _frames(rows: Table, known_frames: set[int] | None) -> Integers:

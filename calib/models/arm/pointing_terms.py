@@ -19,6 +19,7 @@ from calib.models.arm.identification_and_joint_profiles import independent_arm_p
 from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.compliance import Compliance
 from rig.effects.framework.effect import Effect
+from rig.errors import RigError
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
@@ -177,6 +178,23 @@ def pointing_terms_of_parameters(
     if untold:
         lines.append(f"{', '.join(untold)} cannot be determined from these directions")
     return PointingTerms(mount, tuple(names), tuple(table[name][0] for name in names), values, sigma, tuple(lines))
+
+
+def term_jacobian(q: Floats, arm: Arm) -> tuple[tuple[str, ...], Floats]:
+    """(names, (n, 6, t)) change of the hand's tangent with each term at commands q (n, 2): of its turn about x and y.
+
+    Raises RigError for an arm that is no mount
+    """
+    mount = mount_kind(arm)
+    if mount is None:
+        raise RigError("pointing terms are those of a mount that turns about two axes")
+    table = ALTAZIMUTH if mount == "altazimuth" else EQUATORIAL
+    R = mechanism.forward(q, arm).rotation.as_matrix()
+    out = np.zeros((len(q), 6, len(table)))
+    for k, (_, one) in enumerate(table.values()):
+        x, y, _ = np.einsum("nji,nj->in", R, _column(one, q, arm).reshape(-1, 3))
+        out[:, 3, k], out[:, 4, k] = -y, x
+    return tuple(table), out
 
 
 def _moved(J: Floats, q: Floats, arm: Arm) -> Floats:
