@@ -27,7 +27,13 @@ from calib.correction.physics_compensation import Physics
 from calib.correction.simultaneous_camera_and_geometry_fit import refine_correction_with_cameras
 from calib.diagnosis import findings_refit
 from calib.diagnosis.calibration_left_out_physics import calibration_with_left_out_physics, mark_as_not_searched
-from calib.diagnosis.findings_refit import Findings, findings_of_diagnosis, findings_with_tube_flexure, load_findings
+from calib.diagnosis.findings_refit import (
+    Findings,
+    findings_of_diagnosis,
+    findings_with_tube_flexure,
+    load_findings,
+    samples_with_tube_flexure,
+)
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_provenance_and_used_frames import SEED, calibration_with_provenance
 from calib.models.arm import calibration_page as arm_page
@@ -243,7 +249,8 @@ def _calibrated(
         return _extended(recording, sampled, options, options.extend, rng, progress)
     pointing = sampled.samples.measured == "direction"
     if findings is None and (options.with_findings or pointing and not options.quick):
-        asked = DiagnosisOptions(sampled=sampled, kinds=tuple(kinds.values()))
+        known = samples_with_tube_flexure(recording, sampled) if pointing else sampled.samples
+        asked = DiagnosisOptions(sampled=replace(sampled, samples=known), kinds=tuple(kinds.values()))
         findings = findings_of_diagnosis(diagnose(recording, asked, progress))
     if pointing and mechanism.link_rows is not None:
         findings = findings_with_tube_flexure(findings, require_arm(mechanism))

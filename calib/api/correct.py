@@ -122,6 +122,13 @@ class CorrectionResult(OneLineRepr):
         return pose_difference(self.commanded.T_base_platform, self.wanted.poses.T_base_platform[self.index])
 
     @property
+    def direction_uncertainty(self) -> float | None:
+        """rad RMS, standard uncertainty of wanted directions by its length; None where whole poses are wanted."""
+        if not self.wanted.directions or self.covariance is None:
+            return None
+        return float(np.sqrt(np.trace(self.covariance[:, 3:5, 3:5], axis1=1, axis2=2).mean()))
+
+    @property
     def poses(self) -> Poses | None:
         """Poses that come of the commands, with covariance; None where they are those wanted and not corrected."""
         covariance, T = self.commanded.covariance, self.commanded.T_base_platform
@@ -210,7 +217,7 @@ def correct(
         if not isinstance(calibration.correction, ArmCorrection):
             raise RigError("directions are wanted of arms, as of a telescope's mount; state whole poses")
         T = calibration.correction.poses_pointing_along(wanted.poses.T_base_platform)
-        wanted = replace(wanted, poses=replace(wanted.poses, T_base_platform=T), directions=False)
+        wanted = replace(wanted, poses=replace(wanted.poses, T_base_platform=T))
     _require_log(options.sensors, wanted)
     start = _start(options.start, calibration)
     count = len(wanted.poses.frame)

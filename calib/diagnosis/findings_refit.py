@@ -132,6 +132,18 @@ def findings_with_tube_flexure(findings: Findings | None, arm: Arm) -> Findings:
     return replace(known, effects=(*known.effects, *more), sigma=sigma)
 
 
+def samples_with_tube_flexure(recording: Recording, sampled: Sampled) -> Samples:
+    """Samples of a mount with what the flexure of its tube does to their commands, fitted with the geometry alone: all
+    else is searched for beside it. As they are where there is no such tube, or nothing was commanded.
+    """
+    samples, arm = sampled.samples, recording.design.mechanism
+    if not isinstance(arm, Arm) or recording.commands is None or not tube_flexure(arm):
+        return samples
+    history = History(recording.design, recording.commands, smooth_temperatures(recording.sensors)[0])
+    start = start_arm_of_fit(sample_observations(samples), arm, sampled.instrument)
+    return fit_geometry_and_effects(samples, history, start, tube_flexure(arm)).samples
+
+
 def unexplained_findings(lacks_of_fit: Iterable[LackOfFit]) -> tuple[Unknown, ...]:
     """Findings that stay unexplained: what is left over and has no name."""
     return _one_of_each_place(

@@ -16,7 +16,7 @@ from rig.formats.csv_and_parquet_tables_and_time_origin import Table, TimeOrigin
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import require_complete_folder, write_bytes, write_text
 from rig.formats.rig_toml import design_file
-from rig.model.design import Design
+from rig.model.design import Design, Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
 from rig.recording.image_file_check_and_reading import UnreadableImage
 from rig.recording.recording_table_loading_and_writing import (
@@ -24,7 +24,6 @@ from rig.recording.recording_table_loading_and_writing import (
     Exposures,
     Poses,
     load_corners,
-    load_directions,
     load_exposures,
     load_instrument_poses,
     load_poses,
@@ -227,6 +226,9 @@ def _stages(folder: Path, design: Design, known: set[int]) -> dict[int, Poses]:
     return out
 
 
+POINTING = Instrument("rig", "rig", np.inf, None, "direction")  # as which wanted directions are read
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class WantedPoses:
     """Poses that a machine is to take. poses : Poses; t : (n,) s from the first, when each is to be held, or None where
@@ -246,7 +248,7 @@ def load_wanted_poses(path: str | Path) -> WantedPoses:
     """
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame",))
     directions = "azimuth" in rows.columns
-    poses = load_directions(path) if directions else load_poses(path, are_commands=True)
+    poses = load_instrument_poses(path, None, POINTING) if directions else load_poses(path, are_commands=True)
     if "t" not in rows.columns:
         return WantedPoses(poses, None, TimeOrigin(), directions)
     origin = _origin(rows)

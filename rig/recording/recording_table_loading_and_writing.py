@@ -272,7 +272,7 @@ def load_poses(
     )
 
 
-def load_instrument_poses(path: Path, known_frames: set[int], instrument: Instrument | None) -> Poses:
+def load_instrument_poses(path: str | Path, known_frames: set[int] | None, instrument: Instrument | None) -> Poses:
     """Load the Poses of a poses.csv as its instrument measures them: poses, orientations, distances or directions.
 
     Raises FileError with line and column
@@ -281,7 +281,8 @@ def load_instrument_poses(path: Path, known_frames: set[int], instrument: Instru
     if kind == "pose":
         return load_poses(path, known_frames, instrument is not None and instrument.rotation_sigma is None)
     if kind == "direction":
-        return load_directions(path, known_frames)
+        rows, directions = read_direction_table(path)
+        return Poses(_frames(rows, known_frames), poses_pointing_along(directions), None)
     columns = POSE_COLUMNS[3:] if kind == "orientation" else (DISTANCE,)
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", *columns))
     frame, values = _frames(rows, known_frames), rows.matrix(columns)
@@ -291,16 +292,9 @@ def load_instrument_poses(path: Path, known_frames: set[int], instrument: Instru
     _plausible(rows, values, columns)
     short = np.flatnonzero(values[:, 0] <= 0)
     if len(short):
-        rows.fail(
-            f"a wire's length must be positive, not {values[short[0], 0]:g} m", short[0], DISTANCE, values[short[0], 0]
-        )
+        length = values[short[0], 0]
+        rows.fail(f"a wire's length must be positive, not {length:g} m", short[0], DISTANCE, length)
     return Poses(frame, pose(np.pad(values, ((0, 0), (0, 2))), nothing), None)
-
-
-def load_directions(path: str | Path, known_frames: set[int] | None = None) -> Poses:
-    """Load the Poses whose z axes are the directions of a table; nothing else of them means anything."""
-    rows, directions = read_direction_table(path)
-    return Poses(_frames(rows, known_frames), poses_pointing_along(directions), None)
 
 
 def _frames(rows: Table, known_frames: set[int] | None) -> Integers:

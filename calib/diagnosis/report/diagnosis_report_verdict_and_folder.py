@@ -391,10 +391,7 @@ def repeatability_entry(diagnosis: Diagnosis) -> Json | None:
 
 
 def held_out_region_gains(diagnosis: Diagnosis) -> list[Json]:
-    """Gains by each finding where whole regions of an axis' travel are held out.
-
-    Misfit before and after, m, and standard errors.
-    """
+    """Gains by each finding, regions of an axis' travel held out: misfit before and after, m, and standard errors."""
     if diagnosis.design is None:
         return []
     places = mechanisms.axis_place_texts(diagnosis.design.mechanism)

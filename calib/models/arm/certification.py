@@ -198,9 +198,7 @@ def _shared_errors(samples: Samples, shared: Floats) -> Floats:
 
 
 def _as_stated(found: Identified, measured: str) -> Identified:
-    """What was found of an arm of which not all was measured: what nothing tells is as uncertain as a maker's figures
-    are.
-    """
+    """What was found of an arm measured in part: what nothing tells is as uncertain as a maker's figures are."""
     if measured not in UNPLACED:
         return found
     untold = independent_arm_parameters(found.arm, "pose") & ~found.rank.free
@@ -284,7 +282,7 @@ def start_arm_of_fit(observations: Observations, nominal: Arm, instrument: Instr
 
 
 def placed_nominal_arm(observations: Observations, nominal: Arm, instrument: Instrument | None, start: Arm) -> Arm:
-    """Nominal arm placed in the instrument's frame; nothing else is fitted. start : Arm of `start_arm_of_fit`
+    """Nominal arm placed in the instrument's frame; nothing else is fitted.
 
     start : Arm of `start_arm_of_fit`
     """
