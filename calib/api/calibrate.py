@@ -249,8 +249,8 @@ def _calibrated(
         return _extended(recording, sampled, options, options.extend, rng, progress)
     pointing = sampled.samples.measured == "direction"
     if findings is None and (options.with_findings or pointing and not options.quick):
-        known = samples_with_tube_flexure(recording, sampled) if pointing else sampled.samples
-        asked = DiagnosisOptions(sampled=replace(sampled, samples=known), kinds=tuple(kinds.values()))
+        searched = samples_with_tube_flexure(recording, sampled) if pointing else sampled.samples
+        asked = DiagnosisOptions(sampled=replace(sampled, samples=searched), kinds=tuple(kinds.values()))
         findings = findings_of_diagnosis(diagnose(recording, asked, progress))
     if pointing and mechanism.link_rows is not None:
         findings = findings_with_tube_flexure(findings, require_arm(mechanism))
