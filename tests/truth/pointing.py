@@ -49,3 +49,26 @@ def seen(directions: np.ndarray, sigma: float, wrong: int, rng: np.random.Genera
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     out = directions + off[:, :1] * x + off[:, 1:] * np.cross(directions, x)
     return out / np.linalg.norm(out, axis=1, keepdims=True)
+
+
+def altazimuth_scores(q: np.ndarray, seen: np.ndarray, terms: dict[str, float], sigma: float) -> np.ndarray:
+    """(7,) errors, in their standard deviations, of the terms of `altazimuth` by plain linear least squares: the best
+    that anybody can do who knows which stars are right.
+
+    q : (n, 2) rad, commands; seen : (n, 3) directions of right stars; terms : the true ones, rad; sigma : rad
+    """
+    (a, e), none = q.T, np.zeros(len(q))
+    off = (np.arctan2(seen[:, 1], seen[:, 0]) - a + np.pi) % (2 * np.pi) - np.pi
+    y = np.concatenate([off * np.cos(e), -np.arcsin(seen[:, 2]) - e])
+    columns = {
+        "IA": (-np.cos(e), none),
+        "IE": (none, none + 1),
+        "CA": (none - 1, none),
+        "NPAE": (-np.sin(e), none),
+        "AN": (-np.sin(a) * np.sin(e), -np.cos(a)),
+        "AW": (-np.cos(a) * np.sin(e), np.sin(a)),
+        "TF": (none, -np.cos(e)),
+    }
+    X = np.stack([np.concatenate(columns[name]) for name in terms], axis=1)
+    found = np.linalg.lstsq(X, y)[0] - np.array(list(terms.values()))
+    return found / (sigma * np.sqrt(np.diag(np.linalg.inv(X.T @ X))))

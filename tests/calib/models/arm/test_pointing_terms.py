@@ -23,6 +23,7 @@ TOML = (ROOT / "docs" / "pointing" / "mount.toml").read_text()
 UP = np.pi / 2
 MOUNT = Arm(np.array([[0, 0, 0, -UP], [UP, 0, 0, UP]]), np.array([[0.0, 6.28], [0.26, 1.40]]))
 TERMS = {"IA": 60, "IE": -80, "CA": 40, "NPAE": -50, "AN": 70, "AW": -30, "TF": 45}  # arcsec
+TRUE = {name: value * ARCSEC for name, value in TERMS.items()}
 SIGMA = 3 * ARCSEC
 GRAVITY = np.array([0, 0, 9.80665])
 
@@ -48,11 +49,17 @@ def recorded(folder, q, directions):
 
 def starred(folder, seed, count=60, wrong=3, extra=None):
     """Recording of `count` stars, `wrong` of them others than meant; extra : what elevation has besides, rad."""
+    return recorded(folder, *night(seed, count, wrong, extra)[:2])
+
+
+def night(seed, count=60, wrong=3, extra=None):
+    """(commands (count, 2) rad, directions of the stars, which are right (count,) bool)."""
     rng = np.random.default_rng([2026, seed])
     q = sky(count, rng)
-    a, e = truth.altazimuth(*q.T, {name: value * ARCSEC for name, value in TERMS.items()})
-    e = e if extra is None else e + extra(q)
-    return recorded(folder, q, truth.seen(truth.of_angles(a, e), SIGMA, wrong, rng))
+    a, e = truth.altazimuth(*q.T, TRUE)
+    pointed = truth.of_angles(a, e if extra is None else e + extra(q))
+    seen = truth.seen(pointed, SIGMA, wrong, rng)
+    return q, seen, np.linalg.norm(seen - pointed, axis=1) < 10 * SIGMA
 
 
 def calibrated(folder, seed):
@@ -63,8 +70,7 @@ def calibrated(folder, seed):
     new = starred(folder / "new", 1000 + seed, 200, 0)
     samples = made.calibration.with_physics(new, sample_recording(new).samples)
     error = pose_errors(made.calibration.correction.predict(samples.effective), samples)[:, 3:5]
-    wanted = np.array(list(TERMS.values())) * ARCSEC
-    return (terms.values - wanted) / terms.sigma, np.sqrt((error**2).mean()) / SIGMA
+    return (terms.values - list(TRUE.values())) / terms.sigma, np.sqrt((error**2).mean()) / SIGMA
 
 
 def test_a_mount_is_told_its_terms_in_spite_of_wrong_stars(tmp_path):
@@ -74,10 +80,17 @@ def test_a_mount_is_told_its_terms_in_spite_of_wrong_stars(tmp_path):
 
 @pytest.mark.slow
 def test_every_term_is_within_its_interval_as_often_as_stated(tmp_path):
+    """As often as by least squares that know which stars are wrong: of 100 intervals of 95 %, 91 to 99 hold."""
     scores, held = zip(*(calibrated(_folder(tmp_path, seed), seed) for seed in range(100)))
-    inside = (np.abs(scores) < 1.96).sum(axis=0)
-    print(dict(zip(TERMS, inside.tolist())), np.median(held), np.max(held))
-    assert inside.min() >= 93 and np.median(held) <= 1.05
+    best = []
+    for seed in range(100):
+        q, seen, right = night(seed)
+        best.append(truth.altazimuth_scores(q[right], seen[right], TRUE, SIGMA))
+    inside, possible = ((np.abs(each) < 1.96).sum(axis=0) for each in (scores, best))
+    print(dict(zip(TERMS, inside.tolist())), possible.tolist(), np.median(held), np.max(held))
+    assert inside.min() >= 90 and inside.mean() >= 93.5 and np.abs(inside - possible).max() <= 3
+    assert np.abs(np.array(scores) - best).max() < 0.8
+    assert np.median(held) <= 1.05
 
 
 def _folder(tmp_path, seed):
