@@ -30,7 +30,6 @@ from calib.models.arm.pointing_terms import tube_flexure
 from calib.models.platform.identification import Loops
 from calib.samples.pose_samples import Sampled, Samples, samples_of_freedoms
 from rig.array_and_json_types import Floats
-from rig.effects.catalogue.compliance import Compliance
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
@@ -119,13 +118,13 @@ def findings_of_diagnosis(diagnosis: Diagnosis) -> Findings:
     return Findings(diagnosis.machine_effects, None, unexplained_findings(diagnosis.left))
 
 
-def findings_with_tube_flexure(findings: Findings | None, arm: Arm) -> Findings:
+def findings_with_tube_flexure(findings: Findings | None, arm: Arm) -> Findings | None:
     """Findings with the flexure of the tube of a mount, where they have no compliance of that joint already."""
     known = Findings((), None, ()) if findings is None else findings
-    places = {effect.place for effect in known.effects if isinstance(effect, Compliance)}
+    places = {effect.place for effect in known.effects if effect.form == "load"}
     more = tuple(effect for effect in tube_flexure(arm) if effect.place not in places)
     if not more:
-        return known
+        return findings
     sigma = known.sigma
     if sigma is not None:
         sigma = np.r_[sigma, np.full(len(coordinates_of_effects(more)), np.inf)]

@@ -17,7 +17,7 @@ from calib.certification.calibration_dataclass_and_accuracy_claim_sentences impo
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
 from rig.array_and_json_types import Floats, Json
-from rig.effects.catalogue.compliance import Compliance
+from rig.effects.catalogue.effect_list import deflection_under_link_weight, link_weight_moments
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.model.design import Design
@@ -110,7 +110,7 @@ def tube_flexure(arm: Arm) -> tuple[Effect, ...]:
         return ()
     moments = np.zeros(8)
     moments[5 + axis] = START
-    return (Compliance("joint 2", moments=tuple(moments.tolist())),)
+    return (deflection_under_link_weight("joint 2", tuple(moments.tolist())),)
 
 
 def pointing_terms(design: Design, calibration: Calibration, visited: Floats) -> PointingTerms | None:
@@ -121,12 +121,10 @@ def pointing_terms(design: Design, calibration: Calibration, visited: Floats) ->
     stated, fitted = require_arm(design.mechanism), calibration.correction.fitted
     physics = calibration.physics
     flexure = None
-    if physics is not None:
+    if physics is not None and sum(one.form == "load" for one in physics.effects) == 1:
         for k, c in enumerate(physics.coordinates):
             effect = physics.effects[c.effect]
-            if [isinstance(one, Compliance) for one in physics.effects].count(True) == 1 and _is_flexure(
-                effect, stated
-            ):
+            if _is_flexure(effect, stated):
                 flexure = (float(c.read(effect)), float(physics.own[k, k]))
     assert isinstance(fitted, Arm)
     return pointing_terms_of_parameters(stated, fitted, calibration.covariance, visited, design.gravity, flexure)
@@ -134,11 +132,10 @@ def pointing_terms(design: Design, calibration: Calibration, visited: Floats) ->
 
 def _is_flexure(effect: Effect, arm: Arm) -> bool:
     """Whether an effect is the flexure of an Arm's tube, and nothing more."""
-    own = tube_flexure(arm)
-    if not own or not isinstance(effect, Compliance) or effect.place != own[0].place:
+    own, moments = tube_flexure(arm), link_weight_moments(effect)
+    if not own or not moments or effect.place != own[0].place:
         return False
-    assert isinstance(own[0], Compliance)
-    return [bool(value) for value in effect.moments] == [bool(value) for value in own[0].moments]
+    return [bool(value) for value in moments] == [bool(value) for value in link_weight_moments(own[0])]
 
 
 def pointing_terms_of_parameters(
@@ -166,11 +163,10 @@ def pointing_terms_of_parameters(
     values, spread = back @ _step(stated, fitted)[free], back @ covariance[np.ix_(free, free)] @ back.T
     sigma, lines = np.sqrt(np.diag(spread)), [ALIKE[mount]]
     if flexure is not None:
-        effect = tube_flexure(stated)[0]
-        assert isinstance(effect, Compliance)
+        moments = np.array(link_weight_moments(tube_flexure(stated)[0])) / START
         loads = mechanism.link_weight_loads(mechanism.forward(visited, stated), visited, stated, gravity)
         joints = _moved(error_model_and_observations.joint_jacobian(visited, stated), visited, stated)[:, 1]
-        sunk = -joints * np.repeat(loads[:, 1] @ (np.array(effect.moments) / START), 3)
+        sunk = -joints * np.repeat(loads[:, 1] @ moments, 3)
         unit = float(sunk @ columns[FLEXURE] / (columns[FLEXURE] @ columns[FLEXURE]))
         names.append(FLEXURE)
         values, sigma = np.r_[values, unit * flexure[0]], np.r_[sigma, abs(unit) * np.sqrt(flexure[1])]

@@ -101,22 +101,37 @@ def _folder(tmp_path, seed):
 
 def test_terms_of_an_equatorial_mount():
     """To first order: the difference of both models is of second order."""
+    rng = np.random.default_rng(0)
+    q, mount, moved, terms = equatorial_sky(40, rng)
+    names, J = term_jacobian(q, mount)
+    change = mechanism.forward(q, mount) * exp(J @ np.array([terms[name] for name in names]))
+    np.testing.assert_allclose(change.rotation.as_matrix()[..., 2], moved, atol=3e-9)
+
+
+def test_an_equatorial_mount_is_told_its_terms(tmp_path):
+    rng = np.random.default_rng(3)
+    q, mount, moved, terms = equatorial_sky(60, rng)
+    rec = recorded(tmp_path / "rec", q, truth.seen(moved, SIGMA, 3, rng))
+    design = replace(rec.design, mechanism=mount)
+    found = calibrate(replace(rec, design=design), CalibrateOptions(quick=True)).pointing_terms
+    assert found.mount == "equatorial" and found.names == tuple(terms)
+    assert np.abs((found.values - list(terms.values())) / found.sigma).max() < 3
+
+
+def equatorial_sky(count, rng):
+    """(commands (count, 2) rad, the mount, where it really points (count, 3), its terms in rad)."""
     latitude, size = np.radians(40), 1e-5
     terms = dict(zip(("IH", "ID", "CH", "NP", "MA", "ME"), size * np.array([1, -2, 1.5, -1, 2, -1.5])))
     base = pose([0, 0, 0], [0, np.pi / 2 + latitude, 0])  # z to the pole
     mount = replace(MOUNT, base=base, limits=np.array([[-1.5, 1.5], [-0.5, 1.2]]))
-    rng = np.random.default_rng(0)
-    q = rng.uniform(*mount.limits.T, (40, 2))
+    q = rng.uniform(*mount.limits.T, (count, 2))
     d = mechanism.forward(q, mount).rotation.as_matrix()[..., 2]
     pole = np.array([np.cos(latitude), 0, -np.sin(latitude)])
     declination = np.arcsin(d @ pole)
     west, south = np.array([0, -1.0, 0]), np.array([-np.sin(latitude), 0, -np.cos(latitude)])
     hour = np.arctan2(d @ west, d @ south)
     np.testing.assert_allclose(truth.to_horizon(hour, declination, latitude), d, atol=1e-12)
-    moved = truth.to_horizon(*truth.equatorial(hour, declination, terms), latitude)
-    names, J = term_jacobian(q, mount)
-    change = mechanism.forward(q, mount) * exp(J @ np.array([terms[name] for name in names]))
-    np.testing.assert_allclose(change.rotation.as_matrix()[..., 2], moved, atol=3e-9)
+    return q, mount, truth.to_horizon(*truth.equatorial(hour, declination, terms), latitude), terms
 
 
 def test_directions_agree_with_differences():
