@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.formats.output_files import write_text
@@ -302,7 +302,10 @@ def _write_measured_poses(
             [instrument.position_sigma if instrument.kind == "pose" else 0.0, instrument.rotation_sigma or 0.0], 3
         )
         rows = pose_to_vector(T_base_platform * exp(seen * rng.normal(size=(len(T_base_platform), 6))))
-        first, last = (3, 6) if instrument.kind == "orientation" else (0, 3 if instrument.rotation_sigma is None else 6)
+        if instrument.kind == "direction":
+            rows = Rotation.from_rotvec(rows[:, 3:]).as_matrix()[:, :, 2]
+        whole = instrument.rotation_sigma is not None and instrument.kind == "pose"
+        first, last = (3, 6) if instrument.kind == "orientation" else (0, 6 if whole else 3)
         columns, rows = tuple(POSE_COLUMNS[first:last]), rows[:, first:last]
     write_table(
         path, ("frame", *columns), [",".join([str(f), *(f"{x:.10f}" for x in row)]) for f, row in enumerate(rows)]

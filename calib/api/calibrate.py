@@ -27,12 +27,19 @@ from calib.correction.physics_compensation import Physics
 from calib.correction.simultaneous_camera_and_geometry_fit import refine_correction_with_cameras
 from calib.diagnosis import findings_refit
 from calib.diagnosis.calibration_left_out_physics import calibration_with_left_out_physics, mark_as_not_searched
-from calib.diagnosis.findings_refit import Findings, findings_of_diagnosis, load_findings
+from calib.diagnosis.findings_refit import (
+    Findings,
+    findings_of_diagnosis,
+    findings_with_tube_flexure,
+    load_findings,
+    samples_with_tube_flexure,
+)
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_provenance_and_used_frames import SEED, calibration_with_provenance
 from calib.models.arm import calibration_page as arm_page
 from calib.models.arm import certification as arm_certification
 from calib.models.arm.joint_space_correction_and_certification import commanded_minus_joint_values_by_stated_arm
+from calib.models.arm.pointing_terms import PointingTerms, pointing_terms
 from calib.models.chain import certification_and_page as chain_certification
 from calib.models.chain import certification_and_page as chain_page
 from calib.models.machine_models import Certified
@@ -141,6 +148,13 @@ class CalibrationResult(OneLineRepr):
         """The verdict on it."""
         return calibration_verdict(self.calibration)
 
+    @property
+    def pointing_terms(self) -> PointingTerms | None:
+        """Pointing terms of a two-axis mount of which directions were measured; None of all else."""
+        if self.sampled.samples.measured != "direction":
+            return None
+        return pointing_terms(self.recording.design, self.calibration, self.samples.effective)
+
     def __str__(self) -> str:
         return self.verdict.line
 
@@ -157,6 +171,7 @@ class CalibrationResult(OneLineRepr):
             "claim": claim and asdict(claim),
             "poses": len(self.sampled.samples),
             "confounds": confounds and confounds.tree(),
+            "pointing_terms": None if self.pointing_terms is None else self.pointing_terms.tree(),
             "verdict": self.verdict.tree(),
         }
 
@@ -232,9 +247,13 @@ def _calibrated(
     mechanism = recording.design.mechanism
     if options.extend is not None:
         return _extended(recording, sampled, options, options.extend, rng, progress)
-    if options.with_findings and findings is None:
-        asked = DiagnosisOptions(sampled=sampled, kinds=tuple(kinds.values()))
+    pointing = sampled.samples.measured == "direction"
+    if findings is None and (options.with_findings or pointing and not options.quick):
+        searched = samples_with_tube_flexure(recording, sampled) if pointing else sampled.samples
+        asked = DiagnosisOptions(sampled=replace(sampled, samples=searched), kinds=tuple(kinds.values()))
         findings = findings_of_diagnosis(diagnose(recording, asked, progress))
+    if pointing and mechanism.link_rows is not None:
+        findings = findings_with_tube_flexure(findings, require_arm(mechanism))
     known = None
     if mechanism.bodies:
         samples, done, claim = _fitted_chain(recording, sampled, rng, progress)

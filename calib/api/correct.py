@@ -1,6 +1,6 @@
 """Correction of wanted poses: the commands that give them through a calibration."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from calib.correction.commanded_poses import PoseFrames as PoseFrames
 from calib.correction.commanded_poses import poses_to_command
 from calib.correction.correction import require_reachable
 from calib.correction.physics_compensation import require_sensor_coverage
+from calib.models.arm.correction import ArmCorrection
 from calib.models.machine_models import corrected_pose_covariance
 from calib.models.wanted_pose_commands import RouteCommands, commands_along_route, pace_that_holds_poses_at_times
 from rig.array_and_json_types import Floats, Integers, Json
@@ -131,6 +132,13 @@ class CorrectionResult(OneLineRepr):
         return pose_difference(self.commanded.T_base_platform, self.wanted.poses.T_base_platform[self.index])
 
     @property
+    def direction_uncertainty(self) -> float | None:
+        """rad RMS, standard uncertainty of wanted directions by its length; None where whole poses are wanted."""
+        if not self.wanted.directions or self.covariance is None:
+            return None
+        return float(np.sqrt(np.trace(self.covariance[:, 3:5, 3:5], axis1=1, axis2=2).mean()))
+
+    @property
     def poses(self) -> Poses | None:
         """Poses that come of the commands, with covariance; None where they are those wanted and not corrected."""
         covariance, T = self.commanded.covariance, self.commanded.T_base_platform
@@ -207,6 +215,11 @@ def correct(
             "--single-step is for corrections that depend on the configuration only; this calibration includes "
             "physics besides"
         )
+    if wanted.directions:
+        if not isinstance(calibration.correction, ArmCorrection):
+            raise RigError("directions are wanted of arms, as of a telescope's mount; state whole poses")
+        T = calibration.correction.poses_pointing_along(wanted.poses.T_base_platform)
+        wanted = replace(wanted, poses=replace(wanted.poses, T_base_platform=T))
     _require_log(options.sensors, wanted)
     start = _start(options.start, calibration)
     count = len(wanted.poses.frame)

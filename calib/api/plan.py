@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
+from typing import cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -21,7 +22,9 @@ from calib.api.plan_options_and_result import (
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.correction.correction import indices_and_poses_of_solvable_commands
 from calib.diagnosis.effect_signal_and_separation import Separation, effect_separation
-from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
+from calib.models.arm.error_model_and_observations import PLAUSIBLE as PLAUSIBLE_ERRORS
+from calib.models.arm.pointing_terms import term_jacobian
+from calib.models.machine_models import IndependentParameters, independent_parameter_names_units_sizes_and_jacobian
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     PLAUSIBLE,
     parameter_combinations,
@@ -42,7 +45,8 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, has_axes, is_hexapod
+from rig.model.mechanism_geometry_classes import Arm
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, has_axes, is_hexapod, require_arm
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan, sensors_with_payload
 from rig.planning.plan_construction_and_table import Plan
@@ -80,6 +84,7 @@ def informative_configurations(
     visible_marker_count: Callable[[RigidTransform], Integers] | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
+    asked: IndependentParameters | None = None,
 ) -> InformativeConfigurations:
     """Most informative configurations for a mechanism's parameters, `count` of them.
 
@@ -87,6 +92,7 @@ def informative_configurations(
     visible_marker_count : how many markers of what moves are seen at poses (n,), or None where an instrument sees it
         anywhere;
         progress : called with (done, of)
+    asked : the parameters, by default those that whole poses tell
     Raises RigError for too few configurations to hold the parameters, or where too few candidates close on a pose or
         are seen
     """
@@ -95,7 +101,7 @@ def informative_configurations(
     index, T = indices_and_poses_of_solvable_commands(values, lambda some: kinematics.forward(some, mechanism))
     values = values[index]
     seen = np.ones(len(values), bool) if visible_marker_count is None else visible_marker_count(T) >= FEWEST
-    asked = independent_parameter_names_units_sizes_and_jacobian(mechanism)
+    asked = independent_parameter_names_units_sizes_and_jacobian(mechanism) if asked is None else asked
     size = asked.size
     if not seen.any():
         raise RigError(
@@ -204,10 +210,15 @@ def _plan_of_any(design: Design, mechanism: Commanded, options: PlanOptions, pro
         if design.cameras and design.targets
         else None
     )
+    said, asked, sigma = [], None, options.sigma
+    if design.instrument is not None and design.instrument.kind == "direction":
+        asked = _pointing_parameters(require_arm(mechanism))
+        if sigma == FOR_PARAMETERS.sigma:
+            sigma = (sigma[0], cast(float, design.instrument.rotation_sigma))
+        said.append(f"standard errors are the Cramer-Rao bound for directions of {sigma[1] * 1e6:.4g} urad per axis")
     found = informative_configurations(
-        mechanism, options.count, options.sigma, looked, SEED, lambda done, of: progress("choosing", done, of)
+        mechanism, options.count, sigma, looked, SEED, lambda done, of: progress("choosing", done, of), asked
     )
-    said = []
     if looked is not None:
         said.append(
             f"{FEWEST} markers or more are seen in {found.seen:.0%} of the configurations all over the "
@@ -229,6 +240,13 @@ def _plan_of_any(design: Design, mechanism: Commanded, options: PlanOptions, pro
     ]
     why = f"{options.count} configurations for {len(found.names)} parameters"
     return PlanResult(design, found.values, True, why, ["", *said])
+
+
+def _pointing_parameters(arm: Arm) -> IndependentParameters:
+    """The pointing terms of a mount of which directions are measured."""
+    names, _ = term_jacobian(arm.limits.mean(axis=1)[None], arm)
+    size = np.full(len(names), PLAUSIBLE_ERRORS["rad"])
+    return IndependentParameters(names, ("rad",) * len(names), size, lambda q: term_jacobian(q, arm)[1], False)
 
 
 def _sigma(value: float) -> str:

@@ -18,7 +18,7 @@ from calib.correction.correction import AnyCorrection
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model import mechanisms
-from rig.model.pose import pose_difference, rms_uncertainty
+from rig.model.pose import direction_difference, pose_difference, rms_uncertainty
 
 BOOTSTRAP_DRAWS = 1000  # of the bootstrap
 GAIN = 2.0  # standard errors by which a correction must pay on held-out poses to be kept
@@ -110,6 +110,10 @@ def pose_errors(T_base_platform: RigidTransform, samples: Samples) -> Floats:
         error = np.full((len(samples), 6), np.nan)
         error[:, 0] = samples.T_base_platform.translation[:, 0] - np.linalg.norm(T_base_platform.translation, axis=1)
         error[:, 1:3] = 0.0
+        return error
+    if samples.measured == "direction":
+        error = np.full((len(samples), 6), np.nan)
+        error[:, 3:5], error[:, 5] = direction_difference(T_base_platform, samples.T_base_platform), 0.0
         return error
     error, spread = (
         pose_difference(T_base_platform, samples.T_base_platform),
@@ -229,7 +233,9 @@ def mean_square_held_out_errors_by_configuration(
     """
     label = np.unique(label, return_inverse=True)[1]
     size = np.bincount(label)
-    variances = np.einsum("nii->ni", samples.covariance)
+    variances = np.einsum("nii->ni", samples.covariance).copy()
+    if samples.measured == "direction":
+        variances[:, 5] = 0.0  # about itself a direction has no error
 
     def means(values: Floats) -> Floats:
         each = np.stack([values[:, part].sum(axis=1) for part in PARTS], axis=1)

@@ -175,7 +175,7 @@ def held_out_poses(
     Raises NotEnoughData where the machine never stood still, RigError where positions were not measured
     """
     for samples, *_ in recordings:
-        if samples.measured in ("orientation", "distance"):
+        if samples.measured in ("orientation", "distance", "direction"):
             raise RigError(f"a certificate speaks for poses, and of these the {samples.measured} alone was measured")
     kept = [np.flatnonzero(_is_at_rest(commands, samples.t)) for samples, commands, _, _ in recordings]
     moving = sum(len(samples) - len(k) for k, (samples, *_) in zip(kept, recordings))

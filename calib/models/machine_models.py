@@ -311,11 +311,13 @@ def corrected_pose_covariance(calibration: Calibration, T_base_platform: RigidTr
 
 
 def calibration_with_workspace(calibration: Calibration) -> Calibration:
-    """Calibration with its workspace computed; a chain has none.
+    """Calibration with its workspace computed; a chain has none, nor has an arm whose hand stays in one place.
 
     Raises NotConverged where no configuration closes on a pose
     """
-    if calibration.correction.nominal.bodies:
+    nominal = calibration.correction.nominal
+    pointing = isinstance(nominal, Arm) and not (nominal.rows[:, 1:3].any() or nominal.tool.translation.any())
+    if nominal.bodies or pointing and not nominal.slides.any():
         return calibration
     return replace(
         calibration,

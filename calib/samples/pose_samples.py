@@ -151,9 +151,12 @@ class Samples:
 
     @property
     def measured(self) -> str:
-        """What of a pose was measured: "pose", "position" or "orientation" alone, or the "distance" of the target from
-        the frame's origin, which then stands along x. What was not has an infinite variance."""
+        """What of a pose was measured: "pose", "position" or "orientation" alone, the "direction" of its z axis, or the
+        "distance" of the target from the frame's origin, which then stands along x. What was not has an infinite
+        variance."""
         known = np.isfinite(np.diag(self.covariance[0]))
+        if known.tolist() == [False, False, False, True, True, False]:
+            return "direction"
         return {(True, True): "pose", (True, False): "position", (False, True): "orientation"}.get(
             (bool(known[:3].all()), bool(known[3:].all())), "distance"
         )
@@ -371,4 +374,6 @@ def _covariance(poses: Poses, instrument: Instrument | None) -> Floats:
     variances = np.repeat([position**2, rotation**2], 3)
     if instrument is not None and instrument.kind == "distance":
         variances[1:] = np.inf
+    if instrument is not None and instrument.kind == "direction":
+        variances[5] = np.inf
     return np.broadcast_to(np.diag(variances), (len(poses.frame), 6, 6))

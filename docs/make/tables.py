@@ -39,7 +39,9 @@ FILES = {  # what each holds
     "themselves may be left out.",
     "poses.csv": "Poses of the platform in the base, of an outside instrument or of vision. May be left out. The same "
     "columns, with or without "
-    "`t`, are those of the wanted poses that `rig correct --poses` reads. Of a chain, `poses_stage1.csv` .. "
+    "`t`, are those of the wanted poses that `rig correct --poses` reads. "
+    'Of directions (`[instrument] kind = "direction"`) the columns are `frame,azimuth,elevation` or `frame,x,y,z`. '
+    "Of a chain, `poses_stage1.csv` .. "
     "have those of the bodies "
     "that its stages below the last move, in the base.",
 }

@@ -33,7 +33,8 @@ def arguments(parser: ArgumentParser) -> None:
         "--poses",
         metavar="FILE",
         type=Path,
-        help="frame,x,y,z,rx,ry,rz of the wanted poses; with a column t (s), the time of each pose, the "
+        help="frame,x,y,z,rx,ry,rz of the wanted poses, or frame,azimuth,elevation of a mount; with a column t (s), "
+        "the time of each pose, the "
         "commands run in time",
     )
     asked.add_argument(
@@ -265,10 +266,13 @@ def _print_uncertainty(result: CorrectionResult, covariance: Floats) -> None:
 
     done, physics = result.commanded, result.calibration.physics
     (position, rotation), (far, wide) = rms_and_greatest_uncertainty(covariance)
-    print(
-        f"stated standard uncertainty of the poses: {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad RMS, "
-        f"{far * 1e3:.4f} and {wide * 1e3:.4f} at the most"
-    )
+    if result.direction_uncertainty is not None:
+        print(f"stated standard uncertainty of the directions: {result.direction_uncertainty * 1e3:.4f} mrad RMS")
+    else:
+        print(
+            f"stated standard uncertainty of the poses: {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad RMS, "
+            f"{far * 1e3:.4f} and {wide * 1e3:.4f} at the most"
+        )
     if done.missing:
         print(
             "not logged, so assumed at their central value of the calibration, with their spread: "

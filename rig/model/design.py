@@ -72,8 +72,8 @@ DICTIONARIES = {  # how many identities each dictionary of OpenCV holds
 class Instrument:
     """Who wrote poses.csv. base, tool : "free" (where it stands, its target sits, is unknown and solved for) or "rig";
     position_sigma : m, of a coordinate; rotation_sigma : rad, or None for one that sees positions alone (a reflector, a
-    touched ball); kind : "pose", "orientation" (rotations alone, position_sigma infinite) or "distance" (of a wire
-    drawn from the origin of the frame of poses to the target)"""
+    touched ball); kind : "pose", "orientation" (rotations alone, position_sigma infinite), "distance" (of a wire from
+    the frame's origin to the target) or "direction" (in which the target's z axis points, as of a telescope)"""
 
     base: str
     tool: str

@@ -66,6 +66,28 @@ def pose_difference(T_from: RigidTransform, T_to: RigidTransform) -> Floats:
     return pose_to_vector(T_from.inv() * T_to)
 
 
+def poses_pointing_along(directions: Floats) -> RigidTransform:
+    """Poses (n,) at the origin whose z axes are unit vectors (n, 3), turned about z in no special way."""
+    d = np.asarray(directions, float)
+    across = np.cross(d, np.eye(3)[np.argmin(np.abs(d), axis=1)])
+    x = across / np.linalg.norm(across, axis=1, keepdims=True)
+    R = np.stack([x, np.cross(d, x), d], axis=2)
+    return RigidTransform.from_components(np.zeros_like(d), Rotation.from_matrix(R))
+
+
+def direction_difference(T_from: RigidTransform, T_to: RigidTransform) -> Floats:
+    """Small turn (n, 2) rad, about x and y of the poses T_from (n,), that takes their z axes to those of T_to (n,).
+
+    On the tangent plane of the unit sphere, so that no direction is special: near the zenith an azimuth counts by the
+    cosine of the elevation.
+    """
+    z = T_to.rotation.as_matrix()[..., 2]
+    v = np.einsum("...ji,...j->...i", T_from.rotation.as_matrix(), z)
+    across = np.hypot(v[..., 0], v[..., 1])
+    factor = np.arctan2(across, v[..., 2]) / np.where(across > 0, across, 1.0)
+    return np.stack([-v[..., 1] * factor, v[..., 0] * factor], axis=-1)
+
+
 def adjoint(T: RigidTransform) -> Floats:
     """Adjoint (..., 6, 6) of poses: T exp(xi) T^-1 = exp(adjoint(T) xi).
 

@@ -23,7 +23,7 @@ from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import require_complete_folder, write_bytes, write_text
 from rig.formats.rig_toml import design_file
 from rig.model.base_tilt import GRAVITY, BaseTilt, gravity_channels
-from rig.model.design import Design
+from rig.model.design import Design, Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
 from rig.recording.image_file_check_and_reading import UnreadableImage
 from rig.recording.recording_table_loading_and_writing import (
@@ -233,29 +233,37 @@ def _stages(folder: Path, design: Design, known: set[int]) -> dict[int, Poses]:
     return out
 
 
+POINTING = Instrument("rig", "rig", np.inf, None, "direction")  # as which wanted directions are read
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class WantedPoses:
     """Poses that a machine is to take. poses : Poses; t : (n,) s from the first, when each is to be held, or None where
     nobody says
-    origin : of the owner's clock, by which times are told"""
+    origin : of the owner's clock, by which times are told; directions : whether their z axes alone are wanted"""
 
     poses: Poses
     t: Floats | None = None
     origin: TimeOrigin = TimeOrigin()
+    directions: bool = False
 
 
 def load_wanted_poses(path: str | Path, form: TableFormat = PLAIN) -> WantedPoses:
-    """Load WantedPoses from a table frame,x,y,z,rx,ry,rz with or without t. Raises FileError with line and column.
-    form : of the file
+    """Load WantedPoses from a table frame,x,y,z,rx,ry,rz or frame,azimuth,elevation, with or without t.
+
+    form : of the file. Raises FileError with line and column
     """
-    poses, rows = (
-        load_poses(path, are_commands=True, form=form),
-        csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame",), form=form),
+    rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame",), form=form)
+    directions = "azimuth" in rows.columns
+    poses = (
+        load_instrument_poses(path, None, POINTING, form)
+        if directions
+        else load_poses(path, are_commands=True, form=form)
     )
     if "t" not in rows.columns:
-        return WantedPoses(poses, None, TimeOrigin())
+        return WantedPoses(poses, None, TimeOrigin(), directions)
     origin = _origin(rows)
-    return WantedPoses(poses, _increasing(rows, origin), origin)
+    return WantedPoses(poses, _increasing(rows, origin), origin, directions)
 
 
 def load_sensors(path: str | Path, origin: TimeOrigin) -> Sensors:

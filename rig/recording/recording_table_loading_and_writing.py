@@ -20,9 +20,11 @@ from rig.model.pose import (
     covariance_from_triangle,
     pose,
     pose_to_vector,
+    poses_pointing_along,
     roll_pitch_yaw,
     roll_pitch_yaw_sigmas,
 )
+from rig.recording.direction_table import read_direction_table
 from rig.recording.image_file_check_and_reading import (
     UnreadableImage,
     image_file_problem,
@@ -64,10 +66,7 @@ def load_exposures(
 ) -> tuple[Exposures, list[UnreadableImage]]:
     """Load (Exposures, [UnreadableImage]) from the rows of a frames.csv.
     skip_unreadable : whether images that cannot be used are left out, which takes decoding every one; else they are
-        errors,
-    all of them named in one. Raises FileError with line and column. every one; else they are errors, all of them
-    named in one. Raises FileError with line and
-    column.
+        errors, all of them named in one. Raises FileError with line and column.
     """
     written = table.text("t")
     frame, t, camera, image = table.whole("frame"), table.times("t", origin), table.text("camera"), table.text("image")
@@ -177,9 +176,7 @@ class Poses:
 
 
 def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | None:
-    """Load the Corners of a corners.csv, None where there is none. Raises FileError.
-    Raises FileError with line and column.
-    """
+    """Load the Corners of a corners.csv, None where there is none. Raises FileError with line and column."""
     if not local_and_remote_input_files.exists(path):
         return None
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, CORNER_COLUMNS, ("sigma", *CORNER_COVARIANCE))
@@ -275,14 +272,19 @@ def load_poses(
     )
 
 
-def load_instrument_poses(path: Path, known_frames: set[int], instrument: Instrument | None) -> Poses:
-    """Load the Poses of a poses.csv as its instrument measures them: poses, orientations or distances.
+def load_instrument_poses(
+    path: str | Path, known_frames: set[int] | None, instrument: Instrument | None, form: TableFormat = PLAIN
+) -> Poses:
+    """Load the Poses of a poses.csv as its instrument measures them: poses, orientations, distances or directions.
 
-    Raises FileError with line and column
+    form : of the file, where it holds poses or directions. Raises FileError with line and column
     """
     kind = "pose" if instrument is None else instrument.kind
     if kind == "pose":
-        return load_poses(path, known_frames, instrument is not None and instrument.rotation_sigma is None)
+        return load_poses(path, known_frames, instrument is not None and instrument.rotation_sigma is None, form=form)
+    if kind == "direction":
+        rows, directions = read_direction_table(path, form)
+        return Poses(_frames(rows, known_frames), poses_pointing_along(directions), None)
     columns = POSE_COLUMNS[3:] if kind == "orientation" else (DISTANCE,)
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", *columns))
     frame, values = _frames(rows, known_frames), rows.matrix(columns)
@@ -292,9 +294,8 @@ def load_instrument_poses(path: Path, known_frames: set[int], instrument: Instru
     _plausible(rows, values, columns)
     short = np.flatnonzero(values[:, 0] <= 0)
     if len(short):
-        rows.fail(
-            f"a wire's length must be positive, not {values[short[0], 0]:g} m", short[0], DISTANCE, values[short[0], 0]
-        )
+        length = values[short[0], 0]
+        rows.fail(f"a wire's length must be positive, not {length:g} m", short[0], DISTANCE, length)
     return Poses(frame, pose(np.pad(values, ((0, 0), (0, 2))), nothing), None)
 
 

@@ -188,7 +188,7 @@ class Noise:
     """
 
     corner_px: float | None
-    pose_m: float
+    pose_m: float | None
     pose_rad: float | None
     strut_m: float | None
     source: str

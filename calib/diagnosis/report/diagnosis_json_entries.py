@@ -336,7 +336,8 @@ def largest_unexplained(diagnosis: Diagnosis) -> Unexplained | None:
         return Unexplained(str(first.place), first.magnitude, first.unit, first.depends_on)
     if isinstance(diagnosis.evidence, ScatterSize):
         beyond, unstated = diagnosis.evidence.scatter_beyond_stated(diagnosis.selection)
-        return Unexplained("rig", beyond, "m", ()) if unstated else None
+        unit = diagnosis.misfits[diagnosis.shown_in].unit
+        return Unexplained("rig", beyond, unit, ()) if unstated else None
     return None
 
 

@@ -350,7 +350,8 @@ def held_out_entries(diagnosis: Diagnosis) -> Json:
     """Entries of diagnosis.json {key: tree} on held-out data: time stretches, travel regions and repeats."""
     out: Json = {}
     if isinstance(diagnosis.evidence, ScatterSize):
-        out["scatter_beyond_stated_m"] = diagnosis.evidence.scatter_beyond_stated(diagnosis.selection)[0]
+        unit = diagnosis.misfits[diagnosis.shown_in].unit
+        out[f"scatter_beyond_stated_{unit}"] = diagnosis.evidence.scatter_beyond_stated(diagnosis.selection)[0]
     if isinstance(diagnosis.evidence, NestedSelection):
         out["held_out"] = [
             {
@@ -386,10 +387,7 @@ def repeatability_entry(diagnosis: Diagnosis) -> Json | None:
 
 
 def held_out_region_gains(diagnosis: Diagnosis) -> list[Json]:
-    """Gains by each finding where whole regions of an axis' travel are held out.
-
-    Misfit before and after, m, and standard errors.
-    """
+    """Gains by each finding, regions of an axis' travel held out: misfit before and after, m, and standard errors."""
     if diagnosis.design is None:
         return []
     places = mechanisms.axis_place_texts(diagnosis.design.mechanism)

@@ -106,7 +106,8 @@ class ArmView:
         """The arm's poses, with what each finding at a joint does, linear in its size."""
         d, fit, effects = self.diagnosis, self.fit, list[DrawnEffect]()
         J = np.zeros((len(fit.arms), 6, fit.arms.q.shape[1]))
-        J[:, : fit.arms.joints.shape[1]] = fit.arms.joints  # of positions alone, no rotation is known
+        known = slice(3, 5) if fit.arms.unit == "rad" else slice(fit.arms.joints.shape[1])
+        J[:, known] = fit.arms.joints  # of positions alone, no rotation is known
         for finding in d.findings[:ARM_PLAYED]:
             candidate = self.fit.terms[finding.number].candidate
             if candidate.joint is not None:
@@ -123,7 +124,7 @@ class ArmView:
 
     def remaining(self, unknown: list[FindingEntry]) -> list[str]:
         """Held-out errors, before and after, pose by pose and in a table."""
-        d, rows = self.diagnosis, []
+        d, rows, unit = self.diagnosis, [], self.fit.arms.unit
         for h in d.held:
             near = h.far <= SAME_ANGLE
             for label, left in zip(ROWS, (h.before, h.after, h.after[near], h.after[~near])):
@@ -132,14 +133,14 @@ class ArmView:
                     rows.append(
                         [
                             f"{label}, {h.stretches} stretches",
-                            *(f"{f[key] * 1e6:.1f}" for key in ("mean_m", "rms_m", "p95_m", "max_m")),
+                            *(f"{f[f'{key}_{unit}'] * 1e6:.1f}" for key in ("mean", "rms", "p95", "max")),
                             f"{f['mean_rad'] * 1e6:.1f}" if "mean_rad" in f else "",
                             f["n"],
                         ]
                     )
         parts: list[str] = [
             self._errors(),
-            table_html(("held-out error", "mean, µm", "RMS", "95 %", "max", "mean, µrad", "N"), rows),
+            table_html(("held-out error", f"mean, µ{unit}", "RMS", "95 %", "max", "mean, µrad", "N"), rows),
         ]
         if d.findings:
             parts += [
@@ -177,7 +178,9 @@ class ArmView:
         again = repeatability_rows(d)
         if self.fit.scatter[0] > 0:
             beyond, _ = self.evidence.scatter_beyond_stated(d.selection)
-            again.append(("beyond what the instrument states, poses scatter by", f"{beyond * 1e6:.1f} µm"))
+            again.append(
+                ("beyond what the instrument states, poses scatter by", f"{beyond * 1e6:.1f} µ{self.fit.arms.unit}")
+            )
         arms = self.fit.arms
         return [
             ("poses from", self.evidence.source),
@@ -196,7 +199,7 @@ class ArmView:
         if d.repeats is not None:
             ends = np.array([0.0, len(d.held[0].after) - 1.0])
             series.append(Series(ends, np.full(2, d.repeats.mean * 1e6), "the same command repeated", "line", -1))
-        return plot_panel_svg("held-out errors", ("pose", "position error, µm"), series, log=True)
+        return plot_panel_svg("held-out errors", ("pose", f"error, µ{self.fit.arms.unit}"), series, log=True)
 
 
 FAR = 10.0  # standard deviations; a corner farther off counts for no more in the page's bars
@@ -322,7 +325,8 @@ def repeatability_rows(diagnosis: Diagnosis) -> list[tuple[str, object]]:
     """Table rows [(what, value)] on how well poses repeat; none where too few commands were repeated."""
     if diagnosis.repeats is None:
         return []
-    text = f"{diagnosis.repeats.mean * 1e6:.1f} µm ({diagnosis.repeats.pairs} pairs)"
+    unit = UNITS[diagnosis.misfits[diagnosis.shown_in].unit]
+    text = f"{diagnosis.repeats.mean * 1e6:.1f} {unit} ({diagnosis.repeats.pairs} pairs)"
     return [("repeatability of the same command", text)]
 
 

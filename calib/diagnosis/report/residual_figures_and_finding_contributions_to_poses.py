@@ -348,13 +348,16 @@ SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile
 
 
 def position_error_statistics(pose_errors: Floats) -> dict[str, float]:
-    """Statistics of position errors (mean, RMS, p95, maximum, count), m, and the mean rotation error, rad."""
+    """Statistics of position errors (mean, RMS, p95, maximum, count), m, and the mean rotation error, rad; of errors of
+    directions (n, 2) all in rad.
+    """
     size = np.linalg.norm(pose_errors[:, :3], axis=1)
+    unit = "rad" if pose_errors.shape[1] == 2 else "m"
     out = {
-        "mean_m": float(size.mean()),
-        "rms_m": float(np.sqrt((size**2).mean())),
-        "p95_m": float(np.quantile(size, 0.95)),
-        "max_m": float(size.max()),
+        f"mean_{unit}": float(size.mean()),
+        f"rms_{unit}": float(np.sqrt((size**2).mean())),
+        f"p95_{unit}": float(np.quantile(size, 0.95)),
+        f"max_{unit}": float(size.max()),
         "n": len(size),
     }
     return out | (

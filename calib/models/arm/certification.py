@@ -66,6 +66,7 @@ ROUNDS = 2  # of fitting the geometry and the profiles in turn
 UNPLACED = {
     "orientation": "orientations alone were measured, which do not determine lengths and positions",
     "distance": "a wire's length alone was measured, which does not tell how the arm's base is turned",
+    "direction": "directions alone were measured, which do not determine lengths and positions",
 }
 
 
@@ -197,9 +198,7 @@ def _shared_errors(samples: Samples, shared: Floats) -> Floats:
 
 
 def _as_stated(found: Identified, measured: str) -> Identified:
-    """What was found of an arm of which not all was measured: what nothing tells is as uncertain as a maker's figures
-    are.
-    """
+    """What was found of an arm measured in part: what nothing tells is as uncertain as a maker's figures are."""
     if measured not in UNPLACED:
         return found
     untold = independent_arm_parameters(found.arm, "pose") & ~found.rank.free
@@ -208,7 +207,8 @@ def _as_stated(found: Identified, measured: str) -> Identified:
             untold, [PLAUSIBLE[unit] ** 2 for unit in error_model_and_observations.parameter_units(found.arm)], 0.0
         )
     )
-    scatter = np.r_[np.zeros(3), found.scatter] if measured == "orientation" else np.repeat(found.scatter, 3)
+    turned = {"orientation": (3, 0), "direction": (3, 1)}  # numbers of a pose before and after those measured
+    scatter = np.pad(found.scatter, turned[measured]) if measured in turned else np.repeat(found.scatter, 3)
     return replace(found, covariance=covariance, scatter=scatter)
 
 

@@ -25,7 +25,7 @@ from rig.errors import Unreachable
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import closed_form_and_numerical_arm_inverse as deficient
-from rig.model.pose import exp, pose_difference
+from rig.model.pose import direction_difference, exp, pose_difference
 
 BRANCH_STEP = (0.05, 0.1)  # m, rad; of the hand
 MOST = 60  # steps of a way
@@ -106,6 +106,29 @@ class ArmCorrection(Correction[Arm, Profile]):
                 [f"pose {i}: it comes no nearer than {left[i]:.3g} m or rad" for i in far.tolist()],
             )
         return mechanism.joint_value_difference(flat, found, self.nominal).reshape(commands.shape)
+
+    def poses_pointing_along(self, directions: RigidTransform) -> RigidTransform:
+        """Poses (n,) of the corrected arm whose z axes are those of directions (n,), begun at the visited configuration
+        that points nearest to each.
+
+        Raises Unreachable with the index of those that no step leads to
+        """
+        wanted = directions.rotation.as_matrix()[..., 2]
+        seen = self.predict(self.visited).rotation.as_matrix()[..., 2]
+        q = self.visited[np.argmax(wanted @ seen.T, axis=1)].copy()
+        for _ in range(ITERATIONS):
+            off = direction_difference(mechanism.forward(q, self.fitted), directions)
+            J = mechanism.jacobian(q, self.fitted)[:, 3:5]
+            q += (np.linalg.pinv(J, rcond=NEAR_SINGULAR) @ off[..., None])[..., 0]
+        left = np.linalg.norm(direction_difference(mechanism.forward(q, self.fitted), directions), axis=1)
+        far = np.flatnonzero(left > TOLERANCE)
+        if len(far):
+            raise Unreachable(
+                f"{len(far)} of {len(left)} wanted directions are out of the arm's reach:",
+                far,
+                [f"direction {i}: no command comes nearer than {left[i]:.3g} rad" for i in far.tolist()],
+            )
+        return mechanism.forward(q, self.fitted)
 
     def missed(self, T_base_platform: RigidTransform, commands: Floats) -> Floats:
         """(n, joints) rad or m by which commands (n, joints) differ from those nearest to them that give wanted poses

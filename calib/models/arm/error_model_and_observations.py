@@ -23,7 +23,7 @@ from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.pose import exp, pose, pose_difference, skew
+from rig.model.pose import direction_difference, exp, pose, pose_difference, skew
 
 ROW = ("theta", "d", "a", "alpha", "beta")
 TANGENT = ("x", "y", "z", "rx", "ry", "rz")
@@ -118,7 +118,7 @@ def _at_base(R: Floats, lever: Floats) -> Floats:
     return out
 
 
-KINDS = {"pose": 6, "position": 3, "orientation": 3, "distance": 1}  # rows that one observation gives
+KINDS = {"pose": 6, "position": 3, "orientation": 3, "distance": 1, "direction": 2}  # rows that one observation gives
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,12 +127,13 @@ class Observations:
 
     kind : "pose" (laser tracker with a 6D probe, CMM, vision), "position" (tracker with a reflector, CMM touching a
     ball), "orientation" (inclinometers, an autocollimator, a camera whose target's size is not known: eq. 4.64 alone)
-    or "distance" (a drawn wire; it runs from the origin of the frame of poses to the target)
+    "distance" (a drawn wire; it runs from the origin of the frame of poses to the target) or "direction" (a telescope
+    at stars, a theodolite: where the target's z axis points, by two angles across it)
     q : (m, n) rad, commanded, or what that became by the physics that is known
-    value : RigidTransform (m,), also of orientations, (m, 3) m or (m,) m
+    value : RigidTransform (m,), also of orientations and directions, (m, 3) m or (m,) m
     covariance : (m, k, k) of an observation's own error, k = 6 (tangent on the right), 3 (positions: frame of poses;
         orientations: on the
-    right) or 1, m and rad
+    right), 2 (about x and y, on the right) or 1, m and rad
     common : (m, k, j) factor of errors that all share (error = common z + own, z ~ N(0, I)); j = 0 where there are none
     """
 
@@ -164,6 +165,8 @@ class Observations:
         if self.kind in ("pose", "orientation"):
             left = pose_residuals(self.q, self.value, arm)
             return left if self.kind == "pose" else left[:, 3:]
+        if self.kind == "direction":
+            return direction_difference(predicted_target_poses(self.q, arm), self.value)
         position = predicted_target_poses(self.q, arm).translation
         if self.kind == "position":
             return self.value - position
@@ -184,6 +187,8 @@ def observation_jacobian(kind: str, pose_jacobian: Floats, q: Floats, arm: Arm) 
         return pose_jacobian
     if kind == "orientation":
         return pose_jacobian[:, 3:]
+    if kind == "direction":
+        return pose_jacobian[:, 3:5]
     T = predicted_target_poses(q, arm)
     pose_jacobian = T.rotation.as_matrix() @ pose_jacobian[:, :3]
     if kind == "position":
@@ -200,6 +205,8 @@ def sample_observations(samples: Samples) -> Observations:
         return orientation_observations(
             samples.effective, samples.T_base_platform, np.sqrt(samples.covariance[:, 3, 3])
         )
+    if samples.measured == "direction":
+        return direction_observations(samples.effective, samples.T_base_platform, np.sqrt(samples.covariance[:, 3, 3]))
     if samples.measured == "distance":
         return distance_observations(
             samples.effective, samples.T_base_platform.translation[:, 0], np.sqrt(samples.covariance[:, 0, 0])
@@ -229,6 +236,12 @@ def orientation_observations(q: Floats, orientations: RigidTransform, sigma: flo
     return Observations(
         "orientation", np.asarray(q, float), orientations, variance * np.eye(3), np.zeros((len(q), 3, 0))
     )
+
+
+def direction_observations(q: Floats, pointing: RigidTransform, sigma: float | Floats) -> Observations:
+    """Direction observations: poses (m,) whose z axes the target's points along at q (m, n); sigma (rad) across it."""
+    variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
+    return Observations("direction", np.asarray(q, float), pointing, variance * np.eye(2), np.zeros((len(q), 2, 0)))
 
 
 def distance_observations(q: Floats, distances: Floats, sigma: float | Floats) -> Observations:

@@ -68,7 +68,7 @@ def independent_arm_parameters(arm: Arm, kind: str) -> Booleans:
     row's two axes are near parallel, beta takes the place of d (Hayati), for which the common normal's place along them
     is undefined.
     """
-    if arm.slides.any() or kind == "orientation":
+    if arm.slides.any() or kind in ("orientation", "direction"):
         return error_model_and_observations.generally_independent_parameters(arm, kind)
     n = len(arm.joints)
     free = np.ones((n, 5), bool)
@@ -103,7 +103,7 @@ def identify_arm(
     require_enough_observations(len(observations), k, int(free.sum()))
     far = np.median(np.linalg.norm(observations.residuals(nominal)[:, :3], axis=1))
     if far > largest_median_error:
-        unit = "mrad" if observations.kind == "orientation" else "mm"
+        unit = "mrad" if observations.kind in ("orientation", "direction") else "mm"
         raise RigError(
             f"what was measured is {far * 1e3:.0f} {unit} (median) from where the nominal model has it: are "
             "these the joint angles of "

@@ -24,7 +24,7 @@ from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import log
 
-LEAST = {"pose": 3, "position": 6, "orientation": 4, "distance": 10}
+LEAST = {"pose": 3, "position": 6, "orientation": 4, "distance": 10, "direction": 4}
 TELLS = 1e-6  # of the greatest eigenvalue; orientations whose second least is smaller leave a family of answers
 ROTATIONS = 4000  # looked at; none of SO(3) lies farther than some 12 degrees from one
 STARTS, LEADING = 12, 3  # refined roughly on few observations; and of these to the end on more
@@ -45,6 +45,7 @@ TURN = 3.0  # rad, the same of rotations from where the refinement begins
 STEPS, SETTLED = 60, 1e-7
 FITS = 0.02  # m; a placement that leaves more (median) is none
 TWOFOLD = 1.5  # times what the best leaves, up to which another place fits as well
+SPREAD = 0.03  # of the greatest singular value of directions; the second of those that hold a rotation is greater
 SAME = 0.05  # rad between the bases of placements that are one
 
 
@@ -60,7 +61,9 @@ def place_arm(observations: Observations, arm: Arm, base: bool, tool: bool) -> A
     """Arm placed by observations: base and tool solved for; base, tool : whether they are unknown.
 
     Good to what the arm's own errors leave; least squares goes on from there. With distances, what cannot be told in
-    closed form is as stated. Raises NotEnoughData for too few observations, RigError where no placement fits or two
+    closed form is as stated, and so is where on the hand a direction is seen.
+
+    Raises NotEnoughData for too few observations, RigError where no placement fits or two
     different ones fit alike
     """
     if not (base or tool):
@@ -75,6 +78,8 @@ def place_arm(observations: Observations, arm: Arm, base: bool, tool: bool) -> A
         return _from_distances(observations.value, links, arm) if base else arm
     if observations.kind == "orientation":
         return _from_orientations(observations, arm, base, tool)
+    if observations.kind == "direction":
+        return _from_directions(observations, arm) if base else arm
     some, few = _spread(observations, LOOKED_AT), _spread(observations, ROUGHLY[0])
     rows = arm.rows
     rough = sorted(
@@ -299,6 +304,26 @@ def _from_orientations(observations: Observations, arm: Arm, base: bool, tool: b
     X = nearest_rotation(np.einsum("mij,mkj->ik", M, F @ Z)) if base else X
     Z = nearest_rotation(np.einsum("mji,mjk->ik", X @ F, M)) if tool else Z
     return replace(arm, base=rigid_transform(X, arm.base.translation), tool=rigid_transform(Z, arm.tool.translation))
+
+
+def _from_directions(observations: Observations, arm: Arm) -> Arm:
+    """The base turned to where it sees the directions measured, those that disagree with the others' middle counting
+    less; where it stands they do not tell. Source: Wahba, SIAM Review 7, 1965 (by singular values); Huber's weights
+
+    Raises RigError where all point nearly alike
+    """
+    seen = mechanism.forward(observations.q, replace(arm, base=RigidTransform.identity())).rotation.as_matrix()[..., 2]
+    value = observations.value
+    assert isinstance(value, RigidTransform)
+    wanted, weight = value.rotation.as_matrix()[..., 2], np.ones(len(seen))
+    spread = np.linalg.svd(seen, compute_uv=False)
+    if spread[1] < SPREAD * spread[0]:
+        raise RigError("all directions point nearly alike, which leaves a family of bases; point all over the sky")
+    for _ in range(STEPS):
+        X = nearest_rotation(np.einsum("m,mi,mj->ij", weight, wanted, seen))
+        off = np.linalg.norm(wanted - seen @ X.T, axis=1)
+        weight = np.minimum(1.0, HUBER * max(float(np.median(off)), SETTLED) / np.maximum(off, 1e-12))
+    return replace(arm, base=rigid_transform(X, arm.base.translation))
 
 
 def solve_rotation_placement(M: Floats, F: Floats) -> tuple[Floats, Floats, float]:

@@ -168,7 +168,9 @@ class WhitenedSamples:
     @staticmethod
     def of(samples: Samples, found: Identified) -> "WhitenedSamples":
         o, shared = sample_observations(samples), samples.common.shape[2]
-        W = np.linalg.inv(np.linalg.cholesky(o.covariance + np.diag(found.scatter**2)))[found.inliers]
+        whole = o.kind == "direction" and len(found.scatter) == 6  # as certified, of a whole pose
+        scatter = found.scatter[3:5] if whole else found.scatter
+        W = np.linalg.inv(np.linalg.cholesky(o.covariance + np.diag(scatter**2)))[found.inliers]
         J = np.concatenate([o.jacobian(found.arm)[..., found.free], o.common], axis=2)[found.inliers]
         stacked = np.concatenate([(W @ J).reshape(-1, J.shape[2]), np.eye(J.shape[2])[J.shape[2] - shared :]])
         return WhitenedSamples(

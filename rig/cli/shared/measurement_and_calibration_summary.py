@@ -142,6 +142,8 @@ def print_calibration_verdict_errors_and_corrections(result: CalibrationResult) 
     elif isinstance(done, arm_certification.CertifiedArm):
         _print_joints(done, result.calibration.physics)
         print("\n".join(done.found.rank.report()))
+        if result.pointing_terms is not None:
+            print("\n".join(result.pointing_terms.report()))
     elif isinstance(done, chain_certification.CertifiedChain):
         print("\n".join(done.found.report()))
     else:
@@ -243,6 +245,8 @@ def _print_joints(done: arm_certification.CertifiedArm, physics: Physics | None)
     """Print what an arm's correction does beyond its geometry, and what that is worth on the held-out poses."""
     if done.held_out and done.geometry and done.scattered:
         kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
+        bare = done.geometry.after.mean
+        left, left_unit = (bare[0], "mm") if bare[0] == bare[0] else (bare[1], "mrad")
         beyond = [
             *(
                 ["the identified effects, refitted without the held-out poses"]
@@ -254,9 +258,7 @@ def _print_joints(done: arm_certification.CertifiedArm, physics: Physics | None)
         print(
             "beyond the geometry: "
             + (
-                f"{' and '.join(beyond)}; the geometry alone leaves {done.geometry.after.mean[0] * 1e3:.4f} "
-                "mm mean on the "
-                "same poses"
+                f"{' and '.join(beyond)}; the geometry alone leaves {left * 1e3:.4f} {left_unit} mean on the same poses"
                 if beyond
                 else "nothing that improves held-out poses"
             )

@@ -126,6 +126,16 @@ SHARES = (0.14, 0.08, 0.1, 0.21, 0.24, 0.23)  # of the width, by column
 NARROWEST = 100  # characters, below which columns are no longer read
 
 
+def deflection_under_link_weight(place: str, moments: tuple[float, ...]) -> Effect:
+    """The effect by which a joint gives way to the weight of its links: mass and mass moments over its stiffness."""
+    return Compliance(place, moments=moments)
+
+
+def link_weight_moments(effect: Effect) -> tuple[float, ...]:
+    """Mass and mass moments over the stiffness of a `deflection_under_link_weight`; none of any other effect."""
+    return effect.moments if isinstance(effect, Compliance) else ()
+
+
 def effect_description_dict(effect: type[Effect]) -> Json:
     """Description of an effect class as a dict of plain values, for JSON: places, parameters, experiment."""
     return {

@@ -193,7 +193,8 @@ def _source(table: Entries) -> str | None:
     return user_program_text(table, "source", source) if is_user_program(source) else source
 
 
-INSTRUMENT_KINDS = ("pose", "orientation", "distance")
+INSTRUMENT_KINDS = ("pose", "orientation", "distance", "direction")
+ROTATIONS_ALONE = ("orientation", "direction")
 
 
 def instrument_of_table(table: Entries) -> Instrument:
@@ -202,7 +203,7 @@ def instrument_of_table(table: Entries) -> Instrument:
     """
     table.refuse_misspelt([field.name for field in fields(Instrument)])
     kind = table.text("kind", INSTRUMENT_KINDS, default="pose")
-    for key, seen in (("position_sigma", kind != "orientation"), ("rotation_sigma", kind != "distance")):
+    for key, seen in (("position_sigma", kind not in ROTATIONS_ALONE), ("rotation_sigma", kind != "distance")):
         if key in table.tree and not seen:
             table.fail(
                 f"an instrument of kind {kind!r} sees no "
@@ -210,9 +211,9 @@ def instrument_of_table(table: Entries) -> Instrument:
                 f"{table.name(key)}",
                 key,
             )
-    position = table.number("position_sigma", above=0, most=1, unit="m") if kind != "orientation" else math.inf
+    position = table.number("position_sigma", above=0, most=1, unit="m") if kind not in ROTATIONS_ALONE else math.inf
     rotation: float | None
-    if kind == "orientation":
+    if kind in ROTATIONS_ALONE:
         rotation = table.number("rotation_sigma", above=0, most=1, unit="rad")
     else:
         rotation = table.number("rotation_sigma", None, above=0, most=1, unit="rad")

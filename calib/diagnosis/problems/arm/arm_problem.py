@@ -200,7 +200,7 @@ class ArmProblem:
             lacking, before = figures(np.arange(now.X.count)[now.slices[number]])
             out.append(
                 CrossValidation(
-                    before, after, floor, "m", signed_rank_gain_in_standard_errors((lacking - squares)[order])
+                    before, after, floor, now.arms.unit, signed_rank_gain_in_standard_errors((lacking - squares)[order])
                 )
             )
         return out

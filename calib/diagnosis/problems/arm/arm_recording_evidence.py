@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 
 import numpy as np
+from scipy.special import chdtri
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
@@ -54,7 +55,7 @@ from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_rep
     smooth_temperatures,
     time_cosines,
 )
-from calib.identify.least_squares_and_robust_fit import MIDDLE, MOST, isolated_outlier_rows, robust_fit
+from calib.identify.least_squares_and_robust_fit import MOST, isolated_outlier_rows, robust_fit
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import UNSTATED
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Floats, Integers
@@ -92,8 +93,8 @@ def outlier_poses(arms: Arms, residuals: Floats, gate: float) -> Outliers:
     residual = np.linalg.solve(W[far], found.residual[far, :, None])[..., 0]
     told = []
     for frame, off, relative in zip(arms.frame[far].tolist(), residual, np.abs(all_off[far])):
-        turned = int(relative.argmax()) >= 3
-        size = float(np.linalg.norm(off[3:] if turned else off[:3]))
+        turned = arms.unit == "rad" or int(relative.argmax()) >= 3
+        size = float(np.linalg.norm(off[-3:] if turned else off[:3]))
         told.append(LeftOut(frame, "pose", "rig", size, "rad" if turned else "m", float(relative.max()), REASON))
     return Outliers(frozenset(arms.frame[far].tolist()), left_out=tuple(told))
 
@@ -104,8 +105,9 @@ def _relative(residual: Floats) -> Floats:
     out = np.empty_like(residual)
     for part in (slice(0, 3), slice(3, 6)):
         if residual[:, part].size:
+            middle = chdtri(residual[:, part].shape[1], 0.5)
             out[:, part] = residual[:, part] / max(
-                float(np.median(np.linalg.norm(residual[:, part], axis=1))) / np.sqrt(MIDDLE), 1e-300
+                float(np.median(np.linalg.norm(residual[:, part], axis=1))) / np.sqrt(middle), 1e-300
             )
     return out
 
@@ -188,16 +190,18 @@ class ArmEvidence:
         return excess_scatter_over_stated_noise(selection.fit, repeats, covariates)
 
     def scatter_beyond_stated(self, selection: ArmSelection) -> tuple[float, bool]:
-        beyond, stated = float(np.sqrt(3) * selection.fit.scatter[0]), _length(selection.fit.arms, slice(0, 3))
+        beyond, stated = float(np.linalg.norm(selection.fit.scatter[:3])), _length(selection.fit.arms, slice(0, 3))
         return beyond, bool(np.hypot(beyond, stated) > UNSTATED * stated)
 
     def misfits(
         self, selection: ArmSelection, held: list[HeldOutPoses], repeats: Repeats | None
     ) -> tuple[dict[str, Misfit], str]:
-        """Mean position errors, m; the floor is that of commands given twice or, without any, the instrument's own."""
+        """Mean position errors, m, or of directions, rad; the floor is that of commands given twice or, without any,
+        the instrument's own.
+        """
         floor = _length(selection.fit.arms, slice(0, 3)) if repeats is None else repeats.mean
         before, after = (float(np.linalg.norm(left[:, :3], axis=1).mean()) for left in (held[0].before, held[0].after))
-        return {"poses": Misfit(before, after, floor, "m")}, "poses"
+        return {"poses": Misfit(before, after, floor, selection.fit.arms.unit)}, "poses"
 
     def frames_set_aside(self, selection: ArmSelection) -> list[int]:
         fit = selection.fit
@@ -238,8 +242,8 @@ class ArmEvidence:
         arms = selection.fit.arms
         return Noise(
             None,
-            _length(arms, slice(0, 3)),
-            _length(arms, slice(3, 6)) or None,
+            None if arms.unit == "rad" else _length(arms, slice(0, 3)),
+            _length(arms, slice(0, 3) if arms.unit == "rad" else slice(3, 6)) or None,
             None,
             ASSUMED_NOISE if arms.assumed else STATED,
         )

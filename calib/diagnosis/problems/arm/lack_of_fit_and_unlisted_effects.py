@@ -140,7 +140,7 @@ def _suggested(now: Fit, found: Found) -> tuple[Suggestion, Fit] | None:
     parts = tuple(formula_quantities(one, found.library) for one in chosen)
     form, effect = _written(now, found, found.formula), term.candidate.effect(term.node, theta)
     return Suggestion(
-        place, form, effect, intervals, lengths[0], lengths[1], noise, "m", gain, parts, found.formula.length
+        place, form, effect, intervals, lengths[0], lengths[1], noise, arms.unit, gain, parts, found.formula.length
     ), last
 
 
@@ -210,14 +210,14 @@ def excess_scatter_over_stated_noise(
     used, k = fit.used, fit.left.shape[1]
     taken = (fit.arms.freedoms.shape[2] + fit.known()) / k  # of each number measured
     found = []
-    for part, unit in ((slice(0, 3), "m"), (slice(3, 6), "rad")):
+    for part, unit in ((slice(0, 3), fit.arms.unit), (slice(3, 6), "rad")):
         left, own = fit.left[used, part], fit.arms.own[used, part, part]
         if left.size:
             square = float(np.einsum("ni,nij,nj->", left, np.linalg.inv(own), left))
             noise = float(np.sqrt(np.einsum("nii->n", own).mean()))
             found.append(
                 detect_excess_scatter(
-                    Place("rig"), unit, noise, square, left.size - left.shape[1] * taken, k // 3, depends
+                    Place("rig"), unit, noise, square, left.size - left.shape[1] * taken, max(k // 3, 1), depends
                 )
             )
     return [u for u in found if u is not None]

@@ -16,7 +16,8 @@ from scipy.spatial.transform import RigidTransform
 from calib.diagnosis.engine.cross_validation_and_chance import FOLDS, STRETCHES, time_stretch_folds
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import calibrate_arm
-from calib.models.arm.error_model_and_observations import observation_jacobian, sample_observations
+from calib.models.arm.error_model_and_observations import KINDS, observation_jacobian, sample_observations
+from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
 from calib.models.chain import error_model as chains
 from calib.models.chain.identification import identify_chain
 from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
@@ -42,8 +43,9 @@ SEEN = 1e-4  # of the best told combination of a chain's parameters; others no p
 @dataclass(frozen=True, slots=True, eq=False)
 class Arms:
     """What is known of n poses of an arm or chain. frame : (n,); t : (n,) s; q : (n, joints) rad or m, commanded;
-    left : (n, k) m and rad, what the geometry left (k = 6, or 3 for positions); freedoms : (n, k, p) change with
-    calibration's parameters; joints : (n, k, joints) with the angles; own : (n, k, k) the instrument's covariance;
+    left : (n, k) m and rad, what the geometry left (k = 6, 3 for positions, 2 for directions)
+    freedoms : (n, k, p) change with calibration's parameters; joints : (n, k, joints) with the angles
+    own : (n, k, k) the instrument's covariance;
         commands : the whole path; context : what effects may
     look at
     assumed : whether nobody states that covariance, so that a usual one stands for it
@@ -65,6 +67,11 @@ class Arms:
     def __len__(self) -> int:
         return len(self.t)
 
+    @property
+    def unit(self) -> str:
+        """Unit of the first numbers measured of each: "rad" of directions, else "m"."""
+        return "rad" if self.left.shape[1] == KINDS["direction"] else "m"
+
     def directions(self, joint: int | None) -> Floats:
         """(n, k, a) change of what is measured with a joint's angle (index, a = 1), or with the measured tangents
         themselves (None, a = k).
@@ -77,7 +84,7 @@ class Arms:
 
     def measured(self, tangents: Floats) -> Floats:
         """(n, k) what is measured of tangents (n, 6) by which the tool is displaced."""
-        return tangents[:, : self.left.shape[1]]
+        return tangents[:, 3:5] if self.unit == "rad" else tangents[:, : self.left.shape[1]]
 
     def reached(self, effect: Effect) -> Floats:
         """(n, joints) rad, commands reached at the exposures under an effect of clock or path."""
@@ -141,7 +148,9 @@ def linearise_poses(
         raises
     """
     if samples.measured in ("orientation", "distance"):
-        raise RigError(f"an arm is diagnosed by its poses or positions; the {samples.measured} alone was measured")
+        raise RigError(
+            f"an arm is diagnosed by its poses, positions or directions; the {samples.measured} alone was measured"
+        )
     linear = (
         _of_arm if isinstance(design.mechanism, Arm) else _of_chain if isinstance(design.mechanism, Chain) else None
     )
@@ -162,9 +171,13 @@ def linearise_poses(
 
 def _require_enough_poses(samples: Samples, design: Design) -> None:
     """Raise NotEnoughData for poses that bear no number beside the geometry's, with how many it takes."""
-    posed = samples.measured == "pose"
-    freedoms = len(independent_parameter_names_units_sizes_and_jacobian(design.mechanism).names) - (0 if posed else 3)
-    least = least_poses(6 if posed else 3, freedoms)
+    if samples.measured == "direction":
+        k, freedoms = 2, int(independent_arm_parameters(require_arm(design.mechanism), "direction").sum())
+    else:
+        k = 6 if samples.measured == "pose" else 3
+        names = independent_parameter_names_units_sizes_and_jacobian(design.mechanism).names
+        freedoms = len(names) - (0 if k == 6 else 3)
+    least = least_poses(k, freedoms)
     if len(samples) < least:
         raise NotEnoughData(
             f"{len(samples)} poses are too few to diagnose an arm or a chain: minimum {least} for {freedoms} numbers "
@@ -190,7 +203,7 @@ def linearise_planned_poses(
         if not len(t):
             raise RigError(f"in none of the plan's {len(view.seen)} exposures a camera would see enough of the hand")
     q, k, design = commands.at(t), arms.left.shape[1], replace(arms.context.design, mechanism=geometry.mechanism)
-    kind = "pose" if k == 6 else "position"
+    kind = next(name for name in ("pose", "position", "direction") if KINDS[name] == k)
     freedoms = (
         observation_jacobian(
             kind, error_model_and_observations.parameter_jacobian(q, geometry.mechanism), q, geometry.mechanism

@@ -133,7 +133,7 @@ class Fit:
         half.
         """
         m, k = int(self.used.sum()), self.y.shape[1]
-        block = Block("poses", "m", self.y[self.used].ravel(), np.arange(m + 1) * k)
+        block = Block("poses", self.arms.unit, self.y[self.used].ravel(), np.arange(m + 1) * k)
         return LinearModel((block,), Column((self.X.operator(),)), self.inverse, self.size)
 
     @cached_property
