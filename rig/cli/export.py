@@ -29,6 +29,7 @@ FORMATS = (
     "linuxcnc-comp",
     "grid",
     "c",
+    "linuxcnc-kins",
     "camera-info",
     "opencv",
     "tum",
@@ -52,14 +53,15 @@ def arguments(parser: ArgumentParser) -> None:
         "urdf, sdf: for simulators, a hexapod's URDF as a tree; linuxcnc-comp: the correction on top of "
         "genhexkins, a file for each joint "
         "in the folder OUT; grid: a CSV of corrections to the nominal model; c: a C99 file that computes corrected "
-        "lengths as `rig correct` does, for a controller; camera-info, opencv: "
+        "lengths as `rig correct` does, for a controller; linuxcnc-kins: the same as LinuxCNC's kinematics module "
+        "rigkins, for halcompile; camera-info, opencv: "
         "lenses of a rig.toml, a "
         "YAML file for each camera in the folder OUT; tum, parquet: the poses, or all tables, of a recording "
         "or of what "
         "`rig measure` wrote",
     )
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
-    parser.add_argument("--units", choices=("mm", "m"), default="mm", help="machine units of genhexkins (default mm)")
+    parser.add_argument("--units", choices=("mm", "m"), default="mm", help="machine units of LinuxCNC (default mm)")
     parser.add_argument(
         "--coupling",
         type=parse_number,
@@ -118,7 +120,7 @@ def _require_out(arguments: Namespace) -> None:
             "--json reports what was written: name a file or a folder with --out; without it the export "
             "is printed itself"
         )
-    if kind in ("linuxcnc-comp", "grid", "c") and (is_design or nowhere):
+    if kind in ("linuxcnc-comp", "linuxcnc-kins", "grid", "c") and (is_design or nowhere):
         raise RigError(f"{kind} takes a calibration.json and --out")
     if kind in ("camera-info", "opencv") and (not is_design or nowhere):
         raise RigError(f"{kind} takes a rig.toml, as `rig measure` writes it too, and --out DIR")
