@@ -245,7 +245,7 @@ int kinematicsForward(const double *joint, EmcPose *world, const KINEMATICS_FORW
     if (status == RIG_OK)
         world_of(&T, world);
     else if (status != *signals->forward_status)
-        rtapi_print_msg(RTAPI_MSG_ERR, "rigkins: no pose of the joints: %s\n", REFUSALS[status]);
+        rtapi_print_msg(RTAPI_MSG_WARN, "rigkins: no pose of the joints: %s\n", REFUSALS[status]);
     *signals->forward_status = status;
     *signals->forward_steps = steps;
     return -status;

@@ -53,6 +53,7 @@ def _settings(fitted: Hexapod, nominal: Hexapod, source: CSource, scale: float, 
         "[TRAJ]",
         "COORDINATES = X Y Z A B C",
         f"LINEAR_UNITS = {'mm' if units == 'mm' else '0.001'}",
+        "ANGULAR_UNITS = degree",
         "HOME = " + " ".join(f"{value:.6f}" for value in place),
     ]
     for i, (low, high) in enumerate((ranges * scale).tolist()):

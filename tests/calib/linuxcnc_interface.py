@@ -3,6 +3,7 @@
 HEADERS = {
     "rtapi.h": """#pragma once
 #define RTAPI_MSG_ERR 1
+#define RTAPI_MSG_WARN 2
 #define MODULE_LICENSE(text) extern const char rtapi_license[]; const char rtapi_license[] = text
 #define EXPORT_SYMBOL(name) extern const char rtapi_exported_##name[]; const char rtapi_exported_##name[] = #name
 void rtapi_print_msg(int level, const char *text, ...) __attribute__((format(printf, 2, 3)));

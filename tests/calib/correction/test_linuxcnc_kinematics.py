@@ -235,7 +235,7 @@ def test_near_a_singularity_poses_and_joints_are_refused(design, tmp_path):
     free = replace(free, nominal=replace(free.nominal, strut_range=wide))
     module = Module(calibration_of(free), tmp_path)
     home = hexapod.forward(hexapod.home_values(design.mechanism), free.fitted)
-    turns = Rotation.from_euler("z", np.linspace(0, 170, 86), degrees=True)
+    turns = Rotation.from_euler("z", np.linspace(0, 170, 86)[:, None], degrees=True)
     T = RigidTransform.from_components(np.tile(home.translation, (86, 1)), turns * home.rotation)
     share = least_share(design, free.fitted, T)
     signs = np.sign(np.linalg.det(hexapod.jacobian(T, free.fitted)))
