@@ -33,6 +33,7 @@ CALLS = {
     "simulate": "synthetic.api:simulate",
     "measure": "vision.api:measure",
     "calibrate online": "calib.api.learn:learn",
+    "correct serve": "calib.api.correction_server:CorrectionServer",
     "limbs test": "calib.api.measuring_limb_acceptance_and_platform_poses:accept_limbs",
     "limbs closures": "calib.api.loop_closure_check_of_redundant_legs:close_loops",
     "workspace": "calib.api.workspace_change_by_calibration:analyse_workspace",

@@ -11,6 +11,7 @@ import numpy as np
 from calib.api.correction_lookup_table import correction_lookup_table
 from calib.correction.correction_as_c_source import correction_c_source
 from calib.correction.correction_tables_and_pose_space_map_json import axis_correction_tables, grid_correction_table
+from calib.correction.linuxcnc_kinematics_source import linuxcnc_kinematics_source
 from calib.files import calibration_file
 from rig.errors import RigError
 from rig.formats.exporters import geometry_and_camera_files, recording_as_rerun_tum_parquet, urdf_and_sdf
@@ -22,7 +23,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, requi
 from rig.recording.recording_folder import load_recording, load_wanted_poses
 
 TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry
-C_SOURCE = "c"  # all of a correction, for a controller
+C_SOURCES = ("c", "linuxcnc-kins")  # all of a correction, for a controller
 LOOKUP = "lut"  # of commands over sensor channels
 CAMERAS = ("camera-info", "opencv")  # of a rig.toml, a file each
 RECORDINGS = ("tum", "parquet")
@@ -37,7 +38,7 @@ GEOMETRIES = {
 
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
-    """units : "mm" or "m", machine units of genhexkins and linuxcnc-comp; coupling : of genhexkins, the share of the
+    """units : "mm" or "m", machine units of LinuxCNC's formats; coupling : of genhexkins, the share of the
     cardans' twist that turns the screws; lead : of the screws, m per revolution, None for what a rig.toml states; parts
     : of linuxcnc-comp and grid, parts of each actuator's interval, None for 64, and 3; poses : of lut, the table of
     wanted poses; over : of lut, {sensor channel: its values, ascending}
@@ -82,15 +83,16 @@ def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -
 
     A recording for tum and parquet; as `rig export` makes it.
 
-    kind : one of TABLES, C_SOURCE, LOOKUP, CAMERAS, RECORDINGS and GEOMETRIES
+    kind : one of TABLES, C_SOURCES, LOOKUP, CAMERAS, RECORDINGS and GEOMETRIES
     Raises RigError for a machine that this format cannot state, and for options out of range
     """
     if kind in TABLES:
         return _correction_tables(machine, kind, options)
-    if kind == C_SOURCE:
+    if kind in C_SOURCES:
         origin = f"rig {metadata.version('rig')} of {machine.name}, SHA-256 {sha256(machine.read_bytes()).hexdigest()}"
         calibration = calibration_file.load(machine)
-        source = correction_c_source(calibration.correction, calibration.physics, origin)
+        given = (calibration.correction, calibration.physics, origin)
+        source = correction_c_source(*given) if kind == "c" else linuxcnc_kinematics_source(*given, options.units)
         return ExportResult({"": source.text}, "; ".join(source.notes))
     if kind == LOOKUP:
         if options.poses is None:

@@ -26,159 +26,6 @@ struct placed {
     double p[3];
 };
 
-/* part: grid */
-struct grid {
-    const double *levels[6]; /* cells + 1 of each, ascending, m */
-    int cells[6], strides[6];
-    const double *values; /* 6 of each vertex, m */
-};
-
-/* The lowest vertex of the cell of x, and the place in the cell, 0 to 1; beyond the levels that on their edge. */
-static int grid_cell(const struct grid *g, const double x[6], double t[6])
-{
-    int vertex = 0;
-    for (int i = 0; i < 6; i++) {
-        const int cells = g->cells[i];
-        const double *level = g->levels[i], inner = fmin(fmax(x[i], level[0]), level[cells]);
-        int cell = 0;
-        for (int j = 1; j < cells; j++)
-            cell += inner >= level[j];
-        t[i] = (inner - level[cell]) / (level[cell + 1] - level[cell]);
-        vertex += cell * g->strides[i];
-    }
-    return vertex;
-}
-
-/* part: simplex */
-/* Simplices of a cell: vertices met along the axes, the largest place first (Kuhn, 1960). */
-static void add_simplex(const struct grid *g, const double x[6], double weight, double out[6])
-{
-    double t[6], ranked[7] = {0.0};
-    int steps[6] = {0};
-    int vertex = grid_cell(g, x, t);
-    for (int i = 0; i < 6; i++) {
-        int rank = 0;
-        for (int j = 0; j < i; j++)
-            rank += t[j] >= t[i];
-        for (int j = i + 1; j < 6; j++)
-            rank += t[j] > t[i];
-        ranked[rank] = t[i];
-        steps[rank] = g->strides[i];
-    }
-    for (int k = 0; k < 6; k++)
-        out[k] += weight * (1.0 - ranked[0]) * g->values[6 * vertex + k];
-    for (int i = 0; i < 6; i++) {
-        vertex += steps[i];
-        for (int k = 0; k < 6; k++)
-            out[k] += weight * (ranked[i] - ranked[i + 1]) * g->values[6 * vertex + k];
-    }
-}
-
-/* part: linear */
-/* Linear along each axis: the 64 vertices of a cell. */
-static void add_linear(const struct grid *g, const double x[6], double weight, double out[6])
-{
-    double t[6];
-    const int lowest = grid_cell(g, x, t);
-    for (int corner = 0; corner < 64; corner++) {
-        int vertex = lowest;
-        double share = weight;
-        for (int i = 0; i < 6; i++) {
-            const int upper = corner >> i & 1;
-            vertex += upper * g->strides[i];
-            share *= upper ? t[i] : 1.0 - t[i];
-        }
-        for (int k = 0; k < 6; k++)
-            out[k] += share * g->values[6 * vertex + k];
-    }
-}
-
-/* part: axes */
-struct axis_sum {
-    int count;
-    const double *knots;        /* count of each axis */
-    const double *coefficients; /* 6 of each knot, axis after axis */
-};
-
-/* A sum of one piecewise linear function per axis. */
-static void add_axes(const struct axis_sum *f, const double x[6], double weight, double out[6])
-{
-    for (int i = 0; i < 6; i++) {
-        const double *knots = f->knots + i * f->count;
-        const double inner = fmin(fmax(x[i], knots[0]), knots[f->count - 1]);
-        int cell = 0;
-        for (int j = 1; j < f->count - 1; j++)
-            cell += inner >= knots[j];
-        const double t = (inner - knots[cell]) / (knots[cell + 1] - knots[cell]);
-        const double *low = f->coefficients + 6 * (i * f->count + cell);
-        for (int k = 0; k < 6; k++)
-            out[k] += weight * ((1.0 - t) * low[k] + t * low[6 + k]);
-    }
-}
-
-/* part: polynomial */
-struct polynomial {
-    int terms;
-    const double *low, *high;
-    const int *powers;          /* 6 of each term */
-    const double *coefficients; /* 6 of each term */
-};
-
-/* A polynomial of coordinates that go from -1 to 1 over the box of the samples. */
-static void add_polynomial(const struct polynomial *f, const double x[6], double weight, double out[6])
-{
-    double u[6];
-    for (int i = 0; i < 6; i++) {
-        const double inner = fmin(fmax(x[i], f->low[i]), f->high[i]);
-        u[i] = (2.0 * inner - f->low[i] - f->high[i]) / (f->high[i] - f->low[i]);
-    }
-    for (int term = 0; term < f->terms; term++) {
-        double product = weight;
-        for (int i = 0; i < 6; i++)
-            for (int power = f->powers[6 * term + i]; power > 0; power--)
-                product *= u[i];
-        for (int k = 0; k < 6; k++)
-            out[k] += product * f->coefficients[6 * term + k];
-    }
-}
-
-/* part: radial */
-struct radial {
-    int axis, count;
-    double own, whole; /* 1 / (2 length^2), in half strokes, of the function of the axis and of that of all */
-    const double *centre, *half;
-    const double *samples; /* of each its scaled configuration, and its weight in either function (m) */
-};
-
-/* A Gaussian process: a sum over its samples. */
-static void add_radial(const struct radial *f, const double x[6], double weight, double out[6])
-{
-    double scaled[6], sum = 0.0;
-    for (int i = 0; i < 6; i++)
-        scaled[i] = (x[i] - f->centre[i]) / f->half[i];
-    for (int n = 0; n < f->count; n++) {
-        const double *sample = f->samples + 8 * n;
-        const double off = scaled[f->axis] - sample[f->axis];
-        double square = 0.0;
-        for (int i = 0; i < 6; i++)
-            square += (scaled[i] - sample[i]) * (scaled[i] - sample[i]);
-        sum += sample[6] * exp(-f->own * off * off) + sample[7] * exp(-f->whole * square);
-    }
-    out[f->axis] += weight * sum;
-}
-
-/* part: within */
-/* 1 within a part of the space, 0 far from it, fading between. */
-static double within(const double x[6], const double low[6], const double high[6], const double fade[6])
-{
-    double weight = 1.0;
-    for (int i = 0; i < 6; i++) {
-        const double far = fmin(fmax(fmax(low[i] - x[i], x[i] - high[i]), 0.0) / fade[i], 1.0);
-        weight *= (1.0 - far) * (1.0 - far) * (1.0 + 2.0 * far);
-    }
-    return weight;
-}
-
 /* part: no remainder */
 static int settle(const double goal[6], double effective[6])
 {
@@ -356,6 +203,37 @@ static int command(const double effective[6], const double tip[6][3], const doub
 }
 
 /* part: correct */
+/* Lengths (m) to command for T, and where the struts' tips are (m, base frame); ranges are not looked at. */
+static int corrected(const struct placed *wanted, const double *channels, struct rig_state *state, double tip[6][3],
+                     double found[6])
+{
+    struct placed T = *wanted;
+    double goal[6], effective[6];
+    int status = RIG_OK;
+    /* insert: pose maps */
+    for (int i = 0; i < 6; i++) {
+        double square = 0.0;
+        for (int k = 0; k < 3; k++) {
+            tip[i][k] = T.p[k];
+            for (int j = 0; j < 3; j++)
+                tip[i][k] += T.R[k][j] * PLATFORM[i][j];
+            square += (tip[i][k] - BASE[i][k]) * (tip[i][k] - BASE[i][k]);
+        }
+        goal[i] = sqrt(square) - ZERO[i];
+    }
+    status = settle(goal, effective);
+    return status == RIG_OK ? command(effective, (const double(*)[3])tip, channels, state, found) : status;
+}
+
+/* The number of the first strut that leaves its range, or is not finite; 0 for none. */
+static int strut_beyond_range(const double lengths[6])
+{
+    for (int i = 0; i < 6; i++)
+        if (!(lengths[i] >= RANGE[i][0] && lengths[i] <= RANGE[i][1]))
+            return i + 1;
+    return 0;
+}
+
 int rig_start(struct rig_state *state, const double lengths[6])
 {
     for (int i = 0; i < 6; i++) {
@@ -371,33 +249,18 @@ int rig_start(struct rig_state *state, const double lengths[6])
 int rig_correct(const double pose[6], const double *channels, struct rig_state *state, double lengths[6])
 {
     struct placed T;
-    double tip[6][3], goal[6], effective[6], found[6];
-    int status = RIG_OK;
+    double tip[6][3], found[6];
     for (int i = 0; i < 6; i++)
         if (!isfinite(pose[i]))
             return RIG_BAD_POSE;
     for (int i = 0; i < 3; i++)
         T.p[i] = pose[i];
     rotation(pose + 3, T.R);
-    /* insert: pose maps */
-    for (int i = 0; i < 6; i++) {
-        double square = 0.0;
-        for (int k = 0; k < 3; k++) {
-            tip[i][k] = T.p[k];
-            for (int j = 0; j < 3; j++)
-                tip[i][k] += T.R[k][j] * PLATFORM[i][j];
-            square += (tip[i][k] - BASE[i][k]) * (tip[i][k] - BASE[i][k]);
-        }
-        goal[i] = sqrt(square) - ZERO[i];
-    }
-    status = settle(goal, effective);
-    if (status == RIG_OK)
-        status = command(effective, (const double(*)[3])tip, channels, state, found);
+    const int status = corrected(&T, channels, state, tip, found);
     if (status != RIG_OK)
         return status;
-    for (int i = 0; i < 6; i++)
-        if (!(found[i] >= RANGE[i][0] && found[i] <= RANGE[i][1]))
-            return RIG_OUT_OF_STROKE;
+    if (strut_beyond_range(found))
+        return RIG_OUT_OF_STROKE;
     for (int i = 0; i < 6; i++) {
         lengths[i] = found[i];
         if (state) {

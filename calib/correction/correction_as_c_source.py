@@ -2,8 +2,8 @@
 
 The file does what `rig correct` does for poses without times: inverse kinematics of the fitted geometry, the summand
 over the configuration space at its fixed point, maps in pose space, and the effects that say how a controller computes
-them, play with its state. It is put together of parts of controller_parts.c, those alone that a calibration needs, and
-of its tables. Source: configuration-space patent, [0024]-[0031], [0130]-[0137]
+them, play with its state. It is put together of the parts in C beside this file, those alone that a calibration needs,
+and of its tables. Source: configuration-space patent, [0024]-[0031], [0130]-[0137]
 """
 
 import re
@@ -40,10 +40,14 @@ STATUS = """  0 RIG_OK: lengths[6] are written, and the state moved on: command 
 
 @dataclass(frozen=True, slots=True)
 class CSource:
-    """text : of the C file; notes : what a controller has to see to itself, in words."""
+    """text : of the C file; notes : what a controller has to see to itself, in words; channels : sensor channels with
+    their medians; gaps : (6,) m, play of each strut
+    """
 
     text: str
     notes: tuple[str, ...]
+    channels: dict[str, float]
+    gaps: Floats
 
 
 @dataclass(slots=True)
@@ -75,10 +79,14 @@ class _Tables:
         self.lines += [head, "{", *(f"    {line}" for line in statements), "}", ""]
 
 
-def correction_c_source(correction: AnyCorrection, physics: Physics | None, origin: str) -> CSource:
+def correction_c_source(
+    correction: AnyCorrection, physics: Physics | None, origin: str, play_elsewhere: bool = False
+) -> CSource:
     """CSource of a hexapod's Correction and the Physics besides, or None.
 
     origin : of which file and by which version it is made, for its head
+    play_elsewhere : whether the controller itself adds half of a strut's play in the direction of its motion: lengths
+        are then those without, and ranges are half a play narrower at both ends
     Raises RigError for another machine, for a way to extend corrections and for an effect that no C file states
     """
     fitted = require_hexapod(
@@ -92,11 +100,14 @@ def correction_c_source(correction: AnyCorrection, physics: Physics | None, orig
     tables = _Tables()
     terms = _terms(correction, physics)
     channels = tuple(dict.fromkeys(name for term in terms for name in term.channels))
-    gaps = _gaps(terms)
+    plays = _gaps(terms)
+    if play_elsewhere and plays.any() and any("sin(" in line for term in terms for line in term.statements):
+        raise RigError("play together with a cyclic error needs the play in the C file itself; use --format c")
+    gaps = np.zeros(6) if play_elsewhere else plays
     for name, values in (
         ("BASE", fitted.base_joints),
         ("PLATFORM", fitted.platform_joints),
-        ("RANGE", nominal.strut_range),
+        ("RANGE", nominal.strut_range + 0.5 * (plays - gaps)[:, None] * [1, -1]),
     ):
         tables.array(name, values, shape=f"[6][{values.shape[1]}]")
     tables.array("ZERO", fitted.strut_zeros, shape="[6]")
@@ -104,12 +115,12 @@ def correction_c_source(correction: AnyCorrection, physics: Physics | None, orig
     geometry, tables.lines = tables.lines, []
     settled = _remainder(tables, correction)
     maps = _pose_maps(tables, correction)
-    medians = [] if physics is None else [physics.channels[name][0] for name in channels]
+    medians = {} if physics is None else {name: float(physics.channels[name][0]) for name in channels}
     home = ", ".join(map(repr, hexapod.home_values(nominal).tolist()))
     text = [
         _head(correction, terms, channels, gaps, origin),
         _part("api"),
-        _channel_source(channels, medians, home),
+        _channel_source(channels, list(medians.values()), home),
         "\n".join(geometry) + "\n",
         *(_part(name) for name in _FIELDS if name in tables.parts),
         "\n".join(tables.lines),
@@ -119,7 +130,7 @@ def correction_c_source(correction: AnyCorrection, physics: Physics | None, orig
         *([_deviations(terms, channels), _part("effects")] if terms else [_part("no effects")]),
         _part("correct").replace("    /* insert: pose maps */\n", "".join(maps)),
     ]
-    return CSource("\n".join(line.rstrip("\n") + "\n" for line in text if line), _notes(terms))
+    return CSource("\n".join(line.rstrip("\n") + "\n" for line in text if line), _notes(terms), medians, plays)
 
 
 _FIELDS = ("grid", "simplex", "linear", "axes", "polynomial", "radial", "within")
@@ -127,8 +138,8 @@ _FIELDS = ("grid", "simplex", "linear", "axes", "polynomial", "radial", "within"
 
 @cache
 def _parts() -> dict[str, str]:
-    """{name: text} of the parts of controller_parts.c."""
-    text = files(__package__).joinpath("controller_parts.c").read_text()
+    """{name: text} of the parts of the C files of this folder."""
+    text = "".join(files(__package__).joinpath(f"controller_{name}parts.c").read_text() for name in ("", "field_"))
     found = re.split(r"^/\* part: (.*) \*/\n", text, flags=re.MULTILINE)
     return dict(zip(found[1::2], found[2::2]))
 
@@ -214,7 +225,7 @@ def _channel_source(channels: tuple[str, ...], medians: list[float], home: str) 
             "};",
             "extern const double rig_channel_medians[RIG_CHANNELS];",
             "const double rig_channel_medians[RIG_CHANNELS] = {",
-            *_rows([repr(float(median)) for median in medians]),
+            *_rows([repr(median) for median in medians]),
             "};",
         ]
     else:

@@ -25,6 +25,7 @@ GROUPS = {
         "calibrate online": "A recording's poses learnt one at a time: the current estimate of the machine, and sudden "
         "changes.",
         "correct": "Wanted poses -> the strut lengths to command for them.",
+        "correct serve": "The same to other programs of this computer: JSON lines over a loopback port.",
         "workspace": "What a calibration does to the workspace: lost, gained, room to limits, singularities, error "
         "bounds.",
     },

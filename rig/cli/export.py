@@ -30,6 +30,7 @@ FORMATS = (
     "grid",
     "c",
     "lut",
+    "linuxcnc-kins",
     "camera-info",
     "opencv",
     "tum",
@@ -54,14 +55,15 @@ def arguments(parser: ArgumentParser) -> None:
         "genhexkins, a file for each joint "
         "in the folder OUT; grid: a CSV of corrections to the nominal model; c: a C99 file that computes corrected "
         "lengths as `rig correct` does, for a controller; lut: a CSV of commands for --poses over sensor channels, "
-        "with covariance; camera-info, opencv: "
+        "with covariance; linuxcnc-kins: the C file as LinuxCNC's kinematics module "
+        "rigkins, for halcompile; camera-info, opencv: "
         "lenses of a rig.toml, a "
         "YAML file for each camera in the folder OUT; tum, parquet: the poses, or all tables, of a recording "
         "or of what "
         "`rig measure` wrote",
     )
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
-    parser.add_argument("--units", choices=("mm", "m"), default="mm", help="machine units of genhexkins (default mm)")
+    parser.add_argument("--units", choices=("mm", "m"), default="mm", help="machine units of LinuxCNC (default mm)")
     parser.add_argument(
         "--coupling",
         type=parse_number,
@@ -146,7 +148,7 @@ def _require_out(arguments: Namespace) -> None:
             "--json reports what was written: name a file or a folder with --out; without it the export "
             "is printed itself"
         )
-    if kind in ("linuxcnc-comp", "grid", "c", "lut") and (is_design or nowhere):
+    if kind in ("linuxcnc-comp", "linuxcnc-kins", "grid", "c", "lut") and (is_design or nowhere):
         raise RigError(f"{kind} takes a calibration.json and --out")
     if kind in ("camera-info", "opencv") and (not is_design or nowhere):
         raise RigError(f"{kind} takes a rig.toml, as `rig measure` writes it too, and --out DIR")

@@ -6,13 +6,15 @@ from typing import ClassVar
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
+from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Candidate, Effect
 from rig.effects.framework.effect_parameters_and_covariates import (
     Context,
     ControllerTerm,
     Covariate,
+    Linear,
     Parameter,
     controller_channel,
+    derivative_step,
     temperature_covariate,
 )
 from rig.effects.framework.machine_motion_and_play import Motion
@@ -23,14 +25,21 @@ AMBIENT = "ambient_temperature_C"
 
 @dataclass(frozen=True, slots=True)
 class BaseExpansion(Effect):
-    """Base joints times 1 + coefficient * (T_ambient - 20 C), as what each strut's length seems to lack at the pose."""
+    """Base joints times 1 + coefficient * (T_ambient - 20 C), as what each strut's length seems to lack at the pose.
+
+    uneven : (2,) what the base grows by along x beyond that, and along y less; and the same along the diagonals
+    """
 
     place: str
     coefficient: float = 0.0
+    uneven: tuple[float, ...] = (0.0, 0.0)
     name: ClassVar = "base_expansion"
     stage: ClassVar = "structure"
     places: ClassVar = ("rig",)
-    parameters: ClassVar = (Parameter("coefficient", "1/K", (-1e-3, 1e-3), (1e-5, 1e-4)),)
+    parameters: ClassVar = (
+        Parameter("coefficient", "1/K", (-1e-3, 1e-3), (1e-5, 1e-4)),
+        Parameter("uneven", "1/K", (-1e-3, 1e-3), (1e-6, 5e-5), 2, role="form"),
+    )
     experiment: ClassVar = "the same poses in a cold and a warm room"
     action: ClassVar = "Keep the room's temperature, or correct the base joints by it."
     on_pose: ClassVar = True
@@ -41,24 +50,40 @@ class BaseExpansion(Effect):
         return motion.no_channel(AMBIENT)
 
     def deviation(self, motion: Motion) -> Floats:
-        scale = 1 + self.coefficient * (motion.channel(AMBIENT) - REFERENCE_TEMPERATURE)
+        warm = motion.channel(AMBIENT) - REFERENCE_TEMPERATURE
         ends = motion.kind.strut_ends(motion.posed(), motion.mechanism)
         if ends is None:
             raise RigError(f"{self.name} takes struts on a base plate")
         base, tips = ends
-        moved = np.linalg.norm(tips - scale[:, None, None] * base, axis=2)
+        moved = np.linalg.norm(tips - base - warm[:, None, None] * (base @ self.growth), axis=2)
         return np.linalg.norm(tips - base, axis=2) - moved
 
+    @property
+    def growth(self) -> Floats:
+        """(3, 3) 1/K, symmetric: displacement of a base joint over its place."""
+        along, across = self.uneven
+        return self.coefficient * np.eye(3) + np.array([[along, across, 0.0], [across, -along, 0.0], [0.0, 0.0, 0.0]])
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        plain = cls.linear(place)
+        own = [Linear("uneven", k, derivative_step(cls.parameters[1])) for k in range(2)]
+        return [Candidate(cls, place, [{}], plain), Candidate(cls, place, [{}], [*plain, *own], "uneven")]
+
     def in_controller(self, motion: Motion) -> ControllerTerm:
+        rows = ", ".join("{" + ", ".join(map(repr, row)) + "}" for row in self.growth.tolist())
         return ControllerTerm(
             (
                 "for (int i = 0; i < 6; i++) {",
-                f"    const double scale = 1.0 + {self.coefficient!r} * ({controller_channel(AMBIENT)} - "
-                f"{REFERENCE_TEMPERATURE!r});",
+                f"    static const double GROWTH[3][3] = {{{rows}}};",
+                f"    const double warm = {controller_channel(AMBIENT)} - {REFERENCE_TEMPERATURE!r};",
                 "    double before = 0.0, after = 0.0;",
                 "    for (int k = 0; k < 3; k++) {",
-                "        before += (tip[i][k] - BASE[i][k]) * (tip[i][k] - BASE[i][k]);",
-                "        after += (tip[i][k] - scale * BASE[i][k]) * (tip[i][k] - scale * BASE[i][k]);",
+                "        const double leg = tip[i][k] - BASE[i][k];",
+                "        double grown = 0.0;",
+                "        for (int j = 0; j < 3; j++) grown += GROWTH[k][j] * BASE[i][j];",
+                "        before += leg * leg;",
+                "        after += (leg - warm * grown) * (leg - warm * grown);",
                 "    }",
                 "    d[i] += sqrt(before) - sqrt(after);",
                 "}",

@@ -28,13 +28,14 @@ HEAVIEST, LIGHTER, OFF_CENTRE = (
     0.7,
     0.1,
 )  # kg of a first link, each next one's share of it, m: of links that are drawn
+STIFFENS = (0.3, 1.0, 3.0)  # greatest loads over that at which an axis yields half as far, which a search tries
 GIVES = 1e-3  # rad RMS; real joints give a tenth of it under an arm's own weight
 
 
 @dataclass(frozen=True, slots=True)
 class Compliance(Effect):
-    """Deviation -f / stiffness: a strut that pushes is compressed and shorter, a joint gives way to what it holds.
-    Infinite stiffness gives nothing.
+    """Deviation -f / stiffness / (1 + |f| stiffening): a strut that pushes is compressed and shorter, a joint gives way
+    to what it holds. Infinite stiffness gives nothing; a stiffening of 0 is a plain spring.
 
     moments : where the weight of an arm's links is not stated, their masses and mass moments (kg and kg m, four for
     each link, along its frame) over the stiffness, in place of f / stiffness: 1/(m/s^2), as far as they are not stated
@@ -44,12 +45,14 @@ class Compliance(Effect):
     place: str
     stiffness: float = np.inf
     moments: tuple[float, ...] = ()
+    stiffening: float = 0.0
     name: ClassVar = "compliance"
     stage: ClassVar = "struts"
     places: ClassVar = ("rig", "axis")
     parameters: ClassVar = (
         Parameter("stiffness", "N/m", (1e4, np.inf), (1e6, 1e8), role="inverse", joint=((1.0, np.inf), (1e3, 1e7))),
         Parameter("moments", "kg/(N m/rad), kg m/(N m/rad)", (-1.0, 1.0), (1e-7, 1e-3), 0),
+        Parameter("stiffening", "1/N", (0, 100), (1e-4, 1e-1), role="form", joint=((0, 100), (1e-4, 1e-1))),
     )
     experiment: ClassVar = "change the payload: at constant load most of the sag hides in the joint geometry"
     action: ClassVar = (
@@ -74,7 +77,7 @@ class Compliance(Effect):
         out = (
             np.zeros(motion.lengths.shape)
             if self.moments and np.isinf(self.stiffness)
-            else -mask * motion.loads() / self.stiffness
+            else -mask * motion.loads() / self.stiffness / (1 + np.abs(motion.loads()) * self.stiffening)
         )
         if self.moments:
             reason = self.needs(motion)
@@ -91,7 +94,7 @@ class Compliance(Effect):
     def fitted(self, parameter: Parameter) -> tuple[int | None, ...]:
         if self.moments:
             return tuple(i for i, v in enumerate(self.moments) if v) if parameter.name == "moments" else ()
-        return (None,) if parameter.name == "stiffness" else ()
+        return (None,) if parameter.name == "stiffness" or (parameter.name == "stiffening" and self.stiffening) else ()
 
     @classmethod
     def unusual(cls, place: str, values: Mapping[str, object]) -> str | None:
@@ -116,7 +119,11 @@ class Compliance(Effect):
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         motion = context.moved()
         if not motion.no_loads():
-            return [Candidate(cls, place, [{}], cls.linear(place)[:1])]
+            column = cls.linear(place)[:1]
+            most = float(np.abs(motion.loads()).max(initial=0.0))
+            nodes = [{"stiffening": share / most} for share in STIFFENS] if most > 0 else []
+            stiffening = [Candidate(cls, place, nodes, column, "stiffening", extra=1)] if nodes else []
+            return [Candidate(cls, place, [{}], column), *stiffening]
         table = motion.links()[:, motion.places.index(place)]
         kept = independent_load_columns(table)
         if not len(kept):

@@ -1,0 +1,213 @@
+"""Server on the loopback that answers wanted poses with commands: a line of JSON for each request and each answer.
+
+Every request stands for itself, as one call of `correct`: it states where the axes stand, so that clients do not
+depend on each other and an answer is that of `rig correct`, to the last bit.
+"""
+
+import ipaddress
+import json
+import math
+import socket
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+
+import numpy as np
+
+from calib.api.correct import CorrectionResult, CorrectOptions, correct
+from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from rig.array_and_json_types import Floats, Json
+from rig.errors import RigError, Unreachable
+from rig.formats.checked_entries import LARGEST_RIG
+from rig.model.pose import pose, pose_to_vector
+from rig.recording.recording_folder import Sensors, WantedPoses
+from rig.recording.recording_table_loading_and_writing import Poses
+
+LONGEST = 1 << 24  # bytes of a request's line
+CLIENTS = 64  # at a time
+LAST = 2.0  # s that clients have to take their last answer once the server ends
+SOON = 0.2  # s after which it is looked whether to end
+MOST_TURN = 1e3  # rad, of a rotation vector; more is no pose, and its sine is left to chance
+KEYS = ("id", "poses", "start", "sensors")
+
+
+class CorrectionServer:
+    """Answers requests with a Calibration until closed. address : (host, port) where it listens; port 0 for any free
+
+    Raises RigError for a host that is not of the loopback, and where the port cannot be had
+    """
+
+    def __init__(self, calibration: Calibration, host: str = "127.0.0.1", port: int = 0) -> None:
+        try:
+            place = ipaddress.ip_address(host)
+        except ValueError:
+            raise RigError(f"the host must be an address of the loopback, as 127.0.0.1 or ::1, not {host!r}") from None
+        if not place.is_loopback:
+            raise RigError(f"{host} is not of the loopback: this server answers programs of this computer alone")
+        self._calibration = calibration
+        self._one = threading.Lock()  # one request is computed at a time
+        self._clients: dict[socket.socket, threading.Thread] = {}
+        self._listener = socket.socket(socket.AF_INET6 if place.version == 6 else socket.AF_INET)
+        try:
+            self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._listener.bind((host, port))
+            self._listener.listen()
+        except OSError as error:
+            self._listener.close()
+            raise RigError(f"no server at {host} port {port}: {error.strerror}") from None
+        self._listener.settimeout(SOON)
+        self.address: tuple[str, int] = self._listener.getsockname()[:2]
+
+    def serve(self, goes_on: Callable[[], bool]) -> None:
+        """Take clients for as long as goes_on() is true."""
+        while goes_on():
+            with suppress(TimeoutError):
+                client, _ = self._listener.accept()
+                client.settimeout(None)
+                self._take(client)
+
+    def _take(self, client: socket.socket) -> None:
+        """Answer a client in a thread of its own; one too many gets an error and is let go."""
+        self._clients = {one: thread for one, thread in self._clients.items() if thread.is_alive()}
+        if len(self._clients) >= CLIENTS:
+            with suppress(OSError), client:
+                client.sendall(_line({"id": None, "error": f"{CLIENTS} clients are connected, the most there may be"}))
+            return
+        thread = threading.Thread(target=self._converse, args=(client,), daemon=True)
+        self._clients[client] = thread
+        thread.start()
+
+    def _converse(self, client: socket.socket) -> None:
+        """Answer each line of a client until it, or the server, ends; a broken connection ends it too."""
+        with client, client.makefile("rb") as lines, suppress(OSError):
+            while line := lines.readline(LONGEST + 1):
+                if len(line) > LONGEST:
+                    while line and not line.endswith(b"\n"):
+                        line = lines.readline(LONGEST)
+                    reply: Json = {"id": None, "error": f"a line has at most {LONGEST} bytes; this one is longer"}
+                else:
+                    with self._one:
+                        reply = answer(self._calibration, line)
+                client.sendall(_line(reply))
+
+    def close(self) -> None:
+        """Listen no more, let requests that came be answered, and end all connections."""
+        self._listener.close()
+        until = time.monotonic() + LAST
+        for client in self._clients:
+            with suppress(OSError):
+                client.shutdown(socket.SHUT_RD)
+        for thread in self._clients.values():
+            thread.join(max(until - time.monotonic(), 0.0))
+        for client in self._clients:
+            with suppress(OSError):
+                client.shutdown(socket.SHUT_RDWR)
+
+
+def answer(calibration: Calibration, line: bytes) -> Json:
+    """The answer to a request's line: commands with covariance and refusals, or what is wrong with it.
+
+    A fault of the program is an error in the answer too, and its traceback is printed on the error output.
+    """
+    identity: object = None
+    try:
+        request = _parsed(line)
+        identity = request.get("id")
+        return {"id": identity, **_commands(calibration, request)}
+    except RigError as error:
+        return {"id": identity, "error": str(error)}
+    except Exception as fault:
+        traceback.print_exc(file=sys.stderr)
+        return {"id": identity, "error": f"a fault of this program, {type(fault).__name__}: {fault}"}
+
+
+def _line(tree: Json) -> bytes:
+    return json.dumps(tree).encode() + b"\n"
+
+
+def _refuse_constant(name: str) -> None:
+    raise RigError(f"{name} is no number of JSON")
+
+
+def _parsed(line: bytes) -> Json:
+    """The object of a line. Raises RigError for a line that is none, and for keys that are not known."""
+    try:
+        request = json.loads(line.decode(), parse_constant=_refuse_constant)
+    except json.JSONDecodeError as error:
+        raise RigError(f"no JSON: {error.msg} at column {error.colno}") from None
+    except (ValueError, RecursionError) as error:  # no UTF-8, too many digits, too deep
+        raise RigError(f"no JSON: {error}") from None
+    if not isinstance(request, dict):
+        raise RigError(f"a request is an object of JSON with {', '.join(KEYS)}, not {type(request).__name__}")
+    unknown = [key for key in request if key not in KEYS]
+    if unknown:
+        raise RigError(f"the key {unknown[0]!r} is not known; known are {', '.join(KEYS)}")
+    return request
+
+
+def _numbers(values: object, count: int | None, where: str) -> Floats:
+    """(count,) numbers, all finite. Raises RigError that says where they are none."""
+    if not isinstance(values, list) or (count is not None and len(values) != count):
+        found = f"{len(values)} entries" if isinstance(values, list) else type(values).__name__
+        raise RigError(f"{where} must be a list of {count} numbers, not {found}")
+    for i, value in enumerate(values):
+        real = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
+        if not real or not math.isfinite(value):
+            raise RigError(f"{where}[{i}] must be a finite number, not {json.dumps(value)[:40]}")
+    return np.array(values, float)
+
+
+def _commands(calibration: Calibration, request: Json) -> Json:
+    """What answers a request. Raises RigError for a wrong request."""
+    wanted = request.get("poses")
+    if not isinstance(wanted, list) or not wanted:
+        raise RigError("poses must be a list of poses [x, y, z, rx, ry, rz], m and rad, at least one")
+    vectors = np.array([_numbers(one, 6, f"poses[{i}]") for i, one in enumerate(wanted)])
+    for i, (place, turn) in enumerate(np.abs(vectors).reshape(-1, 2, 3).max(axis=2).tolist()):
+        if place > LARGEST_RIG:
+            raise RigError(f"poses[{i}] is {place:g} m from the base: poses are in metres")
+        if turn > MOST_TURN:
+            raise RigError(f"poses[{i}] turns by {turn:g} rad: rotation vectors are in rad")
+    T = pose(vectors[:, :3], vectors[:, 3:])
+    poses = WantedPoses(Poses(np.arange(len(vectors)), T, None))  # as of a file: poses alone are normalised once more
+    start = request.get("start")
+    lengths = None if start is None else _numbers(start, len(calibration.correction.nominal.axes), "start")
+    options = CorrectOptions(_sensors(request.get("sensors")), lengths, skip_unreachable=True)
+    try:
+        result = correct(calibration, poses, options)
+    except Unreachable as error:  # all of them
+        return _tree(None, len(wanted), dict(zip(error.index, error.violations)))
+    return _tree(result, len(wanted), dict(result.out_of_reach))
+
+
+def _sensors(given: object) -> Sensors | None:
+    """Sensors of {channel: value}, None for none. Raises RigError for what is none."""
+    if given is None:
+        return None
+    if not isinstance(given, dict):
+        raise RigError(f"sensors must be an object of channels and values, not {type(given).__name__}")
+    values = {name: _numbers([value], 1, f"sensors[{name!r}]") for name, value in given.items()}
+    return Sensors(np.zeros(1), values)
+
+
+def _tree(result: CorrectionResult | None, count: int, refused: dict[int, str]) -> Json:
+    """An answer: lists by wanted pose with null for those that are refused."""
+    commands: list[object] = [None] * count
+    poses: list[object] = [None] * count
+    covariance: list[object] = [None] * count
+    if result is not None:
+        reached = pose_to_vector(result.commanded.T_base_platform).tolist()
+        spread = None if result.covariance is None else result.covariance.tolist()
+        for i, frame in enumerate(result.frames.tolist()):
+            commands[frame], poses[frame] = result.values[i].tolist(), reached[i]
+            covariance[frame] = None if spread is None else spread[i]
+    return {
+        "commands": commands,
+        "poses": poses,
+        "covariance": covariance,
+        "out_of_reach": [{"pose": i, "reason": refused[i].removeprefix(f"frame {i}: ")} for i in sorted(refused)],
+        "not_logged": [] if result is None else list(result.commanded.missing),
+    }

@@ -1,0 +1,241 @@
+"""LinuxCNC itself with simulated joints: through rigkins its joints stand where `rig correct` commands them."""
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.api.correct import CorrectOptions, correct
+from calib.correction.linuxcnc_kinematics_source import linuxcnc_kinematics_source
+from rig.model.mechanisms import hexapod
+from tests.calib.controllers_in_c import (
+    CALIBRATIONS,
+    THERMAL,
+    WARM,
+    calibration_of,
+    effects,
+    remainder,
+    sensors_of,
+    wanted,
+)
+
+MODULES = Path("/usr/lib/linuxcnc/modules")
+LIMIT = 300  # s, of one run
+SAME = 1e-6  # m
+
+INI = """[EMC]
+VERSION = 1.1
+[DISPLAY]
+DISPLAY = {folder}/drive.py
+[RS274NGC]
+PARAMETER_FILE = sim.var
+[EMCMOT]
+EMCMOT = motmod
+COMM_TIMEOUT = 4.0
+SERVO_PERIOD = 1000000
+[TASK]
+TASK = milltask
+CYCLE_TIME = 0.001
+[HAL]
+HALFILE = sim.hal
+[EMCIO]
+EMCIO = io
+CYCLE_TIME = 0.1
+TOOL_TABLE = sim.tbl
+"""
+HAL = """loadrt [KINS]KINEMATICS
+loadrt [EMCMOT]EMCMOT servo_period_nsec=[EMCMOT]SERVO_PERIOD num_joints=[KINS]JOINTS
+addf motion-command-handler servo-thread
+addf motion-controller servo-thread
+net estop iocontrol.0.user-enable-out iocontrol.0.emc-enable-in
+net prepared iocontrol.0.tool-prepare iocontrol.0.tool-prepared
+net changed iocontrol.0.tool-change iocontrol.0.tool-changed
+"""
+# What an operator's panel does: switch on, home, send one line after the other, read where all stands.
+DRIVE = """#!/usr/bin/python3
+import json, subprocess, time, traceback
+import linuxcnc
+
+command, status, errors = linuxcnc.command(), linuxcnc.stat(), linuxcnc.error_channel()
+found = {"rows": [], "path": [], "messages": []}
+
+
+def read():
+    status.poll()
+    return [list(status.actual_position[:6]), list(status.joint_actual_position[:6])]
+
+
+def pins(names):
+    return [float(subprocess.run(["halcmd", "getp", n], capture_output=True, text=True).stdout) for n in names]
+
+
+def send(line):
+    command.mdi(line)
+    while (done := command.wait_complete(0.004)) == -1:
+        found["path"].append(read())
+    return done
+
+
+try:
+    command.state(linuxcnc.STATE_ESTOP_RESET)
+    command.wait_complete()
+    command.state(linuxcnc.STATE_ON)
+    command.wait_complete()
+    command.home(-1)
+    until = time.monotonic() + 20
+    while not all(status.homed[:6]) and time.monotonic() < until:
+        time.sleep(0.05)
+        status.poll()
+    command.mode(linuxcnc.MODE_MDI)
+    command.wait_complete()
+    while errors.poll():
+        pass
+    lines, play, bad = json.load(open("lines.json"))
+    for line in lines:
+        assert send(line) == 1, line
+        time.sleep(0.15 if play else 0.01)  # joints follow some cycles later
+        row = read()
+        if play:
+            row.append(pins([f"joint.{i}.motor-pos-cmd" for i in range(6)]))
+        found["rows"].append(row)
+    found["bad"] = send(bad)
+    found["after"] = read()
+    time.sleep(0.2)
+    while message := errors.poll():
+        found["messages"].append(message[1])
+    found["pins"] = pins(["rigkins." + n for n in ("refused", "refused-strut", "refusals", "forward-status")])
+except BaseException:
+    found["fault"] = traceback.format_exc()
+json.dump(found, open("found.json", "w"))
+"""
+# The modules' folder with rigkins in it, seen by this run alone; then as no superuser, which LinuxCNC refuses.
+START = """set -e
+mount --bind {modules} {folder}/installed
+mount --bind {folder}/modules {modules}
+cd {folder}
+exec unshare --user --map-user=1000 --map-group=1000 env HOME={folder} RTAPI_FIFO_PATH={folder}/fifo linuxcnc -r sim.ini
+"""
+PRIVATE = ["unshare", "-r", "-m", "-i", "-p", "--fork", "--kill-child", "--mount-proc"]
+
+
+def why_not():
+    """Why LinuxCNC cannot be run here, or None."""
+    missing = [name for name in ("linuxcnc", "halcompile", "unshare", "cc") if shutil.which(name) is None]
+    if missing or not MODULES.is_dir():
+        return f"no LinuxCNC to run here: {', '.join(missing) or MODULES} is missing"
+    if subprocess.run([*PRIVATE, "true"], capture_output=True).returncode:
+        return "no private folder of modules: unshare with namespaces of its own is not allowed here"
+    return None
+
+
+def settings(text):
+    """The ini's lines that the module's head comment states, with simulated joints and axes completed."""
+    stated = re.findall(r"^ \* (\[[A-Z_0-9]+\]|[A-Z_]+ = .*)$", text.split("*/")[0], flags=re.MULTILINE)
+    more = {
+        "[JOINT": ["TYPE = LINEAR", "MAX_VELOCITY = 9000", "MAX_ACCELERATION = 100", "HOME_SEQUENCE = 0"]
+        + ["FERROR = 10", "MIN_FERROR = 10"],
+        "[TRAJ]": ["NO_FORCE_HOMING = 1", "MAX_LINEAR_VELOCITY = 3000", "DEFAULT_LINEAR_VELOCITY = 3000"]
+        + ["MAX_ANGULAR_VELOCITY = 3000", "DEFAULT_ANGULAR_VELOCITY = 3000"]
+        + ["MAX_LINEAR_ACCELERATION = 50000", "DEFAULT_LINEAR_ACCELERATION = 50000"],
+    }
+    lines = []
+    for line in stated:
+        key, _, value = line.partition(" = ")
+        lines += [line, *more.get(line[:6], [])]
+        if key == "HOME" and " " not in value:
+            lines.append(f"HOME_OFFSET = {value}")
+    for axis in "XYZABC":
+        lines += [f"[AXIS_{axis}]", "MIN_LIMIT = -1000", "MAX_LIMIT = 1000", "MAX_VELOCITY = 3000"]
+        lines.append("MAX_ACCELERATION = 50000")
+    return "\n".join(lines)
+
+
+def run_linuxcnc(calibration, T, folder, play=False):
+    """(poses (n, 6) mm and degrees as written, what the run found) of poses (n,), one line each."""
+    text = linuxcnc_kinematics_source(calibration.correction, calibration.physics, "rig 1.2.3").text
+    (folder / "rigkins.c").write_text(text)
+    built = subprocess.run(["halcompile", "--compile", "rigkins.c"], cwd=folder, capture_output=True, text=True)
+    assert built.returncode == 0 and (folder / "rigkins.so").exists(), built.stdout + built.stderr
+    assert "warning" not in built.stderr, built.stderr
+    for name in ("modules", "installed"):
+        (folder / name).mkdir()
+    for module in MODULES.glob("*.so"):
+        (folder / "modules" / module.name).symlink_to(folder / "installed" / module.name)
+    shutil.copy(folder / "rigkins.so", folder / "modules")
+    given = np.round(np.c_[T.translation * 1e3, T.rotation.as_euler("xyz", degrees=True)], 6)
+    lines = ["G21 G90 G1 F180000 " + " ".join(f"{a}{v:.6f}" for a, v in zip("XYZABC", row)) for row in given]
+    channels = re.findall(r"^ \*   rigkins\.(\w+)", text, flags=re.MULTILINE)
+    loop = [f"net j{i} joint.{i}.motor-pos-cmd => joint.{i}.motor-pos-fb" for i in range(6)]
+    warm = [f"setp rigkins.{name} {WARM[name]!r}" for name in channels]
+    for name, written in {
+        "sim.ini": INI.format(folder=folder) + settings(text),
+        "sim.hal": HAL + "\n".join([*loop, *warm, ""]),
+        "sim.tbl": "",
+        "sim.var": "",
+        "drive.py": DRIVE,
+        "start.sh": START.format(folder=folder, modules=MODULES),
+        "lines.json": json.dumps([lines, play, "G1 Z900"]),
+    }.items():
+        (folder / name).write_text(written)
+    (folder / "drive.py").chmod(0o755)
+    done = subprocess.run(
+        [*PRIVATE, "bash", "start.sh"], cwd=folder, capture_output=True, text=True, timeout=LIMIT, errors="replace"
+    )
+    assert (folder / "found.json").exists(), done.stdout + done.stderr
+    found = json.loads((folder / "found.json").read_text())
+    assert "fault" not in found, found["fault"] + done.stdout + done.stderr
+    return given, found
+
+
+def commanded(calibration, poses):
+    """(n, 6) m that `rig correct` commands for poses (n, 6) as LinuxCNC holds them, mm and degrees."""
+    from scipy.spatial.transform import RigidTransform, Rotation
+
+    turned = Rotation.from_euler("xyz", poses[:, 3:], degrees=True)
+    T = RigidTransform.from_components(poses[:, :3] / 1e3, turned)
+    return correct(calibration, T, CorrectOptions(sensors_of(calibration), approach="never")).values
+
+
+@pytest.mark.slow
+def test_a_thousand_segments_end_and_run_where_rig_correct_commands(design, tmp_path, capsys):
+    reason = why_not()
+    if reason:
+        pytest.skip(reason)
+    calibration = calibration_of(remainder(design), effects(design, *THERMAL))
+    given, found = run_linuxcnc(calibration, wanted(design, 1000, fill=0.6), tmp_path)
+    ends, path = np.array(found["rows"]), np.array(found["path"])
+    worst = np.abs(ends[:, 1] / 1e3 - commanded(calibration, given)).max()
+    along = np.abs(path[:, 1] / 1e3 - commanded(calibration, path[:, 0])).max()
+    with capsys.disabled():
+        print(f"\nLinuxCNC: {len(ends)} segments, {worst:.2g} m at their ends; {along:.2g} m at {len(path)} on the way")
+    assert worst < SAME and along < SAME and len(path) > 2000
+    assert np.abs(ends[:, 0] - given).max() < 1e-6  # mm, degrees: by its forward kinematics it stands where it was sent
+    nominal = hexapod.inverse(wanted(design, 1000, fill=0.6), design.mechanism)
+    assert np.abs(ends[:, 1] / 1e3 - nominal).max() > 1e-4  # without the correction it is elsewhere
+    assert found["pins"][0] == 2 and found["pins"][2] >= 1 and 1 <= found["pins"][1] <= 6 and found["pins"][3] == 0
+    assert any("a strut leaves its range" in text for text in found["messages"])
+    assert any("fails kinematicsInverse" in text for text in found["messages"]) and np.allclose(
+        found["after"], ends[-1], 0, 1e-8
+    )
+
+
+@pytest.mark.slow
+def test_with_backlash_in_its_ini_linuxcnc_takes_up_the_play(design, tmp_path, capsys):
+    """Motors are commanded what `rig correct` does, where a strut came without turning back on the way."""
+    reason = why_not()
+    if reason:
+        pytest.skip(reason)
+    calibration = CALIBRATIONS["all"](design)
+    given, found = run_linuxcnc(calibration, wanted(design, 100, fill=0.6), tmp_path, play=True)
+    joints, motors = (np.array([row[i] for row in found["rows"]]) / 1e3 for i in (1, 2))
+    motors += hexapod.home_values(design.mechanism)  # they count from where they stood when they were homed
+    halves = np.array([4e-5, 0, 0, 1.5e-5, 0, 0])
+    assert np.abs(np.abs(motors - joints) - halves).max() < 1e-7  # half of the acceleration times a period squared
+    off = np.abs(motors - commanded(calibration, given)).max(axis=1)
+    with capsys.disabled():
+        print(f"\nLinuxCNC with play: {np.mean(off < SAME):.0%} of {len(off)} ends within {SAME:g} m of rig correct")
+    assert np.mean(off < SAME) > 0.8
