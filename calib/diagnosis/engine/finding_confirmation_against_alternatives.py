@@ -1,6 +1,6 @@
 """Finding confirmation against alternatives: each admitted term against all candidates and smooth functions."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic
 
@@ -13,7 +13,7 @@ from calib.diagnosis.engine.linear_model import column_cosine
 from calib.diagnosis.engine.problem_interface import AliasedNodes, Fit, Model, Problem, Progress
 from rig.model.effect_places_and_part_tolerances import Place
 
-RESTARTS = 2  # times the most terms that there may be, after which terms are confirmed as they stand
+RESTARTS = 2  # times the most terms that there may be, replacements after which terms are confirmed as they stand
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,14 +134,14 @@ def may_become_significant_when_fitted(score: Score[C], count: int, size: int, p
 def confirm_terms(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> tuple[Fit, list[Finding[C]]]:
     """Confirm each term of a Fit against all candidates: removed, replaced, or retained with its alternatives.
 
-    The others stay admitted meanwhile.
+    The others stay admitted meanwhile. What was replaced does not come back, and after a number of replacements nothing
+    is replaced any more: every term of the Fit is a finding in the end.
     """
     policy, count = problem.policy, len(problem.candidates)
     findings: list[Finding[C]] = []
-    for _ in range(RESTARTS * policy.most):
-        number = len(findings)
-        if number == len(problem.terms(fit)):
-            break
+    replaced: list[C] = []
+    while len(findings) < len(problem.terms(fit)):
+        number, replaces = len(findings), len(replaced) < RESTARTS * policy.most
         model, size = problem.without_term(fit, number), problem.size(fit)
         scanned, held = problem.rescored(model, fit, number), problem.given.holds(problem.terms(fit)[number])
         own = scanned
@@ -154,8 +154,9 @@ def confirm_terms(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress 
         if not held and not is_significant(own, count, size, policy):  # beside all others it is none
             fit, findings = problem.remove_term(fit, number), []
             continue
-        member = None if held else _likelier_member(problem, model, fit, number, scanned)
+        member = None if held or not replaces else _likelier_member(problem, model, fit, number, scanned, replaced)
         if member is not None:
+            replaced.append(problem.terms(fit)[number])
             fit, findings = problem.in_place(member, number), []
             continue
         found = find_alternatives(
@@ -167,13 +168,22 @@ def confirm_terms(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress 
         better = next(
             (t for t in tries if t.alternative is ranked[0] and t.alternative.behind < -policy.takes_over), None
         )
-        if better is not None and not held and is_significant(better.alternative.score, count, size, policy):
+        if (
+            better is not None
+            and replaces
+            and not held
+            and not any(better.alternative.score.candidate is c for c in replaced)
+            and is_significant(better.alternative.score, count, size, policy)
+        ):
+            replaced.append(problem.terms(fit)[number])
             fit, findings = problem.in_place(better.fit, number), []
             continue
         if not held and _outdone(
             problem, model, fit, own
         ):  # only now: what has no name may be likelier than one name, and not than the next
-            member = refit_with_other_member_of_law(problem, model, fit, number)
+            member = refit_with_other_member_of_law(problem, model, fit, number, replaced) if replaces else None
+            if member is not None:
+                replaced.append(problem.terms(fit)[number])
             fit = problem.remove_term(fit, number) if member is None else problem.in_place(member, number)
             findings = []
             continue
@@ -211,15 +221,18 @@ def _other_members(problem: Problem[Fit, Model, C], model: Model, fit: Fit, numb
 
 
 def _likelier_member(
-    problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int, scanned: Score[C]
+    problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int, scanned: Score[C], but: Sequence[C]
 ) -> Fit | None:
     """The Fit with another member of a term's law in its place, the last of the terms, where that is likelier once all
-    is fitted by what an alternative must lead by; None where none is. model : without the term, scanned as this Score
+    is fitted by what an alternative must lead by; None where none is.
+
+    model : without the term, scanned as this Score; but : members that are not tried
     """
     policy, size = problem.policy, problem.linear(model).size
     if not np.isfinite(policy.takes_over):
         return None
-    for score in _other_members(problem, model, fit, number)[: policy.refitted]:
+    others = [s for s in _other_members(problem, model, fit, number) if not any(s.candidate is c for c in but)]
+    for score in others[: policy.refitted]:
         if score.evidence(size) < scanned.evidence(size) - policy.alike:
             break
         new = problem.add_term(problem.remove_term(fit, number), score)
@@ -229,13 +242,18 @@ def _likelier_member(
     return None
 
 
-def refit_with_other_member_of_law(problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int) -> Fit | None:
+def refit_with_other_member_of_law(
+    problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int, but: Sequence[C] = ()
+) -> Fit | None:
     """Refit with another member of a term's law in its place that explains its residuals; None where none does.
 
     It is the last of the terms. A law is a family, and a machine need not follow its first formula. model : without it
+    but : members that are not tried
     """
     site, size = problem.terms(fit)[number].site, problem.linear(model).size
     for score in _other_members(problem, model, fit, number):
+        if any(score.candidate is c for c in but):
+            continue
         if is_significant(score, len(problem.candidates), size, problem.policy):
             new = problem.add_term(problem.remove_term(fit, number), score)
             left = problem.lack_of_fit(problem.residual(new))
