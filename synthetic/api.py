@@ -20,7 +20,7 @@ from rig.model.design import Design, Sensor
 from rig.planning.plan import build_plan
 from rig.recording.recording_folder import load_sensors
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from synthetic import recording_simulation, secret_machine
+from synthetic import recording_simulation, secret_machine_and_truth_file
 from synthetic.image_simulation import simulations_with_and_without_effects_found
 from synthetic.recording_simulation import Simulation
 
@@ -133,9 +133,9 @@ class SimulationResult(OneLineRepr):
         seed, world, T = self.options.seed, self.simulation.world, self.simulation.run.T_base_platform
         if self.pictures is not None:
             corners = recording_simulation.truth_corners(self.simulation)
-            secret_machine.write_truth(Path(path), world, T, seed=seed, corners=corners)
+            secret_machine_and_truth_file.write_truth(Path(path), world, T, seed=seed, corners=corners)
         else:
-            secret_machine.write_truth(Path(path), world, T, seed=seed, noise_px=self.options.noise)
+            secret_machine_and_truth_file.write_truth(Path(path), world, T, seed=seed, noise_px=self.options.noise)
 
 
 def simulate(rig_toml: Path | str, options: SimulateOptions = SimulateOptions()) -> SimulationResult:
@@ -163,10 +163,10 @@ def simulate(rig_toml: Path | str, options: SimulateOptions = SimulateOptions())
         import_pyrender()
     rng = np.random.default_rng(options.seed)
     if options.machine is not None:
-        world = secret_machine.world_from_truth(options.machine, design, kinds)
+        world = secret_machine_and_truth_file.world_from_truth(options.machine, design, kinds)
         world = replace(world, effects=world.effects + effects)
     else:
-        world = secret_machine.draw_machine(design, rng, options.secret, effects)
+        world = secret_machine_and_truth_file.draw_machine(design, rng, options.secret, effects)
     plan = build_plan(design, options.plan, options.seed)
     sensors = None if options.sensors is None else load_sensors(options.sensors, plan.origin)
     done = recording_simulation.simulate_world(world, plan, rng, sensors)

@@ -24,10 +24,10 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.model.pose import exp
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import build_plan, plan_of_configurations
-from rig.planning.plan_construction_and_table import Plan
+from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
 from rig.recording.recording_folder import Commands, Sensors
 from synthetic import recording_simulation as simulation
-from synthetic import secret_machine
+from synthetic import secret_machine_and_truth_file
 from synthetic.blind_cases import TRIES, schedule_effects
 
 KINDS = ("nothing", "one", "two")  # of what is hidden
@@ -131,7 +131,7 @@ def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, fram
     if len({(e.name, e.place) for e in effects}) < len(effects):
         raise RigError("the same effect twice at one place")
     done = simulation.simulate_world(
-        secret_machine.draw_machine(design, rng, float(rng.uniform(0.5, 1.5)), effects), route, rng
+        secret_machine_and_truth_file.draw_machine(design, rng, float(rng.uniform(0.5, 1.5)), effects), route, rng
     )
     return DrawnArmCase(kind, make, done, text, sigma, hard, plan, rng)
 
@@ -155,7 +155,7 @@ def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Gene
     """An effect at a random joint, its parameters over their usual ranges. Raises RigError where the arm lacks what it
     needs.
     """
-    sensors, _ = secret_machine.draw_temperatures(float(route.t[-1]), np.random.default_rng(0), 0)
+    sensors, _ = secret_machine_and_truth_file.draw_temperatures(float(route.t[-1]), np.random.default_rng(0), 0)
     motion = motion_simulation.motion_of_commands(design, route.commands, route.t, (), sensors)
     motion = replace(motion, T=mechanisms.kinematics_of(design.mechanism).forward(motion.lengths, design.mechanism))
     place = str(rng.choice(mechanisms.axis_place_texts(design.mechanism)))
@@ -209,7 +209,7 @@ def _untimed(plan: Plan) -> Plan:
 
 def write_truth(case: DrawnArmCase, path: Path, **more: object) -> None:
     """Write the truth of an arm case, with further entries, into a file."""
-    secret_machine.write_truth(
+    secret_machine_and_truth_file.write_truth(
         path,
         case.simulation.world,
         case.simulation.run.T_base_platform,

@@ -20,10 +20,10 @@ from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
-from rig.planning.plan_construction_and_table import Plan
+from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_table_loading_and_writing import Corners
-from synthetic import blind_image_settings, secret_machine, unlisted_physics
+from synthetic import blind_image_settings, secret_machine_and_truth_file, unlisted_physics
 from synthetic import recording_simulation as simulation
 from synthetic.blind_image_settings import ImageSettings
 from vision import lens
@@ -129,7 +129,7 @@ def _drawn(
     if kind == "foreign":
         effects = [unlisted_physics.draw_unlisted_effect(design, duration, rng)]
     slight = [] if eyes is None else [blind_image_settings.draw_typical_printing_errors(design, rng)]
-    secret = secret_machine.draw_machine(design, rng, float(rng.uniform(0.5, 1.5)), [*effects, *slight])
+    secret = secret_machine_and_truth_file.draw_machine(design, rng, float(rng.uniform(0.5, 1.5)), [*effects, *slight])
     done = simulation.simulate_world(secret, route, rng)
     kept = {
         name: v for name, v in done.log.channels.items() if not ("temperature" in withheld and "temperature" in name)
@@ -188,8 +188,10 @@ def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Gene
         "target": str(Place("target", target.name)),
         "marker": str(Place("marker", str(target.ids[rng.integers(len(target.ids))]))),
     }.get(place, place)
-    sensors, _ = secret_machine.draw_temperatures(
-        float(route.t[-1]), np.random.default_rng(0), secret_machine.strut_count(require_axes(design.mechanism))
+    sensors, _ = secret_machine_and_truth_file.draw_temperatures(
+        float(route.t[-1]),
+        np.random.default_rng(0),
+        secret_machine_and_truth_file.strut_count(require_axes(design.mechanism)),
     )
     motion = motion_simulation.motion_of_commands(design, route.commands, route.t, (), sensors)
     reason = kind(place).needs(motion) if kind.stage in MOTION_STAGES else None
@@ -233,7 +235,7 @@ def write_truth(case: DrawnCase, path: Path, **more: object) -> None:
     """Write the truth of a blind case, with further entries, into a file."""
     disturbance = case.disturbance.__name__ if case.disturbance is not None else None
     hidden = replace(case.simulation.world, effects=case.hidden)
-    secret_machine.write_truth(
+    secret_machine_and_truth_file.write_truth(
         path,
         hidden,
         case.simulation.run.T_base_platform,

@@ -22,14 +22,14 @@ from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
 from rig.model.pose import transform_points
-from rig.planning.plan_construction_and_table import Plan
+from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
 from rig.recording.recording_folder import Commands, Sensors
-from synthetic import secret_machine
-from synthetic import secret_machine as worlds
+from synthetic import secret_machine_and_truth_file
+from synthetic import secret_machine_and_truth_file as worlds
 from synthetic.ideal_image_renderer import import_pyrender
 from synthetic.image_simulation import Images, render_image, require_renderable
 from synthetic.recording_simulation import Simulation
-from synthetic.secret_machine import World, remount_cubes
+from synthetic.secret_machine_and_truth_file import World, remount_cubes
 
 LONGEST = 24 * 3600.0  # s that the temperatures lasts; beyond it remains unchanged
 SOON, LATE = (
@@ -276,7 +276,11 @@ def _serve_emulated_cameras(
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who interrupts the emulator ends this with it
     try:
         stated = design_file.load_design(design)
-        secret = secret_machine.world_from_truth(Path(truth), stated) if truth else secret_machine.World(stated, stated)
+        secret = (
+            secret_machine_and_truth_file.world_from_truth(Path(truth), stated)
+            if truth
+            else secret_machine_and_truth_file.World(stated, stated)
+        )
         require_renderable(secret.effects)
         import_pyrender()
         clock, images = SystemClock(), Images(stated.sensor)

@@ -22,10 +22,10 @@ from rig.errors import FileError, RigError
 from rig.formats.output_files import write_bytes
 from rig.model import motion_simulation
 from rig.model.design import Camera, Sensor
-from rig.planning.plan_construction_and_table import Plan
+from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors
-from synthetic import rig_meshes, secret_machine
+from synthetic import rig_meshes, secret_machine_and_truth_file
 from synthetic.ideal_image_renderer import SAMPLES, Renderer, import_pyrender
 from synthetic.image_sensor_and_occlusion import expose_image
 from synthetic.recording_simulation import Simulation, carried_camera_poses, stage_poses_of_run
@@ -280,7 +280,7 @@ def simulations_with_and_without_effects_found(folder: Path, kinds: Kinds = BY_N
     found = recording_folder.load_recording(folder)
     if found.commands is None:
         raise RigError(f"{folder}: there are no commands, so no motion can be simulated")
-    secret = secret_machine.world_from_truth(path, found.design, kinds)
+    secret = secret_machine_and_truth_file.world_from_truth(path, found.design, kinds)
     _, t = found.exposures.times()
     sensors = found.sensors or Sensors(np.array([found.commands.t[0]]), {})
     plan = Plan(found.commands, t, np.array([(0.0, 0.0)]), found.origin)

@@ -19,7 +19,7 @@ from rig.model.design_comparison_and_cube_turning_instructions import rig_toml_w
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
 from rig.planning.plan import sensors_with_payload
-from rig.planning.plan_construction_and_table import Plan
+from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
 from rig.recording.recording_folder import LIMB, Sensors, sensors_with_gravity
 from rig.recording.recording_table_loading_and_writing import (
     DISTANCE,
@@ -28,9 +28,9 @@ from rig.recording.recording_table_loading_and_writing import (
     write_corners,
     write_table,
 )
-from synthetic import secret_machine as worlds
+from synthetic import secret_machine_and_truth_file as worlds
 from synthetic.image_sensor_and_occlusion import is_occluded
-from synthetic.secret_machine import remount_cubes
+from synthetic.secret_machine_and_truth_file import remount_cubes
 from vision.predict import (
     MarkerMap,
     Sightings,

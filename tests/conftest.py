@@ -116,10 +116,10 @@ def design(rig_text, tmp_path_factory):
 def make_recording(folder, design, rig_text, seed, count=24, noise=0.04, size=1.0, effects=()):
     """A simulated recording at corner level in a folder, its World and its true poses."""
     from rig.planning import configuration_sets, plan
-    from synthetic import recording_simulation, secret_machine
+    from synthetic import recording_simulation, secret_machine_and_truth_file
 
     rng = np.random.default_rng(seed)
-    secret = secret_machine.draw_machine(design, rng, size, effects)
+    secret = secret_machine_and_truth_file.draw_machine(design, rng, size, effects)
     strokes = design.mechanism.strut_range
     route = plan.plan_of_configurations(
         configuration_sets.sobol_configurations(strokes, count, seed=seed),
@@ -147,14 +147,14 @@ def limbed(tmp_path_factory):
     from rig.planning import plan
     from rig.planning.layout import hexapod_layout_and_camera_placement
     from rig.recording import recording_folder
-    from synthetic import recording_simulation, secret_machine
+    from synthetic import recording_simulation, secret_machine_and_truth_file
 
     folder = tmp_path_factory.mktemp("limbs")
     text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6)
     (folder / "rig.toml").write_text(text)
     design = design_file.load_design(folder / "rig.toml")
     rng = np.random.default_rng(2)
-    machine = secret_machine.draw_machine(design, rng)
+    machine = secret_machine_and_truth_file.draw_machine(design, rng)
     done = recording_simulation.simulate_world(machine, plan.build_plan(design, "axes:5,sobol:50"), rng)
     recording_simulation.write_recording(done, folder / "rec", text, rng, noise=0.04)
     recording_simulation.write_recording(

@@ -27,7 +27,7 @@ CALLS = {
         verb: f"calib.api.{verb}:{verb}"
         for verb in ("plan", "calibrate", "correct", "diagnose", "certify", "investigate")
     },
-    "check": "calib.api.recording_check_combination_and_displacement_removal:check",
+    "check": "calib.api.recording_check_combination_and_instrument_displacement_correction:check",
     "why": "calib.api.why:why",
     **{verb: f"calib.api.verify_and_watch:{verb}" for verb in ("verify", "watch")},
     "simulate": "synthetic.api:simulate",
@@ -52,8 +52,10 @@ CALLS = {
     "effects document": "rig.api:effect_catalogue",
     "doctor completion": "rig.cli.shared.argument_parser_and_common_options:completion_script",
     "print": "synthetic.print_sheets:write_sheets",
-    "print check": "vision.printed_marker_size:measure_printed_marker_scale",
-    **dict.fromkeys(("new design", "new"), "rig.planning.layout.shipped_arm_layout:hexapod_two_strut_or_arm_rig_toml"),
+    "print check": "vision.printed_marker_size_from_photograph:measure_printed_marker_scale",
+    **dict.fromkeys(
+        ("new design", "new"), "rig.planning.layout.shipped_arms_and_layouts:hexapod_two_strut_or_arm_rig_toml"
+    ),
     "import": "rig.api:import_recording",
     "emulate": "rig.driving.emulators.controller_emulator_opening_and_ports:load_emulator",
     "view index": "rig.report.pages.page_templates_and_elements:write_index_page",

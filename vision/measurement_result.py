@@ -27,7 +27,7 @@ from rig.report.verdict_and_refutations_by_later_recordings import (
 from vision.bundle.adjustment_validation_and_determinacy import DeterminedUnknowns, HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places, adjusted_markers
 from vision.bundle.unknown_priors import stated_lens_prior_sigmas
-from vision.reading.marker_identity_mistakes import Suspect
+from vision.reading.marker_identity_mistakes_found_against_rig_toml import Suspect
 from vision.reading.recording_corners import Collected
 from vision.recording_adjustment import Measurement
 

@@ -38,7 +38,7 @@ from vision.pose.frame_and_camera_poses import (
     locate_frames,
 )
 from vision.pose.marker_places_from_sightings import marker_places_from_sightings
-from vision.pose.pose_refinement_and_ambiguity import FAR
+from vision.pose.pose_refinement_and_ambiguity_resolution_by_neighbouring_frames import FAR
 from vision.predict import MarkerMap, State, predict_corners
 
 FARTHEST = 30.0  # px; a corner that lies farther from where it ought to be says no more by it

@@ -18,7 +18,7 @@ from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import Kinema
 from rig.model.mechanisms.closed_form_and_numerical_arm_inverse import SixJointArm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.model.pose import pose_to_vector
-from rig.planning.layout import shipped_arm_layout
+from rig.planning.layout import shipped_arms_and_layouts
 
 SINGULAR = 1e-6  # least over greatest singular value of the Jacobian, below which a configuration is called singular
 
@@ -98,7 +98,7 @@ def load_arm_kinematics(text: str) -> ArmKinematics:
     Raises RigError for other kinds
     """
     if Path(text).suffix != ".json":
-        return ArmKinematics(require_arm(shipped_arm_layout.load_shipped_arm_design(text).mechanism))
+        return ArmKinematics(require_arm(shipped_arms_and_layouts.load_shipped_arm_design(text).mechanism))
     calibration = calibration_file.load(text)
     correction, left_out = calibration.correction, None
     if calibration.physics is not None and calibration.physics.compensable_effects():

@@ -12,7 +12,7 @@ from calib.api.correction_over_configuration_or_pose_space import (
     ExtendOptions,
     certify_correction_extension,
 )
-from calib.api.recording_check_combination_and_displacement_removal import check_and_combine_recordings
+from calib.api.recording_check_combination_and_instrument_displacement_correction import check_and_combine_recordings
 from calib.certification import platform_certification
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import calibration_verdict
@@ -62,7 +62,7 @@ from rig.recording.recording_table_loading_and_writing import write_table
 from rig.report.pages.page_templates_and_elements import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations_by_later_recordings import Verdict
-from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
+from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import Notice, ignore_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,12 +12,12 @@ from calib.certificate import (
     certificate_pdf,
     digital_certificate_xml,
 )
-from calib.certificate.certificate_contents import CertifyOptions
-from calib.certificate.certificate_verdict_and_provenance import (
+from calib.certificate.certificate_computation_verdict_and_provenance import (
     Certificate,
     calibration_certificate,
     certificate_verdict,
 )
+from calib.certificate.certificate_contents import CertifyOptions
 from calib.certificate.digital_certificate_xml import Issuer
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration, refutation_sentence
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
@@ -31,7 +31,7 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import (
 from calib.certification.platform_certification import Progress
 from calib.files import calibration_provenance_and_used_frames
 from calib.files.calibration_provenance_and_used_frames import SEED
-from calib.models.base_and_tool_placement import samples_without_displacement
+from calib.models.base_and_tool_displacement_since_reference_recording import samples_without_displacement
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json

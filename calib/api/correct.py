@@ -7,9 +7,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.correction.command_sequence_timing_and_pose_error_map import HOLDING
-from calib.correction.commanded_poses import PoseFrames as PoseFrames
-from calib.correction.commanded_poses import poses_to_command
+from calib.correction.command_timing_and_error_map_in_pose_space import HOLDING
+from calib.correction.corrected_pose_commands_for_pose_taking_controllers import PoseFrames as PoseFrames
+from calib.correction.corrected_pose_commands_for_pose_taking_controllers import poses_to_command
 from calib.correction.correction import require_reachable
 from calib.correction.physics_compensation import require_sensor_coverage
 from calib.models.arm.correction import ArmCorrection

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calib.api.next_experiment import NextExperiment, available_plans, ranked_experiments_and_excluded_plans
-from calib.api.recording_check_combination_and_displacement_removal import check_and_combine_recordings
+from calib.api.recording_check_combination_and_instrument_displacement_correction import check_and_combine_recordings
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import OfCalibrations
 from calib.certification.platform_certification import Progress, silent_progress
@@ -42,7 +42,11 @@ from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations_by_later_recordings import State, Verdict
-from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice, recorded_or_sampled_corners
+from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import (
+    Notice,
+    ignore_notice,
+    recorded_or_sampled_corners,
+)
 
 TELLING = 0.01  # bits; a plan that tells less tells nothing
 

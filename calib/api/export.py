@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.api.correction_lookup_table import correction_lookup_table
+from calib.api.command_lookup_table_over_sensor_channels import correction_lookup_table
 from calib.correction.correction_as_c_source import correction_c_source
 from calib.correction.correction_tables_and_pose_space_map_json import axis_correction_tables, grid_correction_table
 from calib.correction.linuxcnc_kinematics_source import linuxcnc_kinematics_source

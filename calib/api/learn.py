@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from calib.api.recording_check_combination_and_displacement_removal import (
+from calib.api.recording_check_combination_and_instrument_displacement_correction import (
     refuse_unfit_recording_and_return_corner_check,
 )
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
@@ -31,7 +31,7 @@ from rig.report.pages.page_templates_and_elements import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations_by_later_recordings import Refutation, Verdict
 from vision.api import Progress
-from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
+from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import Notice, ignore_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification import (
-    measuring_limb_calibration_agreement_with_vision_and_slips,
+    measuring_limb_identification_and_agreement_with_vision,
     redundant_measuring_limb_checks_by_loop_closure,
 )
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
@@ -142,9 +142,9 @@ def _legs(recording: Recording, options: LoopClosureOptions) -> tuple[RedundantL
     """(Legs of struts and limbs, frames (n,), lengths (n, legs) m as commanded and read)."""
     machine, stated = (
         require_hexapod(recording.design.mechanism),
-        measuring_limb_calibration_agreement_with_vision_and_slips.stated_limbs(recording.design),
+        measuring_limb_identification_and_agreement_with_vision.stated_limbs(recording.design),
     )
-    frames, lengths = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings(recording)
+    frames, lengths = measuring_limb_identification_and_agreement_with_vision.limb_readings(recording)
     n = len(stated.channels)
     every, _, values = recording.commanded()
     commanded = values[np.searchsorted(every, frames)]

@@ -19,7 +19,7 @@ from calib.online.run_options_and_equipment import (
     set_exposures,
 )
 from rig.array_and_json_types import Floats
-from rig.driving import straight_move_profile
+from rig.driving import trapezoidal_move_profile_and_path_check
 from rig.driving.cameras.camera_interface_and_grabbing import Settling, SynchronisedCameras, parse_settling
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_limits import require_goals_within_limits
@@ -46,7 +46,7 @@ from rig.model.design import Design, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import turning_instructions
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
 from rig.planning.plan import build_plan
-from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
+from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import Notice, ignore_notice
 
 STANDARD = RunOptions()
 Displays = Callable[[RunObserver], AbstractContextManager[list[RunDisplay]]]
@@ -239,8 +239,8 @@ def move_checker(design: Design) -> Callable[[Floats, Floats], None]:
     c, m = design.driver(), require_struts(design.mechanism)
 
     def check(start: Floats, goal: Floats) -> None:
-        straight_move_profile.require_safe_path(
-            start, straight_move_profile.require_lengths_in_range(goal, m), m, c.margin, c.max_step
+        trapezoidal_move_profile_and_path_check.require_safe_path(
+            start, trapezoidal_move_profile_and_path_check.require_lengths_in_range(goal, m), m, c.margin, c.max_step
         )
 
     return check

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from calib.api.learn import LearningResult, learn_from_samples
-from calib.api.recording_check_combination_and_displacement_removal import (
+from calib.api.recording_check_combination_and_instrument_displacement_correction import (
     refuse_unfit_recording_and_return_corner_check,
 )
 from calib.certification import (
-    measuring_limb_calibration_agreement_with_vision_and_slips,
+    measuring_limb_identification_and_agreement_with_vision,
     redundant_measuring_limb_checks_by_loop_closure,
 )
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.measuring_limb_calibration_agreement_with_vision_and_slips import Agreement
+from calib.certification.measuring_limb_identification_and_agreement_with_vision import Agreement
 from calib.files.calibration_provenance_and_used_frames import calibration_provenance
 from calib.models.machine_models import corrected_pose_covariance
 from calib.online import measuring_limbs_file, platform_poses_from_measuring_limbs_checked_by_vision
@@ -37,7 +37,7 @@ from rig.report.pages.page_templates_and_elements import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations_by_later_recordings import Verdict
 from vision.api import Progress
-from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
+from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import Notice, ignore_notice
 
 FIGURES = ("bias", "scatter", "expected", "limits", "surely", "tolerance", "moved", "passed")
 
@@ -148,34 +148,32 @@ def accept_limbs(
     Raises RigError for a recording without limbs' readings, and for other limbs than it has
     """
     design = recording.design
-    measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(
+    measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(
         design
     )  # limbs that determine no pose are refused before anything is read
-    frames, every = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings(recording)
-    stated = measuring_limb_calibration_agreement_with_vision_and_slips.stated_limbs(design)
+    frames, every = measuring_limb_identification_and_agreement_with_vision.limb_readings(recording)
+    stated = measuring_limb_identification_and_agreement_with_vision.stated_limbs(design)
     requested = None if options.use is None else _limb_numbers(options.use, stated.channels)
     by_vision = sample_recording(recording, progress=progress)
     sigma, home = (
         stated.length_sigma,
-        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design).home,
+        measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(design).home,
     )
     chosen = (
         redundant_measuring_limb_checks_by_loop_closure.best_six_limbs(stated, home, by_vision.samples.T_base_platform)
         if requested is None
         else requested
     )
-    nominal = measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design, chosen)
-    samples = measuring_limb_calibration_agreement_with_vision_and_slips.samples_with_limb_readings_as_commands(
+    nominal = measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(design, chosen)
+    samples = measuring_limb_identification_and_agreement_with_vision.samples_with_limb_readings_as_commands(
         by_vision.samples, frames, every[:, chosen]
     )
-    T, expected = measuring_limb_calibration_agreement_with_vision_and_slips.held_out_limb_poses(
-        samples, nominal, sigma
-    )
-    found = measuring_limb_calibration_agreement_with_vision_and_slips.limb_agreement(
+    T, expected = measuring_limb_identification_and_agreement_with_vision.held_out_limb_poses(samples, nominal, sigma)
+    found = measuring_limb_identification_and_agreement_with_vision.limb_agreement(
         samples.T_base_platform, T, expected, options.tolerance
     )
     six = replace(
-        measuring_limb_calibration_agreement_with_vision_and_slips.calibrate_limbs(samples, nominal, sigma)[0],
+        measuring_limb_identification_and_agreement_with_vision.calibrate_limbs(samples, nominal, sigma)[0],
         chosen=chosen,
     )
     both = every[np.searchsorted(frames, samples.frame)]
@@ -184,7 +182,7 @@ def accept_limbs(
     )
     source = calibration_provenance(recording, options.arguments, 0, by_vision.source == "images")
     accepted = Accepted(limbs, nominal, found, None, source)
-    slipped = measuring_limb_calibration_agreement_with_vision_and_slips.detect_limb_slip(samples, limbs, sigma)
+    slipped = measuring_limb_identification_and_agreement_with_vision.detect_limb_slip(samples, limbs, sigma)
     if slipped is not None:
         limb = chosen[slipped.limb - 1] + 1
         reason = (

@@ -29,7 +29,7 @@ from calib.drift.change_evidence import Verdict as ChangeVerdict
 from calib.drift.visit_history import History, add_visit_and_judge_change
 from calib.files import calibration_provenance_and_used_frames
 from calib.files.calibration_provenance_and_used_frames import SEED
-from calib.models.base_and_tool_placement import Placement, samples_without_displacement
+from calib.models.base_and_tool_displacement_since_reference_recording import Placement, samples_without_displacement
 from calib.models.machine_models import corrected_pose_covariance
 from calib.report.verification_and_repeated_visit_pages import (
     Verified,

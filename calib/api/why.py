@@ -1,4 +1,4 @@
-"""Why a machine is not where its model says: data and a model of it -> five lines, by calibration and diagnosis."""
+"""Five lines on why a machine is not where its model says, from its data, by calibration and diagnosis."""
 
 import math
 import tempfile
@@ -11,7 +11,7 @@ import numpy as np
 from calib.api.calibrate import CalibrateOptions, CalibrationResult, calibrate
 from calib.api.diagnose import DiagnoseOptions, DiagnosisResult, diagnose
 from calib.api.next_experiment import NextExperiment
-from calib.api.why_options_and_data import WhyOptions, recording_of_data
+from calib.api.why_options_and_import_of_data_as_recording import WhyOptions, recording_of_data
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import ratio_interval_text
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.certification.platform_certification import Progress, silent_progress
@@ -27,7 +27,7 @@ from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import Link
 from rig.report.result_in_console_and_notebook import result_html
 from rig.report.verdict_and_refutations_by_later_recordings import WORST, Verdict
-from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice, ignore_notice
+from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import Notice, ignore_notice
 
 QUESTIONS = ("how wrong", "why", "how sure", "what to do", "measure next")
 MENTIONED = 3  # findings in a line

@@ -9,7 +9,7 @@ from importlib.resources import files
 from xml.etree import ElementTree as ET
 
 from calib.certificate import certificate_sentences
-from calib.certificate.certificate_verdict_and_provenance import Certificate, certificate_verdict
+from calib.certificate.certificate_computation_verdict_and_provenance import Certificate, certificate_verdict
 from calib.certification.calibration_evidence_verdict_and_claim_check import AgainstClaim
 from calib.certification.held_out_errors import Figures
 from calib.certification.pose_error_promise_and_conformity import Promise

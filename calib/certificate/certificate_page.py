@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from calib.certificate import certificate_sentences
+from calib.certificate.certificate_computation_verdict_and_provenance import Certificate, certificate_verdict
 from calib.certificate.certificate_sentences import micrometre_text
-from calib.certificate.certificate_verdict_and_provenance import Certificate, certificate_verdict
 from calib.certification.iso230_and_iso9283_tests import FEWEST
 from calib.report.platform_and_lens_calibration_pages import rows_of_nested_dict
 from rig.array_and_json_types import Floats

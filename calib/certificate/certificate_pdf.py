@@ -10,7 +10,7 @@ from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
 from calib.certificate import certificate_sentences
-from calib.certificate.certificate_verdict_and_provenance import Certificate
+from calib.certificate.certificate_computation_verdict_and_provenance import Certificate
 from calib.report.platform_and_lens_calibration_pages import rows_of_nested_dict
 from rig.formats.output_files import write_bytes
 

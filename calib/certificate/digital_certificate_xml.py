@@ -12,6 +12,7 @@ from xml.etree import ElementTree as ET
 from scipy.special import ndtri
 
 from calib.certificate import certificate_sentences
+from calib.certificate.certificate_computation_verdict_and_provenance import Certificate
 from calib.certificate.certificate_json_and_digital_si_xml import (
     METRE,
     ONE,
@@ -25,7 +26,6 @@ from calib.certificate.certificate_json_and_digital_si_xml import (
     Uncertainty,
     si_element,
 )
-from calib.certificate.certificate_verdict_and_provenance import Certificate
 from calib.certification import uncertainty_budget
 from calib.certification.pose_error_promise_and_conformity import CONFORMS, OPEN, Promise
 from calib.certification.uncertainty_budget import COVERAGE

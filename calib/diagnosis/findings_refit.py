@@ -33,10 +33,13 @@ from calib.samples.pose_samples import Sampled, Samples, samples_of_freedoms
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
+from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
+    Coordinate,
+    coordinates_of_effects,
+)
 from rig.effects.texts.effect_text_parsing import Kinds
 from rig.errors import FileError, RigError
-from rig.formats import json_toml_and_yaml_loading, machine_json
+from rig.formats import json_toml_and_yaml_loading, machine_geometry_and_effects_json_file
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files.atomic_file_and_manifest import load_manifest as manifest
 from rig.model import mechanisms
@@ -173,7 +176,7 @@ def load_findings(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) ->
             folder / "machine.json",
             "no such file; --diagnosis requires a folder that `rig diagnose` wrote from a commanded recording",
         )
-    _, effects = machine_json.load_machine(folder / "machine.json", recording.design, kinds)
+    _, effects = machine_geometry_and_effects_json_file.load_machine(folder / "machine.json", recording.design, kinds)
     entries = tree.tables("findings")
     unknown = _one_of_each_place([_unknown(entry) for entry in entries if entry.text("effect") == UNKNOWN])
     origin = manifest(folder).origin

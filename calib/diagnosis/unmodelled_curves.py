@@ -31,8 +31,11 @@ from calib.models.arm.joint_effects_fit_and_held_out_scatter import (
 )
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import conserved_coordinate_sums, coordinates_of_effects
 from rig.effects.framework.effect_parameters_and_covariates import Context
+from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
+    conserved_coordinate_sums,
+    coordinates_of_effects,
+)
 from rig.effects.framework.unmodelled_curve import covariate_words, unmodelled_curves
 from rig.model.motion_simulation import motion_of_commands
 

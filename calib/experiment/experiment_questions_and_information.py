@@ -17,7 +17,7 @@ from rig.errors import RigError
 from rig.model.design import Design
 from rig.planning.configuration_sets import grid_configurations, sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan
-from rig.planning.plan_construction_and_table import Plan
+from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
 
 FOREIGN = 0.05  # of all odds, for what is in no catalogue
 F = TypeVar("F")

@@ -37,7 +37,7 @@ from calib.experiment.experiment_questions_and_information import (
     predictions_with_unlisted_hypothesis,
     rival_hypotheses,
 )
-from calib.experiment.predicted_recording import (
+from calib.experiment.predicted_poses_corners_and_sensor_log_of_plan import (
     fitted_design,
     operating_point_of_last_recording,
     operating_point_with_turned_cubes,
@@ -47,11 +47,11 @@ from calib.experiment.predicted_recording import (
 )
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate
+from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import Coordinate
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.effect_places_and_part_tolerances import SEAT
-from rig.planning.plan_construction_and_table import Plan
+from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
 
 WEAK = 1e-12  # of the greatest eigenvalue; directions below are none
 

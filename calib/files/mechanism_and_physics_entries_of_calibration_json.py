@@ -13,13 +13,13 @@ import numpy as np
 from calib.correction.physics_compensation import Physics, Unknown
 from rig.array_and_json_types import Booleans, Json
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.framework.unmodelled_curve import unmodelled_curves
 from rig.effects.texts.effect_text_parsing import Kinds
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import short_repr
-from rig.formats.machine_json import effect_to_dict, effects_from_entries
+from rig.formats.machine_geometry_and_effects_json_file import effect_to_dict, effects_from_entries
 from rig.formats.rig_toml.design_file import base_tilt_of_table
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_file
 from rig.model import mechanisms

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.measuring_limb_calibration_agreement_with_vision_and_slips import (
+from calib.certification.measuring_limb_identification_and_agreement_with_vision import (
     Agreement,
     hexapod_of_six_limbs,
     stated_limbs,

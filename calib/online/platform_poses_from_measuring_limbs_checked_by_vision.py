@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification import (
-    measuring_limb_calibration_agreement_with_vision_and_slips,
+    measuring_limb_identification_and_agreement_with_vision,
     redundant_measuring_limb_checks_by_loop_closure,
 )
 from calib.certification.redundant_measuring_limb_checks_by_loop_closure import Limbs
@@ -32,7 +32,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.frame_selection_and_content_hashes import select_frames
 from rig.recording.recording_folder import Recording
 from vision.api import Progress
-from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice
+from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import Notice
 from vision.recording_measurement import measure_recording
 
 IN_A_ROW = 3  # poses of vision that agree with nothing, from which it is not vision that is wrong
@@ -138,7 +138,7 @@ def limb_poses(recording: Recording, accepted: Accepted) -> LimbPoses:
 
     Raises as insitu.readings does, NotConverged for readings that close on no pose
     """
-    frames, lengths = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings(recording)
+    frames, lengths = measuring_limb_identification_and_agreement_with_vision.limb_readings(recording)
     T = accepted.limbs.pose(lengths)
     return LimbPoses(frames, lengths, T, *accepted.limbs.uncertainty(T))
 

@@ -24,7 +24,7 @@ from rig.recording.frame_selection_and_content_hashes import (
 )
 from rig.recording.recording_folder import Recording
 from vision.api import Progress
-from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice
+from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import Notice
 
 RETURNS = 0.5  # of the sum of its changes' sizes, within which a strut that changes comes back to where it was
 FILTER = "filter"  # the learner that names what jumped; the others are in LEARNERS

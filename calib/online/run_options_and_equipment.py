@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification import measuring_limb_calibration_agreement_with_vision_and_slips
+from calib.certification import measuring_limb_identification_and_agreement_with_vision
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.online import measuring_limbs_file
 from calib.online.live_learner_and_limb_agreement_with_vision import Learner
@@ -25,8 +25,8 @@ from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import RunEquipment
 from rig.driving.run_steps_and_progress import Step
 from rig.driving.sensor_reader import open_sensors
-from rig.driving.straight_move_profile import Way, trapezoidal_profile
 from rig.driving.strut_driver import Driver
+from rig.driving.trapezoidal_move_profile_and_path_check import Way, trapezoidal_profile
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.design import Design
@@ -88,7 +88,7 @@ class RunOptions:
         if self.limbs is None:
             return None
         found = measuring_limbs_file.accepted_limbs(self.limbs.path, design)
-        channels = measuring_limb_calibration_agreement_with_vision_and_slips.stated_limbs(design).channels
+        channels = measuring_limb_identification_and_agreement_with_vision.stated_limbs(design).channels
         if design.sensors is None or set(channels) - set(design.sensors.channels):
             raise RigError(
                 f"--limbs takes a [sensors] table in rig.toml with the channels {channels[0]} .. {channels[-1]}"

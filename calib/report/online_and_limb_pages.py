@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_evidence_verdict_and_claim_check import ALONE, OfCalibrations
-from calib.certification.measuring_limb_calibration_agreement_with_vision_and_slips import AXES, MOVES, Agreement
+from calib.certification.measuring_limb_identification_and_agreement_with_vision import AXES, MOVES, Agreement
 from calib.samples.confounded_conditions import Confounds, confound_sentences
 from rig.array_and_json_types import Floats, Integers
 from rig.report.pages.page_templates_and_elements import (

@@ -1,9 +1,9 @@
-"""Command-line entry point (python -m calib.two_strut FOLDER) that writes the worked example's figures."""
+"""Entry point (python -m calib.two_strut FOLDER) that writes the worked example's figures as SVG files."""
 
 import sys
 from pathlib import Path
 
-from calib.two_strut.worked_example import example_figures
+from calib.two_strut.four_sample_correction_example_and_svg_figures import example_figures
 from rig.formats.output_files import write_text
 
 if len(sys.argv) != 2:

@@ -38,7 +38,7 @@ from rig.model.design import (
     Target,
 )
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import axis_units, has_links
-from rig.planning.layout import hexapod_layout_and_camera_placement, shipped_arm_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement, shipped_arms_and_layouts
 
 HEAD = """# rig.toml, table by table
 
@@ -254,7 +254,8 @@ def samples() -> list[dict[str, Any]]:
     marker = {"id": 90, "side": 0.03, "pose": {"position": [0.0, 0.0, 0.1], "rotvec": [0.0, 0.0, 0.0]}}
     listed["target"].append({"name": "plate", "body": "base", "dictionary": "DICT_5X5_100", "marker": [marker]})
     arms = [
-        tomllib.loads(shipped_arm_layout.shipped_arm_rig_toml(name)) for name in shipped_arm_layout.shipped_arm_names()
+        tomllib.loads(shipped_arms_and_layouts.shipped_arm_rig_toml(name))
+        for name in shipped_arms_and_layouts.shipped_arm_names()
     ]
     joint = {"joint": "prismatic", "theta": 0.0, "d": 0.0, "a": 0.0, "alpha": 0.0, "limits": [0.0, 0.2]}
     stands = {"position": [0.0, 0.0, 0.1], "rotvec": [0.0, 0.0, 0.0]}

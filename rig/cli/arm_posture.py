@@ -127,10 +127,10 @@ def run(arguments: Namespace) -> None:
     """Run `rig arm posture`: search the best posture of an arm and print it."""
     from rig.formats.rig_toml import arm_dynamics_entries
     from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
-    from rig.planning.layout import shipped_arm_layout
+    from rig.planning.layout import shipped_arms_and_layouts
     from rig.posture.best_posture import best_posture
 
-    path = shipped_arm_layout.shipped_arm_path(arguments.arm)
+    path = shipped_arms_and_layouts.shipped_arm_path(arguments.arm)
     design, dynamics = arm_dynamics_entries.load_arm_dynamics(path)
     arm = require_arm(design.mechanism)
     options = _options(arguments, arm, _exertion(arguments, arm, dynamics, design.gravity, path))

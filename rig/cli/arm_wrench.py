@@ -55,10 +55,10 @@ def run(arguments: Namespace) -> None:
 
     By a momentum observer, and by the pseudo-inverse for comparison.
     """
-    from rig.planning.layout import shipped_arm_layout
+    from rig.planning.layout import shipped_arms_and_layouts
     from rig.posture.external_wrench_from_torque_table import WrenchOptions, measure_wrench
 
-    path = shipped_arm_layout.shipped_arm_path(arguments.arm)
+    path = shipped_arms_and_layouts.shipped_arm_path(arguments.arm)
     sigma, rate = (None if value is None else tuple(value) for value in (arguments.sigma, arguments.rate))
     options = WrenchOptions(sigma, rate)
     arguments.outputs.inputs.append(path)

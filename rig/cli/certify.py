@@ -138,7 +138,7 @@ def run(arguments: Namespace) -> int:
     progress = Progress()
     progress("reading the calibration", 0, 1)
     from calib.api.certify import certify
-    from calib.certificate.certificate_verdict_and_provenance import certificate_provenance
+    from calib.certificate.certificate_computation_verdict_and_provenance import certificate_provenance
     from calib.files import calibration_file
     from rig.report.verdict_and_refutations_by_later_recordings import refutations_of_file
 

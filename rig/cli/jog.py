@@ -1,4 +1,4 @@
-"""rig jog: jog struts, by a distance or to given lengths, checked as any move."""
+"""rig jog: move struts once, by a distance or to given lengths, checked as any move; nothing is interactive."""
 
 from __future__ import annotations
 

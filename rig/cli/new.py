@@ -10,7 +10,7 @@ from rig.cli.shared.argument_parser_and_common_options import add_overwrite_opti
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    from rig.planning.layout.shipped_arm_layout import LayoutOptions
+    from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions
 
 KINDS = ("hexapod", "planar2", "arm")
 CAMERAS, SIZE = "3", "1280x1024"  # what is taken where nothing is answered
@@ -43,7 +43,7 @@ def run(arguments: Namespace) -> None:
     Prompts for missing values and prints next steps. Raises RigError where something must be asked and nobody is there.
     """
     from rig.formats.output_files import write_text
-    from rig.planning.layout.shipped_arm_layout import (
+    from rig.planning.layout.shipped_arms_and_layouts import (
         LayoutOptions,
         hexapod_two_strut_or_arm_rig_toml,
         shipped_arm_names,
@@ -97,7 +97,7 @@ def _index(folder: Path) -> None:
 
 def _strut_options(arguments: Namespace, kind: str) -> tuple["LayoutOptions", str]:
     """(options of a layout of struts, remarks on it)."""
-    from rig.planning.layout.shipped_arm_layout import LayoutOptions
+    from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions
 
     question = (
         "How large? radius of the circle of base joints"

@@ -84,7 +84,7 @@ def run(arguments: Namespace) -> None:
     """Run `rig new design`: write the rig.toml of a new design."""
     from rig.formats.importers.arm_of_urdf_or_dh_table import read_arm_file
     from rig.formats.output_files import write_text
-    from rig.planning.layout.shipped_arm_layout import LayoutOptions, hexapod_two_strut_or_arm_rig_toml
+    from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, hexapod_two_strut_or_arm_rig_toml
 
     own = read_arm_file(arm_file_options(arguments))
     options = LayoutOptions(

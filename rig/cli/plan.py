@@ -149,6 +149,6 @@ def _drawn_log(duration: float) -> Sensors:
     """The sensors' log over a duration (s), as a simulated rig has it."""
     import numpy as np
 
-    from synthetic.secret_machine import draw_temperatures
+    from synthetic.secret_machine_and_truth_file import draw_temperatures
 
     return draw_temperatures(duration, np.random.default_rng(SEED))[0]

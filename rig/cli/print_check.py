@@ -12,7 +12,7 @@ from rig.cli.shared.argument_parser_and_common_options import add_json_option, p
 if TYPE_CHECKING:
     from rig.array_and_json_types import Floats, Json
     from rig.model.design import Design
-    from vision.printed_marker_size import Printed
+    from vision.printed_marker_size_from_photograph import Printed
 
 SHEETS = {"A4": (0.210, 0.297), "Letter": (0.2159, 0.2794), "A3": (0.297, 0.420)}  # m
 CUT = 1.5e-3 / 3**0.5  # m, standard uncertainty of a sheet from a packet: ISO 216 allows 1.5 mm
@@ -46,7 +46,7 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Run `rig print check`: check a printed marker sheet by a photograph and print the true side of its markers."""
     from rig.formats.rig_toml import design_file
-    from vision.printed_marker_size import measure_printed_marker_scale
+    from vision.printed_marker_size_from_photograph import measure_printed_marker_scale
 
     design = design_file.load_design(arguments.design)
     found = measure_printed_marker_scale(arguments.photo, design, arguments.sheet, arguments.ruler)

@@ -1,4 +1,4 @@
-"""rig why: data of a machine and a model of it -> five lines: how wrong, why, how sure, what to do, what to measure."""
+"""rig why: calibrate and diagnose a machine from data; print how wrong, why, how sure, what to do and measure."""
 
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
@@ -66,7 +66,7 @@ def run(arguments: Namespace) -> int:
     Exit status 3 where the verdict is bad.
     """
     from calib.api.why import why
-    from calib.api.why_options_and_data import WhyOptions
+    from calib.api.why_options_and_import_of_data_as_recording import WhyOptions
 
     progress = Progress()
     progress("reading the data", 0, 1)

@@ -26,7 +26,7 @@ from rig.driving.run_journal_and_recording import (
     Row,
 )
 from rig.driving.run_steps_and_progress import Progress, Step, interrupted_move_result, progress_from_journal
-from rig.driving.straight_move_profile import Way
+from rig.driving.trapezoidal_move_profile_and_path_check import Way
 from rig.errors import MotionError, RigError, Stopped
 from rig.formats.output_files.locks_of_files_and_folders import sync_folder
 

@@ -9,7 +9,7 @@ from typing import TextIO, TypeVar, cast
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving import protocols, straight_move_profile
+from rig.driving import protocols, trapezoidal_move_profile_and_path_check
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_limits import ControllerLimits, limit_warnings, limits_of_linuxcnc_ini
 from rig.driving.controller_status_and_operator_advice import (
@@ -24,7 +24,7 @@ from rig.driving.controller_status_and_operator_advice import (
 from rig.driving.protocols.protocol_interface import Dialogue, Segment, State, Verdict
 from rig.driving.request_and_answer_exchange_with_controller import Link, Port
 from rig.driving.serial_port import SerialPort, find_usb_port
-from rig.driving.straight_move_profile import straight_move_segment
+from rig.driving.trapezoidal_move_profile_and_path_check import straight_move_segment
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
 from rig.model import mechanisms
 from rig.model.design import Design
@@ -138,7 +138,9 @@ class Driver:
         """
         self._asked(self._protocol.hello)
         try:
-            self._left = straight_move_profile.require_lengths_in_range(self.lengths(), self.mechanism)
+            self._left = trapezoidal_move_profile_and_path_check.require_lengths_in_range(
+                self.lengths(), self.mechanism
+            )
         except Unreachable as error:
             raise Unreachable(
                 "what the controller reports cannot be trusted", error.index, [str(error), OUT_OF_RANGE]
@@ -178,8 +180,8 @@ class Driver:
         """Lengths (n,) m that may be gone to from start (n,) m: ranges, step, workspace, singularities. Raises
         Unreachable.
         """
-        lengths = straight_move_profile.require_lengths_in_range(lengths, self.mechanism)
-        straight_move_profile.require_safe_path(
+        lengths = trapezoidal_move_profile_and_path_check.require_lengths_in_range(lengths, self.mechanism)
+        trapezoidal_move_profile_and_path_check.require_safe_path(
             start, lengths, self.mechanism, self.controller.margin, self.controller.max_step
         )
         return lengths
@@ -193,7 +195,7 @@ class Driver:
         """
         if not 0 < share <= 1:
             raise ValueError(f"share must be above 0 and at most 1, got {share}")
-        target = straight_move_profile.require_lengths_in_range(lengths, self.mechanism)
+        target = trapezoidal_move_profile_and_path_check.require_lengths_in_range(lengths, self.mechanism)
         with self._busy:
             start = self._ready()
             self.check(target, start)

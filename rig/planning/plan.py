@@ -1,4 +1,4 @@
-"""Plan of a recording: which configurations to visit, in which order, for how long, with what payload.
+"""Plan of a recording, built from named parts: configurations to visit, their order, how long, what payload.
 
 A plan is written as parts separated by commas, each NAME or NAME:COUNT: sobol:100,ladder,moving:60 visits a hundred
 low-discrepancy configurations, then a ladder of reversals, then exposes sixty times while moving.
@@ -29,7 +29,7 @@ from rig.planning.configuration_sets import (
     single_axis_pose_moves,
     sobol_configurations,
 )
-from rig.planning.plan_construction_and_table import (
+from rig.planning.timed_plan_construction_and_plan_csv_table import (
     MOST,
     STEP,
     ApproachSettings,

@@ -19,7 +19,7 @@ from rig.model.pose import exp
 from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine
+from synthetic import recording_simulation, secret_machine_and_truth_file
 from vision.checks import find_corner_mistakes
 
 SETUPS = 100
@@ -58,7 +58,7 @@ def setup(number: int, folder: Path, frames: int | None = None) -> Setup:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "rig.toml").write_text(text)
     stated = design_file.load_design(folder / "rig.toml")
-    secret = secret_machine.draw_machine(stated, rng, float(rng.uniform(0.5, 3.0)))
+    secret = secret_machine_and_truth_file.draw_machine(stated, rng, float(rng.uniform(0.5, 3.0)))
     cameras = tuple(_real(camera, rng, lensless, min(1.0, radius / 0.3)) for camera in secret.true.cameras)
     secret = replace(secret, true=replace(secret.true, cameras=cameras))
     done = recording_simulation.simulate_world(secret, plan.build_plan(stated, f"sobol:{frames}", number), rng)

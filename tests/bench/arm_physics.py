@@ -27,11 +27,11 @@ from rig.model import motion_simulation
 from rig.model.pose import pose_difference
 from rig.planning import plan
 from rig.planning.configuration_sets import sobol_configurations
-from rig.planning.layout import shipped_arm_layout
+from rig.planning.layout import shipped_arms_and_layouts
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
-from synthetic import recording_simulation, secret_machine
-from synthetic.secret_machine import World
+from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic.secret_machine_and_truth_file import World
 from tests.calib.diagnose_recording import diagnosis_of
 
 ARMS, ROUTE, POSES, REACH = 3, "sobol:150", 60, 0.7
@@ -86,7 +86,7 @@ def effect_of(name: str, rng: np.random.Generator) -> Effect:
 
 def ways(folder: Path, name: str, seed: int) -> Ways:
     """Ways of one arm."""
-    text = shipped_arm_layout.shipped_arm_rig_toml("puma560")
+    text = shipped_arms_and_layouts.shipped_arm_rig_toml("puma560")
     if name.endswith("positions"):
         text = "\n".join(line for line in text.splitlines() if not line.startswith("rotation_sigma")) + "\n"
     effect = effect_of(name, np.random.default_rng([seed, 7]))
@@ -101,7 +101,7 @@ def _recorded(folder: Path, text: str, seed: int, effects: tuple[Effect, ...]) -
     folder.mkdir(parents=True)
     (folder / "rig.toml").write_text(text)
     design, rng = design_file.load_design(folder / "rig.toml"), np.random.default_rng(seed)
-    secret = secret_machine.draw_machine(design, rng, 1.0, effects)
+    secret = secret_machine_and_truth_file.draw_machine(design, rng, 1.0, effects)
     recording_simulation.write_recording(
         recording_simulation.simulate_world(secret, plan.build_plan(design, ROUTE, seed), rng),
         folder / "rec",

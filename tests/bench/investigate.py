@@ -33,7 +33,7 @@ from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
-from synthetic import recording_simulation, secret_machine
+from synthetic import recording_simulation, secret_machine_and_truth_file
 from tests.calib.diagnose_recording import diagnosis_of
 from vision.recording_combination_and_moved_cameras import combine_recordings
 
@@ -100,7 +100,10 @@ class Case:
     def __init__(self, folder, design, text, truth, seed):
         self.folder, self.design, self.text, self.seed = folder, design, text, seed
         effects = () if truth is None else (require_existing_place(parse_effect(truth), design),)
-        self.world, self.truth = secret_machine.draw_machine(design, np.random.default_rng(seed), 1.0, effects), truth
+        self.world, self.truth = (
+            secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(seed), 1.0, effects),
+            truth,
+        )
         self.title = "" if truth is None else f"{effects[0].name.replace('_', ' ')} at {effects[0].place}"
 
     def recorded(self, name, route) -> Recording:

@@ -27,7 +27,7 @@ from rig.model.design import Sensor
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine
+from synthetic import recording_simulation, secret_machine_and_truth_file
 from synthetic.image_simulation import Images
 from vision.reading.live_measurement import TAUGHT, Live
 from vision.reading.parallel_image_map_and_marker_rendering import save_image
@@ -79,7 +79,9 @@ def _run(folder):
     text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=3, width=1280, height=1024)
     (folder / "rig.toml").write_text(text)
     design, rng, plan = design_file.load_design(folder / "rig.toml"), np.random.default_rng(1), f"sobol:{FRAMES}"
-    done = recording_simulation.simulate_world(secret_machine.draw_machine(design, rng), build_plan(design, plan), rng)
+    done = recording_simulation.simulate_world(
+        secret_machine_and_truth_file.draw_machine(design, rng), build_plan(design, plan), rng
+    )
     recording_simulation.write_recording(
         done, folder / "drawn", text, rng, images=Images(Sensor(blur=0.5, read_noise=1.0))
     )

@@ -15,7 +15,7 @@ from rig.formats.rig_toml import design_file
 from rig.model.design import Sensor
 from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
-from synthetic import recording_simulation, rig_meshes, secret_machine
+from synthetic import recording_simulation, rig_meshes, secret_machine_and_truth_file
 from synthetic.ideal_image_renderer import SAMPLES
 from synthetic.image_sensor_and_occlusion import expose_image
 from tests.cli import RIG
@@ -107,7 +107,7 @@ def _corner_level(design, folder, text):
     start = time.perf_counter()
     rng = np.random.default_rng(1)
     effects = tuple(parse_effect(f"{name}:{place}") for name, place in SOME.items() if name != "marker_swap")
-    secret = secret_machine.draw_machine(design, rng, effects=effects)
+    secret = secret_machine_and_truth_file.draw_machine(design, rng, effects=effects)
     done = recording_simulation.simulate_world(
         secret, plan.build_plan(design, "sobol:190,moving:154,payload:12", 1), rng
     )

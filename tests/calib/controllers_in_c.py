@@ -29,7 +29,7 @@ from rig.model.mechanisms import hexapod
 from rig.model.pose import pose, pose_to_vector
 from rig.planning import configuration_sets
 from rig.recording.recording_folder import Sensors
-from synthetic import secret_machine
+from synthetic import secret_machine_and_truth_file
 from tests.calib.correction.test_physics import physics_of
 
 COMPILER = shutil.which("cc")
@@ -156,7 +156,7 @@ def field_samples(design, kind):
 
 def fitted(design, seed=4):
     """A Correction whose geometry is another than the nominal one."""
-    true = secret_machine.draw_machine(design, np.random.default_rng(seed)).true.mechanism
+    true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(seed)).true.mechanism
     return Correction(design.mechanism, true, (None,) * 6)
 
 

@@ -13,7 +13,7 @@ from rig.planning import plan
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors
 from synthetic import recording_simulation
-from synthetic import secret_machine as world
+from synthetic import secret_machine_and_truth_file as world
 
 NOISE = 0.04  # px
 ROOM = 20.0  # degrees Celsius

@@ -6,7 +6,7 @@ from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.planning import plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine
+from synthetic import recording_simulation, secret_machine_and_truth_file
 
 PLAN = "moving:12,sobol:40,ladder:10,moving:12,sobol:30"
 
@@ -14,7 +14,7 @@ PLAN = "moving:12,sobol:40,ladder:10,moving:12,sobol:30"
 def recorded(folder, design, effects, seed=5, route=PLAN, noise=0.04, logged=True):
     """Recording of a secret machine with effects (texts or Effects), its temperatures logged or not. noise : px"""
     rng = np.random.default_rng(seed)
-    secret = secret_machine.draw_machine(
+    secret = secret_machine_and_truth_file.draw_machine(
         design, rng, 1.0, tuple(parse_effect(e) if isinstance(e, str) else e for e in effects)
     )
     recording_simulation.write_recording(

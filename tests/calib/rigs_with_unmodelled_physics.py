@@ -19,7 +19,7 @@ from rig.model.pose import pose_difference
 from rig.planning import configuration_sets, plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine
+from synthetic import recording_simulation, secret_machine_and_truth_file
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.noisy_samples import rms
 
@@ -44,7 +44,7 @@ class Driven:
 def write(folder, design, text, seed, effects, route):
     """(Recording at a folder, World) of a rig with effects. text : its rig.toml"""
     rng = np.random.default_rng(seed)
-    secret = secret_machine.draw_machine(design, rng, 1.0, tuple(effects))
+    secret = secret_machine_and_truth_file.draw_machine(design, rng, 1.0, tuple(effects))
     recording_simulation.write_recording(
         recording_simulation.simulate_world(secret, plan.build_plan(design, route, seed), rng), folder, text, rng, 0.04
     )
@@ -75,7 +75,7 @@ def driven(calibration, secret, seed, sensed=True, approach="auto", poses=POSES)
         configuration_sets.sobol_configurations(m.strut_range, poses, 0.75, seed=int(rng.integers(1 << 30))), m
     )
     t = 30 + np.cumsum(rng.uniform(8, 40, poses))
-    true, log = secret_machine.draw_temperatures(t[-1], rng)
+    true, log = secret_machine_and_truth_file.draw_temperatures(t[-1], rng)
     payload = np.where(true.t % (2 * LOAD_EVERY) < LOAD_EVERY, 0.0, 0.6 * (secret.stated.platform.mass or 0.0))
     true, log = (replace(s, channels={**s.channels, "payload_mass_kg": payload}) for s in (true, log))
     done = commands_along_route(

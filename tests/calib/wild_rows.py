@@ -12,7 +12,7 @@ from rig.planning import plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from rig.recording.recording_table_loading_and_writing import Poses
-from synthetic import recording_simulation, secret_machine
+from synthetic import recording_simulation, secret_machine_and_truth_file
 
 POSE = np.array([5e-6] * 3 + [3e-5] * 3)  # m, rad; noise of a pose, as stated
 ROUTE = "sobol:60,ladder:4,moving:12"
@@ -22,7 +22,7 @@ def posed(folder, design, effects, seed, route=ROUTE):
     """Recording of a secret hexapod whose poses an instrument measured."""
     rng = np.random.default_rng(seed)
     done = recording_simulation.simulate_world(
-        secret_machine.draw_machine(design, rng, 1.0, tuple(map(parse_effect, effects))),
+        secret_machine_and_truth_file.draw_machine(design, rng, 1.0, tuple(map(parse_effect, effects))),
         plan.build_plan(design, route, seed),
         rng,
     )

@@ -34,7 +34,7 @@ WATCHED = (
     "calib.files.calibration_file",
     "calib.online.filter_state",
     "synthetic.diagnosis_score",
-    "synthetic.secret_machine",
+    "synthetic.secret_machine_and_truth_file",
     "vision.lenses.calibration_board",
     "tomllib._parser",
 )

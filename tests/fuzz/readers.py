@@ -19,7 +19,7 @@ from rig.errors import RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin, importers
 from rig.formats.importers import image_file_frames as frames
 from rig.formats.importers.import_recipe import ForeignTable
-from rig.formats.machine_json import effect_from_dict
+from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict
 from rig.formats.rig_toml import design_file
 from rig.model.pose import TRIANGLE
 from rig.planning import plan
@@ -32,7 +32,7 @@ from rig.recording.recording_table_loading_and_writing import (
     load_exposures,
     load_poses,
 )
-from synthetic import diagnosis_score, recording_simulation, secret_machine
+from synthetic import diagnosis_score, recording_simulation, secret_machine_and_truth_file
 from synthetic.blind_campaign import Campaign, parse_case_numbers
 from tests.fuzz.laws import laws
 from vision.lenses import calibration_board
@@ -54,7 +54,7 @@ def readers(folder: Path) -> list[Reader]:
     design = design_file.load_design(folder / "rig.toml")
     rng = np.random.default_rng(1)
     done = recording_simulation.simulate_world(
-        secret_machine.draw_machine(design, rng, 1.0, (parse_effect("backlash:strut2:gap=4e-5"),)),
+        secret_machine_and_truth_file.draw_machine(design, rng, 1.0, (parse_effect("backlash:strut2:gap=4e-5"),)),
         plan.build_plan(design, "sobol:3"),
         rng,
     )
@@ -120,7 +120,7 @@ def _json(folder, design, done):
         ),
     )
     Online(m).save(folder / "state.json")
-    secret_machine.write_truth(
+    secret_machine_and_truth_file.write_truth(
         folder / "truth.json", done.world, done.run.T_base_platform, kind="one", disturbance=None, strengths=[9.0]
     )
     finding = {
@@ -145,7 +145,9 @@ def _json(folder, design, done):
     return [
         Reader("calibration.json", seed("calibration.json"), calibration_file.load),
         Reader("state.json", seed("state.json"), Online.load),
-        Reader("truth.json", seed("truth.json"), lambda path: secret_machine.world_from_truth(path, design)),
+        Reader(
+            "truth.json", seed("truth.json"), lambda path: secret_machine_and_truth_file.world_from_truth(path, design)
+        ),
         Reader("sealed truth", seed("truth.json"), lambda path: judged(diagnosis_score.score_case(1, path, None))),
         Reader(
             "diagnosis.json",

@@ -4,7 +4,7 @@ import numpy as np
 
 from rig.model.design import Arm
 from rig.model.pose import pose
-from rig.planning.layout import shipped_arm_layout
+from rig.planning.layout import shipped_arms_and_layouts
 
 HALF = np.pi / 2
 UR10 = Arm(
@@ -31,7 +31,7 @@ SEVEN = Arm(
     np.radians([[-170, 170], [-120, 120], [-170, 170], [-120, 120], [-170, 170], [-120, 120], [-175, 175]]),
 )
 SCARA, GANTRY, STANFORD = (
-    shipped_arm_layout.load_shipped_arm_design(name).mechanism for name in ("scara", "gantry", "stanford")
+    shipped_arms_and_layouts.load_shipped_arm_design(name).mechanism for name in ("scara", "gantry", "stanford")
 )
 
 

@@ -9,7 +9,7 @@ from rig.driving.clock import SimulatedClock
 from rig.driving.move_and_record_loop import RunEquipment, RunOperator
 from rig.driving.run_journal_and_recording import Arrival, Began, Journal
 from rig.driving.run_steps_and_progress import steps_of_plan
-from rig.driving.straight_move_profile import trapezoidal_profile
+from rig.driving.trapezoidal_move_profile_and_path_check import trapezoidal_profile
 from rig.planning.plan import build_plan
 
 SPEED, RAMP = 0.05, 0.2  # m/s, s

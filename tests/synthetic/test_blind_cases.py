@@ -14,7 +14,9 @@ from rig.cli import command_line
 from rig.cli import simulate_blind as command
 from rig.cli.shared import blind_case_process
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
+from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
+    check_effect_place_and_parameter_bounds,
+)
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import FileError
 from rig.model import effect_places_and_part_tolerances, motion_simulation
@@ -25,7 +27,7 @@ from synthetic import (
     blind_image_settings,
     diagnosis_score,
     recording_simulation,
-    secret_machine,
+    secret_machine_and_truth_file,
     unlisted_physics,
 )
 
@@ -79,7 +81,7 @@ def test_every_effect_out_of_the_catalogue_changes_what_is_seen_and_is_in_no_cat
     route = plan.build_plan(design, "moving:8,sobol:8", 1)
     foreign = unlisted_physics.draw_unlisted_effect(design, route.t[-1], rng)
     assert foreign.name == kind.name and kind.name not in BY_NAME
-    secret = secret_machine.draw_machine(design, rng, 1.0, (foreign,))
+    secret = secret_machine_and_truth_file.draw_machine(design, rng, 1.0, (foreign,))
     bent = recording_simulation.simulate_world(secret, route, np.random.default_rng(5))
     plain = recording_simulation.simulate_world(replace(secret, effects=()), route, np.random.default_rng(5))
     found, uv = recording_simulation.visible_marker_sightings_and_corners(bent)
@@ -95,7 +97,7 @@ def test_every_effect_out_of_the_catalogue_changes_what_is_seen_and_is_in_no_cat
 def test_every_disturbance_adds_noise_and_no_shift(disturb, design):
     rng = np.random.default_rng(3)
     done = recording_simulation.simulate_world(
-        secret_machine.draw_machine(design, rng), plan.build_plan(design, "sobol:30"), rng
+        secret_machine_and_truth_file.draw_machine(design, rng), plan.build_plan(design, "sobol:30"), rng
     )
     clean = recording_simulation.noisy_corners(done, 0.0, rng)
     off = disturb(clean, design, 0.05, rng).uv - clean.uv
@@ -341,7 +343,9 @@ def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_
     effects = (parse_effect("backlash:strut2:gap=5e-5"), parse_effect("scale_error:strut3:scale=1e-12"))
     rng = np.random.default_rng(8)
     done = recording_simulation.simulate_world(
-        secret_machine.draw_machine(design, rng, 1.0, effects), plan.build_plan(design, "sobol:30,ladder:1", 1), rng
+        secret_machine_and_truth_file.draw_machine(design, rng, 1.0, effects),
+        plan.build_plan(design, "sobol:30,ladder:1", 1),
+        rng,
     )
     found = []
     for noise in (0.04, 0.08):

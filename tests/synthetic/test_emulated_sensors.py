@@ -16,13 +16,13 @@ from rig.model import mechanisms, motion_simulation
 from rig.model.design import Sensor
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands
-from synthetic import emulated_cameras, secret_machine
+from synthetic import emulated_cameras, secret_machine_and_truth_file
 from synthetic.image_simulation import Images
 
 
 @pytest.fixture
 def secret(design):
-    return secret_machine.draw_machine(
+    return secret_machine_and_truth_file.draw_machine(
         design, np.random.default_rng(3), 1.0, (parse_effect("backlash:strut2:gap=3e-4"),)
     )
 
@@ -87,7 +87,9 @@ def test_measuring_limbs_read_the_pose(design, told, tmp_path):
     from rig.planning.layout import hexapod_layout_and_camera_placement
 
     (tmp_path / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6))
-    secret = secret_machine.draw_machine(design_file.load_design(tmp_path / "rig.toml"), np.random.default_rng(3))
+    secret = secret_machine_and_truth_file.draw_machine(
+        design_file.load_design(tmp_path / "rig.toml"), np.random.default_rng(3)
+    )
     shown = emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, lambda: told, SimulatedClock(105.0))
     limbs, T = secret.true.insitu, shown.pose(105.0)
     legs = limbs.platform_joints @ T[:3, :3].T + T[:3, 3] - limbs.base_joints

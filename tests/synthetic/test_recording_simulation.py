@@ -14,7 +14,13 @@ from rig.model.design import Sensor
 from rig.model.pose import pose_difference
 from rig.planning import plan
 from rig.recording import recording_folder
-from synthetic import ideal_image_renderer, image_simulation, recording_simulation, rig_meshes, secret_machine
+from synthetic import (
+    ideal_image_renderer,
+    image_simulation,
+    recording_simulation,
+    rig_meshes,
+    secret_machine_and_truth_file,
+)
 from synthetic.image_sensor_and_occlusion import is_occluded
 from tests.conftest import SHARED
 from vision.predict import marker_map
@@ -25,7 +31,7 @@ from vision.reading.recording_corners import collect_corners
 def done(design):
     rng = np.random.default_rng(4)
     return recording_simulation.simulate_world(
-        secret_machine.draw_machine(design, rng, 1.0, (parse_effect("backlash:strut2:gap=5e-5"),)),
+        secret_machine_and_truth_file.draw_machine(design, rng, 1.0, (parse_effect("backlash:strut2:gap=5e-5"),)),
         plan.build_plan(design, "sobol:8,moving:6"),
         rng,
     )
@@ -46,8 +52,8 @@ def test_what_is_written_is_read_back(done, tmp_path, rig_text):
 
 
 def test_truth_makes_the_same_machine_again(done, tmp_path, design):
-    secret_machine.write_truth(tmp_path / "t.json", done.world, done.run.T_base_platform)
-    again = secret_machine.world_from_truth(tmp_path / "t.json", design)
+    secret_machine_and_truth_file.write_truth(tmp_path / "t.json", done.world, done.run.T_base_platform)
+    again = secret_machine_and_truth_file.world_from_truth(tmp_path / "t.json", design)
     assert again.effects == done.world.effects
     T = motion_simulation.simulate_machine_run(
         again.true, done.plan.commands, done.plan.t, again.effects, done.sensors
@@ -61,7 +67,7 @@ def test_truth_makes_the_same_machine_again(done, tmp_path, design):
     }
     (tmp_path / "half.json").write_text((tmp_path / "t.json").read_text()[:300])
     with pytest.raises(FileError, match="cut off"):
-        secret_machine.world_from_truth(tmp_path / "half.json", design)
+        secret_machine_and_truth_file.world_from_truth(tmp_path / "half.json", design)
 
 
 def test_same_seed_same_recording(design, tmp_path, rig_text):
@@ -69,7 +75,7 @@ def test_same_seed_same_recording(design, tmp_path, rig_text):
     for name in "ab":
         rng = np.random.default_rng(9)
         s = recording_simulation.simulate_world(
-            secret_machine.draw_machine(design, rng), plan.build_plan(design, "sobol:3", 9), rng
+            secret_machine_and_truth_file.draw_machine(design, rng), plan.build_plan(design, "sobol:3", 9), rng
         )
         recording_simulation.write_recording(s, tmp_path / name, rig_text, rng, noise=0.05)
         texts.append([path.read_bytes() for path in sorted((tmp_path / name).iterdir())])
@@ -99,7 +105,7 @@ def test_what_is_hidden_is_hidden_by_solids(design):
 def test_corners_of_a_picture_are_those_of_the_simulation(design, rig_text, tmp_path, opengl):
     rng = np.random.default_rng(2)
     s = recording_simulation.simulate_world(
-        secret_machine.draw_machine(design, rng), plan.build_plan(design, "sobol:1"), rng
+        secret_machine_and_truth_file.draw_machine(design, rng), plan.build_plan(design, "sobol:1"), rng
     )
     recording_simulation.write_recording(
         s,
@@ -120,7 +126,7 @@ def test_corners_of_a_picture_are_those_of_the_simulation(design, rig_text, tmp_
 def test_a_picture_in_motion_is_the_mean_of_its_moments(design, tmp_path, opengl):
     rng = np.random.default_rng(3)
     s = recording_simulation.simulate_world(
-        secret_machine.draw_machine(design, rng), plan.build_plan(design, "moving:1"), rng
+        secret_machine_and_truth_file.draw_machine(design, rng), plan.build_plan(design, "moving:1"), rng
     )
     images = image_simulation.Images(Sensor(exposure=0.1, exposures=3), processes=1)
     image_simulation._start(s, tmp_path, images, 5)

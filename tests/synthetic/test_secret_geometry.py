@@ -12,7 +12,7 @@ from rig.model import motion_simulation
 from rig.model.pose import pose_difference
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
-from synthetic.secret_machine import world_from_truth
+from synthetic.secret_machine_and_truth_file import world_from_truth
 from tests.rig.effects.test_added_effect import RIGS
 
 SIGMA = (2e-5, 1e-4)  # m, rad

@@ -18,7 +18,7 @@ from rig.model.base_tilt import BaseTilt
 from rig.model.pose import exp
 from rig.planning import plan
 from rig.recording.recording_folder import sensors_with_gravity
-from synthetic import recording_simulation, secret_machine
+from synthetic import recording_simulation, secret_machine_and_truth_file
 from vision import lens
 from vision.predict import State, is_inside_image, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
@@ -79,7 +79,7 @@ SWALLOWED = {
 def signatures(design):
     rng = np.random.default_rng(0)
     route = plan.build_plan(design, "standard", 1)
-    s = recording_simulation.simulate_world(secret_machine.draw_machine(design, rng, 0.0), route, rng)
+    s = recording_simulation.simulate_world(secret_machine_and_truth_file.draw_machine(design, rng, 0.0), route, rng)
     markers, T = marker_map(design), s.run.T_base_platform
     found = sightings_of_markers_facing_cameras(State(design.cameras, T, {}), markers, np.cos(np.radians(70)))
     found = found.take(

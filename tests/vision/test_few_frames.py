@@ -12,7 +12,7 @@ from rig.model.pose import pose_difference
 from rig.planning import configuration_sets, plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine
+from synthetic import recording_simulation, secret_machine_and_truth_file
 from vision.bundle import bundle_adjustment as adjusting
 from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_adjustment, determined_combinations
 from vision.recording_measurement import measure_recording
@@ -26,7 +26,7 @@ def seen(design, text, folder, seed, count, home, noise=0.04):
     if home:
         commands[0] = hexapod.inverse(design.mechanism.home, design.mechanism)
     done = recording_simulation.simulate_world(
-        secret_machine.draw_machine(design, rng),
+        secret_machine_and_truth_file.draw_machine(design, rng),
         plan.plan_of_configurations(commands, strokes.mean(axis=1), plan.planned_axis_speeds(design)),
         rng,
     )

@@ -13,7 +13,11 @@ from rig.model.design import Camera
 from rig.model.pose import transform_points
 from vision.corner_observations import Observations
 from vision.pose.body_pose import CONSENSUS, Located, Unsolved, View, inverse_pose, locate_body, undistort_corners
-from vision.pose.pose_refinement_and_ambiguity import Poses, choose_poses_by_neighbours, rotation_outliers
+from vision.pose.pose_refinement_and_ambiguity_resolution_by_neighbouring_frames import (
+    Poses,
+    choose_poses_by_neighbours,
+    rotation_outliers,
+)
 from vision.predict import MarkerMap
 
 SHARED = 3  # frames that two cameras must share for the body to say how they stand to each other

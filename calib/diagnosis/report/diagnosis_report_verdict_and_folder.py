@@ -59,7 +59,7 @@ from calib.diagnosis.report.residual_figures_and_finding_contributions_to_poses 
 )
 from calib.samples.confounded_conditions import Confounds, confound_sentences
 from rig.array_and_json_types import Json
-from rig.formats import local_and_remote_input_files, machine_json
+from rig.formats import local_and_remote_input_files, machine_geometry_and_effects_json_file
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
@@ -327,7 +327,7 @@ def write_diagnosis_json_and_simulation_files(
     write_diagnosis_json(folder, report)
     if diagnosis.design is None:
         return
-    tree = machine_json.machine_dict(diagnosis.design, diagnosis.machine_effects)
+    tree = machine_geometry_and_effects_json_file.machine_dict(diagnosis.design, diagnosis.machine_effects)
     write_text(folder / "machine.json", json.dumps(tree) + "\n")
     copy_recording(folder, recording)
     residual_figures_and_finding_contributions_to_poses.write_finding_contributions_table(

@@ -24,7 +24,7 @@ from calib.models.arm.identification_and_joint_profiles import Identified, ident
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import (
+from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
     Coordinate,
     conserved_coordinate_sums,
     coordinates_of_effects,

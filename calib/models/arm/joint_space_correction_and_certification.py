@@ -9,6 +9,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.certification.certification_of_correction_extended_over_configuration_space import (
+    NONE,
+    ExtensionBasis,
+    ExtensionRequest,
+    Tried,
+    certify_interpolation_method,
+    empty_claim_without_held_out_data,
+)
 from calib.certification.error_claim_over_workspace import (
     DRAWS,
     Claim,
@@ -17,14 +25,6 @@ from calib.certification.error_claim_over_workspace import (
     claim_from_machine_draws,
     empty_claim_of_too_few_configurations,
     mean_square_pose_errors_of_extension,
-)
-from calib.certification.extended_correction_certification import (
-    NONE,
-    ExtensionBasis,
-    ExtensionRequest,
-    Tried,
-    certify_interpolation_method,
-    empty_claim_without_held_out_data,
 )
 from calib.certification.held_out_errors import draw_mean_square_common_pose_errors
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (

@@ -1,4 +1,4 @@
-"""Joint offset: a cardan joint's two axes are offset from each other, so the strut's end moves as the joint turns."""
+"""Joint offset: a cardan joint's two axes do not meet, so the strut's end moves as it turns; no zero offset."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self

@@ -16,7 +16,7 @@ Where our order of reading differs. The source reads joint 5 after 2, 3 and 4, a
 5, which its arms allow:
 there axis 5 is square to its neighbours, so that D and the turn of 4 can be seen in a front view. With axes that are
 not square, how far AB has turned about the parallel axes, or about axis 4, depends on joint 5: so joint 5's two values
-are read first (rig.model.mechanisms.six_joint_inverse_kernels has
+are read first (rig.model.mechanisms.closed_form_six_joint_inverse_kernels has
 them at once for all branches), from the angle between AB and axis 2, or 4, which joints 2 to 4, or 4, do not change.
 Points are returned in the source's order all the same, and every joint is read from them, joint 5 once more.
 Source: patent CN111488654A, claims 1 to 5

@@ -23,7 +23,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError, Unreachable
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import six_joint_arm_angle_kernels, six_joint_inverse_kernels
+from rig.model.mechanisms import closed_form_six_joint_inverse_kernels, six_joint_arm_angle_kernels
 from rig.model.pose import pose_difference
 
 EXACT = 1e-9  # m and rad; by so much axes may miss what the closed form takes for granted
@@ -175,9 +175,9 @@ def closed_form_inverse(
     matrix = T_base_platform.as_matrix()
     shape = matrix.shape[:-2]
     kernel = (
-        six_joint_inverse_kernels.spherical_wrist_inverse
+        closed_form_six_joint_inverse_kernels.spherical_wrist_inverse
         if six_arm.kind == "spherical"
-        else six_joint_inverse_kernels.parallel_axes_inverse
+        else closed_form_six_joint_inverse_kernels.parallel_axes_inverse
     )
     free_joint_values = np.zeros(6) if free_joint_values is None else np.asarray(free_joint_values, float)
     q, flags, reason, gap = kernel(

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from calib.certificate import certificate_json_and_digital_si_xml
-from calib.certificate.certificate_verdict_and_provenance import combined_held_out_poses
+from calib.certificate.certificate_computation_verdict_and_provenance import combined_held_out_poses
 from calib.certification.pose_error_promise_and_conformity import OPEN, pose_error_promise
 from calib.certification.uncertainty_budget import rms_position_and_rotation_uncertainty, thermometer_covariance
 from calib.correction.correction import calibrate_correction
@@ -26,7 +26,7 @@ from calib.correction.physics_compensation import Physics
 from calib.files import calibration_file
 from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
-from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose_difference
@@ -34,7 +34,7 @@ from rig.planning import configuration_sets, plan
 from rig.recording import recording_folder, recording_table_loading_and_writing
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_table_loading_and_writing import Poses
-from synthetic import secret_machine
+from synthetic import secret_machine_and_truth_file
 
 GAP = 40e-6
 OWN = np.array([6e-6, 6e-6, 6e-6, 4e-5, 4e-5, 4e-5])  # m, rad
@@ -81,7 +81,7 @@ def held(tmp_path_factory, design, rig_text):
     what is certified of it.
     """
     folder = tmp_path_factory.mktemp("certify")
-    secret = secret_machine.draw_machine(
+    secret = secret_machine_and_truth_file.draw_machine(
         design, np.random.default_rng(5), 1.0, (parse_effect(f"backlash:strut3:gap={GAP}"),)
     )
     _made(folder / "fit", secret, rig_text, design, "sobol:40,ladder:1", 1)

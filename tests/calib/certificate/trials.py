@@ -32,7 +32,7 @@ from rig.errors import NotConverged
 from rig.model import mechanisms, motion_simulation
 from rig.model.pose import exp, pose_difference
 from rig.planning import configuration_sets, plan
-from synthetic import secret_machine
+from synthetic import secret_machine_and_truth_file
 
 KINDS = (
     "backlash",
@@ -96,11 +96,11 @@ def trial(design, seed, level=(0.95, 0.95), sizes=SIZES, kinds=None, noise=1.0):
         ]
     )
     route = plan.plan_of_configurations(goals, strokes.mean(axis=1), plan.planned_axis_speeds(design))
-    warmth, _ = secret_machine.draw_temperatures(float(route.commands.t[-1]), rng)
+    warmth, _ = secret_machine_and_truth_file.draw_temperatures(float(route.commands.t[-1]), rng)
     sensors = plan.sensors_with_payload(route, warmth)
     while True:
         names = tuple(rng.choice(KINDS, rng.integers(0, 3), replace=False).tolist()) if kinds is None else kinds
-        secret = secret_machine.draw_machine(design, rng)
+        secret = secret_machine_and_truth_file.draw_machine(design, rng)
         motion = motion_simulation.motion_of_commands(secret.true, route.commands, route.t, (), sensors)
         effects = tuple(_drawn(BY_NAME[name], design, route, motion, rng) for name in names)
         try:

@@ -9,7 +9,7 @@ import pytest
 
 from calib.api.correction_over_configuration_or_pose_space import CorrectionPass, certify_additional_pass
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.extended_correction_certification import claim_without_geometry
+from calib.certification.certification_of_correction_extended_over_configuration_space import claim_without_geometry
 from calib.certification.platform_certification import platform_pose_covariance
 from calib.correction import interpolation_methods_and_correction_summand_fields
 from calib.correction.correction import Correction
@@ -25,7 +25,7 @@ from rig.errors import FileError, NotEnoughData
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
 from rig.planning.configuration_sets import sobol_configurations
-from synthetic import secret_machine
+from synthetic import secret_machine_and_truth_file
 from tests.calib.noisy_samples import rms
 from tests.numerical_derivatives import jacobian
 
@@ -42,7 +42,7 @@ def leaning(T):
 @pytest.fixture(scope="module")
 def machine(design):
     """(Calibration by the true geometry, Samples of the leaning machine at 200 configurations)."""
-    true = secret_machine.draw_machine(design, np.random.default_rng(3)).true.mechanism
+    true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(3)).true.mechanism
     before = Calibration(
         Correction(design.mechanism, true, (None,) * AXES),
         np.eye(42) * 1e-12,

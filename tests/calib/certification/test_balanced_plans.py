@@ -14,7 +14,7 @@ from rig.effects.texts.effect_text_parsing import parse_effect, require_existing
 from rig.formats.rig_toml import design_file
 from rig.planning import plan
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine
+from synthetic import recording_simulation, secret_machine_and_truth_file
 from tests.conftest import BENCH
 
 INSTRUMENT = '\n[instrument]\nkind = "pose"\nbase = "rig"\ntool = "rig"\nposition_sigma = 5e-6\nrotation_sigma = 2e-5\n'
@@ -26,7 +26,7 @@ def test_random_play_stands_out_on_a_balanced_plan(tmp_path: Path, seed: int) ->
     (tmp_path / "rig.toml").write_text(text)
     design = design_file.load_design(tmp_path / "rig.toml")
     gaps = np.random.default_rng(seed).uniform(20e-6, 80e-6, 6)
-    secret = secret_machine.draw_machine(
+    secret = secret_machine_and_truth_file.draw_machine(
         design,
         np.random.default_rng(100 + seed),
         1.0,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.certification import (
-    measuring_limb_calibration_agreement_with_vision_and_slips,
+    measuring_limb_identification_and_agreement_with_vision,
     redundant_measuring_limb_checks_by_loop_closure,
 )
 from calib.online import measuring_limbs_file, platform_poses_from_measuring_limbs_checked_by_vision
@@ -23,7 +23,7 @@ from rig.model.pose import transform_points
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
-from synthetic import secret_machine
+from synthetic import secret_machine_and_truth_file
 from tests.closed_loops import rig
 
 EIGHT = 8
@@ -35,7 +35,7 @@ def machine(tmp_path_factory):
     folder = tmp_path_factory.mktemp("eight")
     (folder / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=EIGHT))
     design = design_file.load_design(folder / "rig.toml")
-    true = secret_machine.draw_machine(design, np.random.default_rng(5)).true
+    true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(5)).true
     T = hexapod.forward(sobol_configurations(true.mechanism.strut_range, 60, 0.8), true.mechanism)
     m = true.insitu
     read = np.linalg.norm(transform_points(T, m.platform_joints) - m.base_joints, axis=-1) - m.zeros
@@ -47,13 +47,13 @@ def limbs(machine):
     """Limbs of which six are known as vision would have them, and the checks fitted to their poses."""
     design, true, read, T = machine
     chosen = redundant_measuring_limb_checks_by_loop_closure.best_six_limbs(design.insitu, design.mechanism.home, T)
-    six = measuring_limb_calibration_agreement_with_vision_and_slips.Limbs(
-        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(true, chosen),
+    six = measuring_limb_identification_and_agreement_with_vision.Limbs(
+        measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(true, chosen),
         1e-14 * np.eye(42),
         np.full(6, 1e-6),
         chosen,
     )
-    return measuring_limb_calibration_agreement_with_vision_and_slips.Limbs(
+    return measuring_limb_identification_and_agreement_with_vision.Limbs(
         six.hexapod,
         six.covariance,
         six.sigma,
@@ -89,8 +89,8 @@ def test_of_six_limbs_none_is_over_to_be_checked(machine):
     stated = design_file.design_of_entries(
         toml_entries(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6), "rig.toml")
     ).insitu
-    six = measuring_limb_calibration_agreement_with_vision_and_slips.Limbs(
-        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(true, np.arange(6)),
+    six = measuring_limb_identification_and_agreement_with_vision.Limbs(
+        measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(true, np.arange(6)),
         1e-14 * np.eye(42),
         np.full(6, 1e-6),
         np.arange(6),
@@ -121,7 +121,7 @@ def test_fewer_limbs_than_freedoms_are_refused_with_the_reason(tmp_path):
         RigError,
         match="has 4 measuring limbs in .insitu., and a platform has six freedoms: fewer than six lengths tell no",
     ):
-        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design)
+        measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(design)
     assert not redundant_measuring_limb_checks_by_loop_closure.has_six_measuring_limbs(design)
 
 

@@ -25,7 +25,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parame
 from rig.model.pose import pose_difference
 from rig.planning import configuration_sets, plan
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine
+from synthetic import recording_simulation, secret_machine_and_truth_file
 from tests.calib.noisy_samples import sampled
 
 
@@ -58,7 +58,7 @@ def at_poses(design, seed, distinct, repeats):
 def at_corners(design, text, folder, seed, distinct, repeats):
     """(Claim, before / after elsewhere) of a recording simulated corner by corner, measured by its cameras."""
     rng, strokes = np.random.default_rng(seed), design.mechanism.strut_range
-    secret = secret_machine.draw_machine(design, rng)
+    secret = secret_machine_and_truth_file.draw_machine(design, rng)
     route = plan.plan_of_configurations(
         visited(design.mechanism, distinct, repeats, seed), strokes.mean(axis=1), plan.planned_axis_speeds(design)
     )

@@ -11,7 +11,7 @@ from rig.planning import configuration_sets, plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording.recording_folder import Poses
 from rig.recording.recording_table_loading_and_writing import write_poses
-from synthetic import recording_simulation, secret_machine
+from synthetic import recording_simulation, secret_machine_and_truth_file
 from tests.calib import secret_arms
 from tests.conftest import BENCH
 
@@ -34,7 +34,7 @@ JOINTS = np.array(
 
 def recorded(
     folder: Path, number: int = 0, effects: tuple = (), size: float = 1.0
-) -> tuple[secret_machine.World, recording_simulation.Simulation]:
+) -> tuple[secret_machine_and_truth_file.World, recording_simulation.Simulation]:
     """A good recording at corner level of one of the RIGS, with its World and Simulation."""
     radius, cameras, width, height, cubes, frames, noise = RIGS[number]
     text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(
@@ -43,7 +43,7 @@ def recorded(
     folder.mkdir(parents=True)
     (folder / "rig.toml").write_text(text)
     design, rng = design_file.load_design(folder / "rig.toml"), np.random.default_rng(100 + number)
-    secret = secret_machine.draw_machine(design, rng, size, effects)
+    secret = secret_machine_and_truth_file.draw_machine(design, rng, size, effects)
     strokes = design.mechanism.strut_range
     route = plan.plan_of_configurations(
         configuration_sets.sobol_configurations(strokes, frames, seed=number),

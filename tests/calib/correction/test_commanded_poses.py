@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.correction.commanded_poses import PoseFrames, poses_to_command
+from calib.correction.corrected_pose_commands_for_pose_taking_controllers import PoseFrames, poses_to_command
 from calib.correction.correction import Correction
 from calib.files.calibration_file import save
 from rig.cli.command_line import main
@@ -21,7 +21,7 @@ from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.pose import pose, pose_difference
 from rig.recording.recording_table_loading_and_writing import Poses, write_poses
-from synthetic import secret_machine
+from synthetic import secret_machine_and_truth_file
 from tests.rig.arms import random_arm
 
 FRAMES = {
@@ -40,7 +40,7 @@ def wanted_poses(hexapod, count=40):
 def test_the_platform_comes_where_it_is_wanted_as_by_lengths(design, frames):
     """A controller that takes poses, with the nominal geometry, moves a machine that is built otherwise."""
     nominal = design.mechanism
-    true = secret_machine.draw_machine(design, np.random.default_rng(4)).true.mechanism
+    true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(4)).true.mechanism
     wanted = wanted_poses(nominal)
     lengths = Correction(nominal, true, (None,) * 6).inverse_without_physics(wanted)
     commands = poses_to_command(nominal, lengths, wanted, frames)
@@ -80,7 +80,7 @@ def test_only_a_hexapod_takes_poses():
 def test_an_emulated_hexapod_controller_with_its_own_geometry_comes_as_near_as_by_lengths(design, pivot):
     """MOV with corrected poses, over the wire; the machine is built otherwise, and its calibration is not perfect."""
     nominal, rng = design.mechanism, np.random.default_rng(6)
-    true = secret_machine.draw_machine(design, np.random.default_rng(4)).true.mechanism
+    true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(4)).true.mechanism
     fitted = replace(true, base_joints=true.base_joints + 2e-5 * rng.standard_normal((6, 3)))
     clock, home = SimulatedClock(1000.0), home_lengths(nominal)
     axes = MovingAxes(clock.now(), home, np.full(6, 0.1), np.full(6, 5.0))
@@ -118,7 +118,7 @@ def test_an_emulated_hexapod_controller_with_its_own_geometry_comes_as_near_as_b
 
 
 def test_the_command_writes_poses_as_it_writes_lengths(design, rig_text, tmp_path, capsys):
-    true = secret_machine.draw_machine(design, np.random.default_rng(4)).true.mechanism
+    true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(4)).true.mechanism
     correction = Correction(design.mechanism, true, (None,) * 6)
     none = np.eye(42) * 1e-12, np.zeros(6), (0,), (), None, {"inputs_sha256": {}}
     save(tmp_path / "calibration.json", Calibration(correction, *none))

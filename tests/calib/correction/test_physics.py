@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.correction.command_sequence_timing_and_pose_error_map import HOLDING, TURNING, Pace, timed_route
+from calib.correction.command_timing_and_error_map_in_pose_space import HOLDING, TURNING, Pace, timed_route
 from calib.correction.correction import Correction, calibrate_correction
 from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
 from calib.correction.interpolation_methods_and_correction_summand_fields import (
@@ -31,7 +31,7 @@ from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES
-from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats.rig_toml import design_file
@@ -40,7 +40,7 @@ from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.planning import configuration_sets
 from rig.recording.recording_folder import Sensors
-from synthetic import secret_machine
+from synthetic import secret_machine_and_truth_file
 from tests.bench.physics import ROUTE, effect_of
 from tests.calib.rigs_with_unmodelled_physics import driven, learnt, measured_by, three_ways, write
 from tests.rig.effects.test_effects import SOME
@@ -90,7 +90,7 @@ def wanted(design, count=12, every=20.0, seed=3):
     """(poses (count,), times (count,) s, Sensors over them)."""
     lengths = configuration_sets.sobol_configurations(design.mechanism.strut_range, count, 0.6, seed)
     t = 40 + every * np.arange(count)
-    _, log = secret_machine.draw_temperatures(t[-1], np.random.default_rng(seed))
+    _, log = secret_machine_and_truth_file.draw_temperatures(t[-1], np.random.default_rng(seed))
     log = Sensors(log.t, {**log.channels, "payload_mass_kg": np.linspace(0, 7, len(log.t))})
     return hexapod.forward(lengths, design.mechanism), t, log
 
@@ -318,7 +318,7 @@ def test_diagnosed_calibrated_corrected_driven_verified(tmp_path, seen, capsys):
     _, secret = write(
         tmp_path / "rec", design, text, 21, (parse_effect("backlash:strut5:gap=1e-4"),), "sobol:40,ladder:1"
     )
-    secret_machine.write_truth(tmp_path / "truth.json", secret, design.mechanism.home)
+    secret_machine_and_truth_file.write_truth(tmp_path / "truth.json", secret, design.mechanism.home)
     (tmp_path / "rig.toml").write_text(text)
     run(capsys, "diagnose", tmp_path / "rec", "--out", tmp_path / "d", "--only", "backlash")
     said = run(capsys, "calibrate", tmp_path / "rec", "--diagnosis", tmp_path / "d", "--out", tmp_path / "c.json")

@@ -24,7 +24,7 @@ from rig.model.effect_places_and_part_tolerances import Place
 from rig.planning import plan
 from rig.recording import recording_folder
 from rig.recording.recording_table_loading_and_writing import write_poses
-from synthetic import recording_simulation, secret_machine
+from synthetic import recording_simulation, secret_machine_and_truth_file
 from tests.calib.diagnose_recording import diagnosis_of, page_text
 
 HIDDEN = "backlash:strut3:gap=8e-5"
@@ -39,7 +39,7 @@ def diagnosed(design, rig_text, tmp_path_factory):
 def make(design, rig_text, folder, text, only):
     rng = np.random.default_rng(4)
     done = recording_simulation.simulate_world(
-        secret_machine.draw_machine(design, rng, 1.0, (parse_effect(text),)),
+        secret_machine_and_truth_file.draw_machine(design, rng, 1.0, (parse_effect(text),)),
         plan.build_plan(design, "sobol:14,ladder:1,payload:2,moving:6", 1),
         rng,
     )

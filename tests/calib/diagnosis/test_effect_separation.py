@@ -7,7 +7,7 @@ from calib.diagnosis.effect_signal_and_separation import effect_separation
 from rig.cli import command_line
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.planning.plan import build_plan, sensors_with_payload
-from synthetic.secret_machine import draw_temperatures
+from synthetic.secret_machine_and_truth_file import draw_temperatures
 
 SIGMA = (1e-5, 1e-4)
 

@@ -27,7 +27,7 @@ from rig.model.effect_places_and_part_tolerances import Place
 from rig.planning import plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine, unlisted_physics
+from synthetic import recording_simulation, secret_machine_and_truth_file, unlisted_physics
 from tests.calib.diagnose_recording import diagnosis_of, page_text
 from tests.calib.recordings_with_effects import recorded
 from tests.numerical_derivatives import jacobian
@@ -174,7 +174,7 @@ def test_tangents_of_what_is_seen_are_derivatives(quiet):
 def test_geometry_known_from_elsewhere_shows_what_would_hide_in_it(tmp_path, design):
     rng = np.random.default_rng(7)
     for name, load in (("before", ()), ("after", ("compliance:rig:stiffness=8e6",))):
-        secret = secret_machine.draw_machine(
+        secret = secret_machine_and_truth_file.draw_machine(
             design, np.random.default_rng(7), 1.0, tuple(parse_effect(text) for text in load)
         )
         recording_simulation.write_recording(
@@ -205,7 +205,9 @@ def test_a_strong_profile_is_one_finding_however_fine(tmp_path, design):
 def test_a_marker_of_another_size_gets_no_name(tmp_path, design):
     rng = np.random.default_rng(4)
     scales = np.where(marker_map(design).id == 7, 4e-3, 0.0)
-    secret = secret_machine.draw_machine(design, rng, 1.0, (unlisted_physics.UnevenPrint("markers", tuple(scales)),))
+    secret = secret_machine_and_truth_file.draw_machine(
+        design, rng, 1.0, (unlisted_physics.UnevenPrint("markers", tuple(scales)),)
+    )
     recording_simulation.write_recording(
         recording_simulation.simulate_world(secret, plan.build_plan(design, "sobol:60", 3), rng),
         tmp_path,

@@ -12,7 +12,7 @@ from rig.formats.rig_toml import design_file
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.planning import plan
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine, unlisted_physics
+from synthetic import recording_simulation, secret_machine_and_truth_file, unlisted_physics
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.recordings_with_effects import recorded
 from tests.calib.rigs_with_unmodelled_physics import measured_by
@@ -34,7 +34,9 @@ def seen(tmp_path_factory, rig_text):
         rng, to = np.random.default_rng(5), folder / f"{effect.name}"
         recording_simulation.write_recording(
             recording_simulation.simulate_world(
-                secret_machine.draw_machine(design, rng, 1.0, (effect,)), plan.build_plan(design, PLAN, 5), rng
+                secret_machine_and_truth_file.draw_machine(design, rng, 1.0, (effect,)),
+                plan.build_plan(design, PLAN, 5),
+                rng,
             ),
             to,
             text,

@@ -18,9 +18,9 @@ from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
 from rig.planning import configuration_sets, plan
-from rig.planning.layout import shipped_arm_layout
+from rig.planning.layout import shipped_arms_and_layouts
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine
+from synthetic import recording_simulation, secret_machine_and_truth_file
 from tests.calib.diagnose_recording import diagnosis_of
 
 FRICTION, PLAY = "hysteresis:joint 2:range=0.5,weight=0.001", "backlash:joint 2:gap=2e-4"
@@ -30,7 +30,7 @@ FRICTION, PLAY = "hysteresis:joint 2:range=0.5,weight=0.001", "backlash:joint 2:
 def found(tmp_path_factory):
     """(Recording of a SCARA whose second joint sticks, its Diagnosis)."""
     at = tmp_path_factory.mktemp("scara")
-    (at / "rig.toml").write_text(shipped_arm_layout.shipped_arm_rig_toml("scara"))
+    (at / "rig.toml").write_text(shipped_arms_and_layouts.shipped_arm_rig_toml("scara"))
     design, rng = design_file.load_design(at / "rig.toml"), np.random.default_rng(3)
     strokes = plan.axis_strokes(design)
     straight = plan.plan_of_configurations(
@@ -39,9 +39,9 @@ def found(tmp_path_factory):
         plan.planned_axis_speeds(design),
     )
     done = recording_simulation.simulate_world(
-        secret_machine.draw_machine(design, rng, 1.0, (parse_effect(FRICTION),)), straight, rng
+        secret_machine_and_truth_file.draw_machine(design, rng, 1.0, (parse_effect(FRICTION),)), straight, rng
     )
-    recording_simulation.write_recording(done, at / "rec", shipped_arm_layout.shipped_arm_rig_toml("scara"), rng)
+    recording_simulation.write_recording(done, at / "rec", shipped_arms_and_layouts.shipped_arm_rig_toml("scara"), rng)
     read = recording_folder.load_recording(at / "rec")
     return read, diagnosis_of(read)
 
@@ -127,7 +127,7 @@ def test_what_turns_round_tells_play_from_friction_and_so_does_a_plan_of_balance
 
 
 def test_what_of_arms_cannot_be_investigated_is_refused(tmp_path, capsys):
-    text = shipped_arm_layout.shipped_arm_rig_toml("puma560")
+    text = shipped_arms_and_layouts.shipped_arm_rig_toml("puma560")
     (tmp_path / "rig.toml").write_text(text[: text.index("[instrument]")])
     assert main(["investigate", str(tmp_path / "rig.toml"), "--by-hand", "--out", str(tmp_path / "out")]) == 1
     assert "requires an [instrument] that measures its poses" in capsys.readouterr().err
@@ -143,7 +143,7 @@ def test_what_of_arms_cannot_be_investigated_is_refused(tmp_path, capsys):
 @pytest.mark.parametrize(("effect", "name"), [(FRICTION, "hysteresis"), (PLAY, "backlash")])
 def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, name):
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
-    rig.write_text(shipped_arm_layout.shipped_arm_rig_toml("scara"))
+    rig.write_text(shipped_arms_and_layouts.shipped_arm_rig_toml("scara"))
     assert (
         main(
             [
@@ -193,7 +193,7 @@ def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, 
 @pytest.mark.slow
 def test_a_quiet_arm_is_left_in_peace(tmp_path, capsys):
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
-    rig.write_text(shipped_arm_layout.shipped_arm_rig_toml("scara"))
+    rig.write_text(shipped_arms_and_layouts.shipped_arm_rig_toml("scara"))
     assert (
         main(
             [

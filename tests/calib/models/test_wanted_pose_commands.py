@@ -16,7 +16,7 @@ from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
 from calib.models.chain import error_model as chains
 from calib.models.machine_models import corrected_pose_covariance
-from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_and_parquet_tables_and_time_origin
@@ -24,7 +24,7 @@ from rig.formats.rig_toml import design_file
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.planning.configuration_sets import sobol_configurations
-from rig.planning.layout import hexapod_layout_and_camera_placement, shipped_arm_layout
+from rig.planning.layout import hexapod_layout_and_camera_placement, shipped_arms_and_layouts
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors, WantedPoses
 from rig.recording.recording_table_loading_and_writing import Poses, write_poses
@@ -37,7 +37,7 @@ def designed(folder, kind):
     if kind == "chain":
         return gantry_and_hexapod.written(folder)
     text = (
-        shipped_arm_layout.shipped_arm_rig_toml("puma560")
+        shipped_arms_and_layouts.shipped_arm_rig_toml("puma560")
         if kind == "arm"
         else hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3)
         if kind == "hexapod"

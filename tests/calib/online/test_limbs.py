@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calib.certification import measuring_limb_calibration_agreement_with_vision_and_slips
+from calib.certification import measuring_limb_identification_and_agreement_with_vision
 from calib.certification.redundant_measuring_limb_checks_by_loop_closure import Limbs
 from calib.models.platform.identification import pose_parameter_jacobian
 from calib.online import measuring_limbs_file, platform_poses_from_measuring_limbs_checked_by_vision
@@ -32,19 +32,19 @@ def by_vision(limbed):
 def accepted(limbed, by_vision):
     """Accepted limbs of the first recording."""
     design, read, _ = limbed
-    frames, lengths = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings(read)
+    frames, lengths = measuring_limb_identification_and_agreement_with_vision.limb_readings(read)
     samples, nominal = (
-        measuring_limb_calibration_agreement_with_vision_and_slips.samples_with_limb_readings_as_commands(
+        measuring_limb_identification_and_agreement_with_vision.samples_with_limb_readings_as_commands(
             by_vision, frames, lengths
         ),
-        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design),
+        measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(design),
     )
-    T, expected = measuring_limb_calibration_agreement_with_vision_and_slips.held_out_limb_poses(samples, nominal, 1e-6)
-    found = measuring_limb_calibration_agreement_with_vision_and_slips.limb_agreement(
+    T, expected = measuring_limb_identification_and_agreement_with_vision.held_out_limb_poses(samples, nominal, 1e-6)
+    found = measuring_limb_identification_and_agreement_with_vision.limb_agreement(
         samples.T_base_platform, T, expected, (5e-5, 3e-4)
     )
     return measuring_limbs_file.Accepted(
-        measuring_limb_calibration_agreement_with_vision_and_slips.calibrate_limbs(samples, nominal, 1e-6)[0],
+        measuring_limb_identification_and_agreement_with_vision.calibrate_limbs(samples, nominal, 1e-6)[0],
         nominal,
         found,
         None,
@@ -176,14 +176,14 @@ def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, again, l
 def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(limbed, by_vision, limb, at):
     design, read, _ = limbed
     for by in (0.0, 3e-5):
-        samples = measuring_limb_calibration_agreement_with_vision_and_slips.samples_with_limb_readings_as_commands(
+        samples = measuring_limb_identification_and_agreement_with_vision.samples_with_limb_readings_as_commands(
             by_vision,
-            *measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings(slipped(read, limb, by, at)),
+            *measuring_limb_identification_and_agreement_with_vision.limb_readings(slipped(read, limb, by, at)),
         )
-        limbs, _ = measuring_limb_calibration_agreement_with_vision_and_slips.calibrate_limbs(
-            samples, measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design), 1e-6
+        limbs, _ = measuring_limb_identification_and_agreement_with_vision.calibrate_limbs(
+            samples, measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(design), 1e-6
         )
-        found = measuring_limb_calibration_agreement_with_vision_and_slips.detect_limb_slip(samples, limbs, 1e-6)
+        found = measuring_limb_identification_and_agreement_with_vision.detect_limb_slip(samples, limbs, 1e-6)
         assert (found is None) == (by == 0)
         assert found is None or (
             found.limb == limb and abs(found.frame - at) <= 2 and abs(found.size - by) < 4 * found.sigma < 2e-5

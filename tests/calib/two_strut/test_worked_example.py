@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.two_strut.worked_example import (
+from calib.two_strut.four_sample_correction_example_and_svg_figures import (
     L1,
     L2,
     NOMINAL,

@@ -14,7 +14,7 @@ from rig.model.mechanisms import arm as arms
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import sobol_configurations
-from synthetic import secret_machine
+from synthetic import secret_machine_and_truth_file
 from tests.calib.secret_arms import secret
 from tests.rig.arms import UR10
 
@@ -25,7 +25,7 @@ PLANAR = Planar2([[0.0, 0.0], [1.0, 0.0]], STROKES)
 @pytest.fixture(scope="module")
 def rough(design):
     """Correction of a hexapod ten times as far off as rigs are."""
-    true = secret_machine.draw_machine(design, np.random.default_rng(2), 10.0).true.mechanism
+    true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(2), 10.0).true.mechanism
     return Correction(design.mechanism, true, (None,) * 6)
 
 

@@ -14,7 +14,7 @@ from rig.model.mechanisms import arm
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import sobol_configurations
 from rig.recording import recording_folder
-from synthetic.secret_machine import world_from_truth
+from synthetic.secret_machine_and_truth_file import world_from_truth
 from tests.closed_loops import holds, lines, rig, verified
 from vision.recording_measurement import measure_recording
 
@@ -182,10 +182,10 @@ def test_a_plan_of_an_arm_takes_what_is_seen_and_tells_most(tmp_path, capfd):
 def test_reversals_at_speed_tell_an_arms_lag_from_a_clock():
     from calib.diagnosis.effect_signal_and_separation import effect_separation
     from rig.effects.texts.effect_text_parsing import parse_effect
-    from rig.planning.layout import shipped_arm_layout
+    from rig.planning.layout import shipped_arms_and_layouts
     from rig.planning.plan import build_plan
 
-    design, found = shipped_arm_layout.load_shipped_arm_design("puma560"), {}
+    design, found = shipped_arms_and_layouts.load_shipped_arm_design("puma560"), {}
     lag, late = parse_effect("servo_lag:rig:time_constant=0.02"), parse_effect("time_offset:clock:offset=-0.02")
     for text in ("moving:40", "zigzag:40"):
         plan = build_plan(design, text, 3)

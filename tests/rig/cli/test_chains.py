@@ -16,7 +16,7 @@ from calib.samples.pose_samples import Samples, sample_recording
 from rig.cli import command_line
 from rig.effects.texts.effect_text_parsing import parse_effect, require_existing_place
 from rig.errors import FileError, RigError, Unreachable
-from rig.formats import csv_and_parquet_tables_and_time_origin, machine_json
+from rig.formats import csv_and_parquet_tables_and_time_origin, machine_geometry_and_effects_json_file
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import arm, hexapod, mechanism_chain
 from rig.model.mechanisms import axis_place_texts as chain_places
@@ -103,7 +103,7 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
         "--truth",
         tmp_path / "truth.json",
     )
-    true, _ = machine_json.load_machine(tmp_path / "truth.json", design)
+    true, _ = machine_geometry_and_effects_json_file.load_machine(tmp_path / "truth.json", design)
     samples = sample_recording(recording_folder.load_recording(tmp_path / "rec")).samples
     found = identify_chain(samples, design.mechanism)
     # the true machine in the parameters that are freedoms of their own: what poses without noise say of it, to the last

@@ -12,7 +12,7 @@ from calib.models.chain.identification import identify_chain
 from calib.samples.pose_samples import sample_recording
 from rig.cli import command_line
 from rig.errors import FileError
-from rig.formats import machine_json
+from rig.formats import machine_geometry_and_effects_json_file
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import mechanism_chain
 from rig.model.pose import pose_difference
@@ -41,7 +41,7 @@ def test_cubes_on_the_carriage_tell_its_stages_apart(tmp_path, capfd):
         "--truth",
         tmp_path / "truth.json",
     )
-    true, _ = machine_json.load_machine(tmp_path / "truth.json", design)
+    true, _ = machine_geometry_and_effects_json_file.load_machine(tmp_path / "truth.json", design)
     read = recording_folder.load_recording(tmp_path / "rec")
     samples = sample_recording(read).samples
     (stage,) = samples.below

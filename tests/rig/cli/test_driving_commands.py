@@ -23,7 +23,7 @@ from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms
 from rig.model.pose import pose_to_vector
-from synthetic import secret_machine
+from synthetic import secret_machine_and_truth_file
 from tests.conftest import ROOT
 from tests.emulated_run import EmulatedRig, runner
 
@@ -44,7 +44,9 @@ def rig(emulated):
 def calibration(emulated, rig):
     """A calibration of a machine that is not quite as stated."""
     nominal = design_file.load_design(rig).mechanism
-    fitted = secret_machine.draw_machine(design_file.load_design(rig), np.random.default_rng(4)).true.mechanism
+    fitted = secret_machine_and_truth_file.draw_machine(
+        design_file.load_design(rig), np.random.default_rng(4)
+    ).true.mechanism
     path = emulated.folder / "calibration.json"
     save(
         path,

@@ -15,7 +15,7 @@ from calib.models.arm.identification_and_joint_profiles import Profile
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
 from rig.model.pose import pose, pose_difference, pose_to_vector
-from rig.planning.layout import shipped_arm_layout
+from rig.planning.layout import shipped_arms_and_layouts
 from tests.calib import secret_arms as worlds
 from tests.cli import command
 from tests.rig.arms import UR10
@@ -34,7 +34,7 @@ def poses_file(path, T):
 
 @pytest.mark.parametrize("name", ["puma560", "ur10", "stanford", "scara"])
 def test_what_forward_gives_inverse_takes_back(tmp_path, rig, name):
-    arm = shipped_arm_layout.load_shipped_arm_design(name).mechanism
+    arm = shipped_arms_and_layouts.load_shipped_arm_design(name).mechanism
     low, high = arm.limits.T
     q = np.random.default_rng(1).uniform(0.8 * low, 0.8 * high, (4, len(low)))
     rows = [",".join([str(i), *map(repr, row)]) for i, row in enumerate(q.tolist())]
@@ -61,7 +61,7 @@ def test_what_forward_gives_inverse_takes_back(tmp_path, rig, name):
 
 
 def test_singular_and_unreachable_poses_are_named(tmp_path, rig):
-    arm = shipped_arm_layout.load_shipped_arm_design("puma560").mechanism
+    arm = shipped_arms_and_layouts.load_shipped_arm_design("puma560").mechanism
     far = pose([9.0, 0, 0], [0, 0, 0])
     T = RigidTransform.from_matrix(
         np.stack([mechanism.forward(np.array([0.3, 0.4, 0.5, 0.6, 0.0, 0.8]), arm).as_matrix(), far.as_matrix()])
@@ -84,7 +84,7 @@ def test_singular_and_unreachable_poses_are_named(tmp_path, rig):
 
 @pytest.mark.parametrize("name", ["panda", "scara"])
 def test_steps_of_solutions_found_numerically_end_where_the_hand_is_at_zero(tmp_path, rig, name):
-    arm = shipped_arm_layout.load_shipped_arm_design(name).mechanism
+    arm = shipped_arms_and_layouts.load_shipped_arm_design(name).mechanism
     T = mechanism.forward(np.array([[0.3, -0.4, 0.1, -1.5, 0.4, 1.2, 0.3][: len(arm.joints)]]), arm)
     file = poses_file(tmp_path / "p.csv", T)
     tree = json.loads(rig(name, "--inverse", file, "--steps", "--json"))

@@ -15,7 +15,7 @@ from calib.models.platform.identification import identify_platform
 from calib.workspace.workspace_map_and_lost_poses import is_pose_lost
 from rig.cli.command_line import main
 from rig.formats import csv_and_parquet_tables_and_time_origin
-from synthetic import secret_machine
+from synthetic import secret_machine_and_truth_file
 from tests.calib.noisy_samples import sampled
 from tests.cli import Links
 
@@ -29,7 +29,7 @@ def kept(tmp_path_factory, design, rig_text):
     (base / "rig.toml").write_text(rig_text)
     samples, _ = sampled(design, 3, 40)
     found = identify_platform(samples, design.mechanism)
-    true = secret_machine.draw_machine(design, np.random.default_rng(2), 10.0).true.mechanism
+    true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(2), 10.0).true.mechanism
     made = calibration_with_workspace(
         Calibration(
             Correction(design.mechanism, true, (None,) * 6), found.covariance, found.scatter, (), (), None, {"seed": 0}

@@ -9,7 +9,7 @@ from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.planning import plan
-from synthetic import recording_simulation, secret_machine
+from synthetic import recording_simulation, secret_machine_and_truth_file
 from tests.calib.effects_by_other_formulas import OffsetSignals, SwungCardan, WarmedScrew
 from tests.calib.lifted_corners import lifted
 
@@ -60,7 +60,9 @@ def test_a_lifted_corner_is_a_point_in_space(design):
     route, rng = plan.build_plan(design, "sobol:6", 3), np.random.default_rng(2)
     flat, bent = (
         recording_simulation.simulate_world(
-            secret_machine.draw_machine(design, np.random.default_rng(1), 1.0, effects), route, np.random.default_rng(4)
+            secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(1), 1.0, effects),
+            route,
+            np.random.default_rng(4),
         )
         for effects in ((), (law,))
     )

@@ -8,12 +8,12 @@ import pytest
 
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Context
-from rig.effects.framework.effect_checks_and_fit_coordinates import (
+from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
     check_effect_place_and_parameter_bounds,
     coordinates_of_effects,
 )
 from rig.effects.framework.unmodelled_curve import HISTORY, PLAYS, TIME, TRAVEL, unmodelled_curve, unmodelled_curves
-from rig.formats.machine_json import effect_from_dict, effect_to_dict
+from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict, effect_to_dict
 from rig.model.mechanisms import kinematics_of
 from rig.model.motion_simulation import motion_of_commands
 from rig.recording.recording_folder import Commands, Sensors

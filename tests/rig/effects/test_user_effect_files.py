@@ -16,7 +16,7 @@ from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.effects.texts.user_effect_file_loading import load_effect_file
 from rig.errors import FileError
-from rig.formats.machine_json import effect_from_dict, effect_to_dict
+from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict, effect_to_dict
 from rig.model import motion_simulation
 from tests.conftest import ROOT
 from tests.rig.effects.test_effects_of_all_machines import context_of, setting_of

@@ -125,7 +125,7 @@ def test_low_discrepancy_covers_evenly(design):
 
 
 def test_payload_steps_are_logged(design):
-    from synthetic.secret_machine import draw_temperatures
+    from synthetic.secret_machine_and_truth_file import draw_temperatures
 
     found = plan.build_plan(design, "payload:4")
     _, log = draw_temperatures(found.commands.t[-1], np.random.default_rng(0))

@@ -17,7 +17,7 @@ from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import sobol_configurations
 from rig.recording import recording_folder
-from synthetic import secret_machine
+from synthetic import secret_machine_and_truth_file
 from synthetic.emulated_cameras import EmulatedCameras
 from synthetic.image_simulation import Images
 from tests.vision import camera_on_platform
@@ -89,7 +89,10 @@ def test_the_base_is_seen_from_the_platform_while_a_run_goes_on(tmp_path, opengl
     """
     (tmp_path / "rig.toml").write_text(camera_on_platform.text())
     design = design_file.load_design(tmp_path / "rig.toml")
-    secret, strokes = secret_machine.draw_machine(design, np.random.default_rng(2)), design.mechanism.strut_range
+    secret, strokes = (
+        secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(2)),
+        design.mechanism.strut_range,
+    )
     goals = sobol_configurations(strokes, TAUGHT[0] + 4, 0.5, 1)
     t = 10.0 * np.arange(len(goals) + 1)
     sensor = Sensor(blur=0.6, read_noise=1.5, electrons=8000.0)

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.correction.command_sequence_timing_and_pose_error_map import Pace
+from calib.correction.command_timing_and_error_map_in_pose_space import Pace
 from calib.correction.physics_compensation import Physics
 from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations
@@ -21,18 +21,18 @@ from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, Pri
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
-from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
 from rig.planning import plan
 from rig.planning.configuration_sets import sobol_configurations
-from rig.planning.layout import shipped_arm_layout
+from rig.planning.layout import shipped_arms_and_layouts
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Poses, Sensors
 from rig.recording.recording_table_loading_and_writing import write_poses
-from synthetic import recording_simulation, secret_machine
+from synthetic import recording_simulation, secret_machine_and_truth_file
 
 MOVING = (
     "backlash:joint 2:gap=4e-4",
@@ -52,7 +52,7 @@ GAP = "backlash:joint 2:gap=4e-4"
 
 
 def arm_named(tmp_path, name):
-    (tmp_path / "rig.toml").write_text(shipped_arm_layout.shipped_arm_rig_toml(name))
+    (tmp_path / "rig.toml").write_text(shipped_arms_and_layouts.shipped_arm_rig_toml(name))
     return design_file.load_design(tmp_path / "rig.toml")
 
 
@@ -112,11 +112,11 @@ def played(tmp_path_factory):
     """(Recording of a SCARA whose second joint has play, its secret)."""
     at = tmp_path_factory.mktemp("scara")
     design, rng = arm_named(at, "scara"), np.random.default_rng(3)
-    secret = secret_machine.draw_machine(design, rng, 1.0, (parse_effect(GAP),))
+    secret = secret_machine_and_truth_file.draw_machine(design, rng, 1.0, (parse_effect(GAP),))
     recording_simulation.write_recording(
         recording_simulation.simulate_world(secret, plan.build_plan(design, "sobol:70", 3), rng),
         at / "rec",
-        shipped_arm_layout.shipped_arm_rig_toml("scara"),
+        shipped_arms_and_layouts.shipped_arm_rig_toml("scara"),
         rng,
     )
     return recording_folder.load_recording(at / "rec"), secret
@@ -163,7 +163,7 @@ def drives(tmp_path, capsys, name, effects, without=(), another=False):
         diagnosed
     """
     rig, truth = tmp_path / "rig.toml", tmp_path / "truth.json"
-    text = shipped_arm_layout.shipped_arm_rig_toml(name)
+    text = shipped_arms_and_layouts.shipped_arm_rig_toml(name)
     rig.write_text("\n".join(line for line in text.splitlines() if not (without and line.startswith(without))) + "\n")
 
     def said(*words):

@@ -119,7 +119,7 @@ def test_a_program_that_gives_no_image_is_named(tmp_path, command, said):
 
 
 def test_a_program_without_a_shell_gets_no_input_and_is_ended(tmp_path):
-    from rig.driving.cameras.user_camera import CommandSource
+    from rig.driving.cameras.user_camera_class_and_image_program import CommandSource
 
     source = CommandSource(camera(), f"{sys.executable} -c 'import time; time.sleep(60)'", SystemClock(), wait=0.2)
     with pytest.raises(CameraError, match="gave no image in 0.2 s"):

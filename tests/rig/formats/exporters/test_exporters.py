@@ -19,14 +19,14 @@ from rig.model.mechanisms import arm as serial
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose, pose_difference
 from rig.planning import configuration_sets, plan
-from synthetic import secret_machine
+from synthetic import secret_machine_and_truth_file
 from tests.rig.arms import GANTRY, STANFORD
 from tests.rig.genhexkins import forward, settings
 
 
 @pytest.fixture(scope="module")
 def true(design):
-    return secret_machine.draw_machine(design, np.random.default_rng(3)).true
+    return secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(3)).true
 
 
 @pytest.mark.parametrize("units, scale", [("mm", 1e3), ("m", 1.0)])

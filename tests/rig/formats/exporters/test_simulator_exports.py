@@ -16,14 +16,14 @@ from rig.formats.exporters.urdf_and_sdf import simulator_struts
 from rig.model.mechanisms import hexapod
 from rig.planning import configuration_sets
 from rig.planning.layout import hexapod_layout_and_camera_placement
-from synthetic import secret_machine
+from synthetic import secret_machine_and_truth_file
 from tests.calib.checks.test_mistakes import said
 
 
 @pytest.fixture(scope="module")
 def machine(design):
     """A hexapod with zeros, none of whose joints lie evenly."""
-    return secret_machine.draw_machine(design, np.random.default_rng(3)).true.mechanism
+    return secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(3)).true.mechanism
 
 
 def cardans(direction, T_base_cross):

@@ -9,7 +9,7 @@ from rig.formats.exporters.urdf_and_sdf import arm_urdf
 from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions, read_arm_file
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import arm as serial
-from rig.planning.layout.shipped_arm_layout import load_shipped_arm_design, shipped_arm_names
+from rig.planning.layout.shipped_arms_and_layouts import load_shipped_arm_design, shipped_arm_names
 from tests.cli import run
 from tests.rig.arms import configurations, random_arm
 from tests.rig.formats.importers.urdf_products import product, robot

@@ -6,7 +6,7 @@ import pytest
 from rig.errors import RigError
 from rig.formats.importers.command_and_sensor_tables import read_commands
 from rig.formats.importers.import_recipe import ForeignTable
-from rig.planning.layout import shipped_arm_layout
+from rig.planning.layout import shipped_arms_and_layouts
 
 
 def table(path, header, row):
@@ -17,7 +17,7 @@ def table(path, header, row):
 def test_each_column_is_read_in_the_unit_of_its_header(tmp_path):
     read = read_commands(
         table(tmp_path / "c.csv", "frame,q1 [deg],q2 [deg],q3 [mm],q4", "0,90,-45,120,0.5"),
-        shipped_arm_layout.load_shipped_arm_design("scara"),
+        shipped_arms_and_layouts.load_shipped_arm_design("scara"),
     )
     np.testing.assert_allclose(read.values[0], [np.pi / 2, -np.pi / 4, 0.12, 0.5], atol=1e-12)
 
@@ -32,4 +32,4 @@ def test_each_column_is_read_in_the_unit_of_its_header(tmp_path):
 )
 def test_other_units_are_refused(tmp_path, header, row, says):
     with pytest.raises(RigError, match=says):
-        read_commands(table(tmp_path / "c.csv", header, row), shipped_arm_layout.load_shipped_arm_design("scara"))
+        read_commands(table(tmp_path / "c.csv", header, row), shipped_arms_and_layouts.load_shipped_arm_design("scara"))

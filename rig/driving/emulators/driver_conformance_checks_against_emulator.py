@@ -17,7 +17,7 @@ from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.rig_toml.design_file import design_of_entries, load_design
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
-from rig.planning.layout.shipped_arm_layout import LayoutOptions, hexapod_two_strut_or_arm_rig_toml
+from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, hexapod_two_strut_or_arm_rig_toml
 
 RECOVERED = ("lost-ok", "two-ok", "resend", "resend-moving", "late", "half-line", "garbage", "early-stop", "unplug")
 ON_RESETS = ("stale-alarm",)  # faults of controllers that are reset, which lines of text need not have

@@ -12,7 +12,7 @@ from rig.formats.local_and_remote_input_files import list_folder, read_bytes, re
 from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml.design_file import LARGEST, design_of_entries
 from rig.recording.recording_folder import Recording
-from vision.checks.recording_refusal_and_uneven_cube_layouts import Notice
+from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import Notice
 
 NOISE = (2e-5, 2e-4)  # m, rad; of a laser tracker and its six-degree-of-freedom probe, where nobody states any
 

@@ -16,9 +16,9 @@ from scipy.spatial.transform import RigidTransform
 from threadpoolctl import threadpool_limits
 
 from calib.drift.visit_equations_and_reference import base_motion_columns
-from calib.models.base_and_tool_placement import has_placements, placement_lines
-from calib.models.joint_geometry_and_placement_fit import remove_base_and_tool_displacement
+from calib.models.base_and_tool_displacement_since_reference_recording import has_placements, placement_lines
 from calib.models.platform.identification import PRIOR
+from calib.models.simultaneous_geometry_and_placement_fit_of_several_recordings import remove_base_and_tool_displacement
 from calib.samples.pose_samples import Samples, sample_recording
 from rig.api import CheckResult, load_and_check_recording_files
 from rig.array_and_json_types import Floats, Integers
@@ -38,7 +38,7 @@ from rig.recording.combined_recordings import is_measured_by_instrument
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners
 from vision.checks import find_corner_mistakes
-from vision.checks.recording_refusal_and_uneven_cube_layouts import (
+from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import (
     Notice,
     make_spoilt_corner_refusal,
     recorded_or_sampled_corners,

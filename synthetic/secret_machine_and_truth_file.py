@@ -14,7 +14,7 @@ from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text_parsing import Kinds
 from rig.errors import RigError
-from rig.formats import machine_json
+from rig.formats import machine_geometry_and_effects_json_file
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.model.design import Camera, Design, quarter_turns_of_cubes
@@ -150,13 +150,13 @@ def draw_temperatures(duration: float, rng: np.random.Generator, struts: int = 6
 
 def write_truth(path: Path, world: World, T_base_platform: RigidTransform, **more: object) -> None:
     """Write the truth file of a recording (JSON): the machine, its effects and its poses."""
-    tree = machine_json.machine_dict(world.true, world.effects)
+    tree = machine_geometry_and_effects_json_file.machine_dict(world.true, world.effects)
     write_text(path, json.dumps({**tree, "poses": T_base_platform.as_matrix().reshape(-1, 16).tolist(), **more}) + "\n")
 
 
 def world_from_truth(path: Path, stated: Design, kinds: Kinds = BY_NAME) -> World:
     """World read from a truth file: the same machine and cameras. kinds : known effects"""
-    return World(stated, *machine_json.load_machine(path, stated, kinds))
+    return World(stated, *machine_geometry_and_effects_json_file.load_machine(path, stated, kinds))
 
 
 SEAT = np.repeat([1e-4, 1e-3], 3)  # m, rad, by which a cube that is put back sits off
