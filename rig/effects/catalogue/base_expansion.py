@@ -14,13 +14,13 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     Linear,
     Parameter,
     controller_channel,
-    derivative_step,
     temperature_covariate,
 )
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
 
 AMBIENT = "ambient_temperature_C"
+STEP = 1e-8  # 1/K, so small that lengths are linear in it
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +67,8 @@ class BaseExpansion(Effect):
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         plain = cls.linear(place)
-        own = [Linear("uneven", k, derivative_step(cls.parameters[1])) for k in range(2)]
-        return [Candidate(cls, place, [{}], plain), Candidate(cls, place, [{}], [*plain, *own], "uneven")]
+        own = [Linear("coefficient", None, STEP), *(Linear("uneven", k, STEP) for k in range(2))]
+        return [Candidate(cls, place, [{}], plain), Candidate(cls, place, [{}], own, "uneven")]
 
     def in_controller(self, motion: Motion) -> ControllerTerm:
         rows = ", ".join("{" + ", ".join(map(repr, row)) + "}" for row in self.growth.tolist())
