@@ -51,11 +51,9 @@ def seen(tmp_path_factory, rig_text):
 @pytest.mark.parametrize(
     "effect, depends, looked_at",
     [
-        (
-            unlisted_physics.SlippingClutch("strut 2", 1.5e-5),
-            "way travelled",
-            "own way",
-        ),  # nearly a warm-up, by which struts would become shorter
+        pytest.param(  # nearly a warm-up, by which struts would become shorter
+            unlisted_physics.SlippingClutch("strut 2", 1.5e-5), "way travelled", "own way", marks=pytest.mark.slow
+        ),
         (
             unlisted_physics.Crosstalk("strut 6", 3, -6e-4, 0.05),
             "strut 3's position",

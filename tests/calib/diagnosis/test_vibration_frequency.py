@@ -59,7 +59,9 @@ def shaken_case(seed: int) -> Case:
     return replace(case, seen=rows_of(displaced(stood(case.machine, case.way, case.day, case.laws), noise)))
 
 
-@pytest.mark.parametrize("seed", [2, 3])  # at times that mirror a drift a little there; beyond 50 Hz
+@pytest.mark.parametrize(  # at times that mirror a drift a little there; beyond 50 Hz
+    "seed", [2, pytest.param(3, marks=pytest.mark.slow)]
+)
 def test_two_frequencies_are_two_findings_and_nothing_else(tmp_path, seed):
     case = shaken_case(seed)
     findings = calib.diagnose(rig.load(record(case, tmp_path / "a"))).report.findings

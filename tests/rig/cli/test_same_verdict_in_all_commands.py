@@ -122,6 +122,7 @@ def test_learning_goes_on_where_the_estimate_closes_on_no_pose(tmp_path, capsys)
     assert told["verdict"]["state"] == "check" and 23 in told["left_out"] and told["poses"] == 60
 
 
+@pytest.mark.slow
 def test_creep_has_one_verdict_and_marks_the_calibration(tmp_path, capsys):
     states = through(tmp_path, capsys, "creep")
     assert set(states.values()) == {"check"}, states
