@@ -28,7 +28,7 @@ HEAVIEST, LIGHTER, OFF_CENTRE = (
     0.7,
     0.1,
 )  # kg of a first link, each next one's share of it, m: of links that are drawn
-STIFFENS = (0.3, 1.0, 3.0)  # greatest loads over that at which an axis yields half as far, which a search tries
+STIFFENS = (0.3, 0.6, 1.2, 2.5)  # greatest loads over that at which an axis yields half as far, which a search tries
 GIVES = 1e-3  # rad RMS; real joints give a tenth of it under an arm's own weight
 
 
@@ -52,7 +52,7 @@ class Compliance(Effect):
     parameters: ClassVar = (
         Parameter("stiffness", "N/m", (1e4, np.inf), (1e6, 1e8), role="inverse", joint=((1.0, np.inf), (1e3, 1e7))),
         Parameter("moments", "kg/(N m/rad), kg m/(N m/rad)", (-1.0, 1.0), (1e-7, 1e-3), 0),
-        Parameter("stiffening", "1/N", (0, 100), (1e-4, 1e-1), role="form", joint=((0, 100), (1e-4, 1e-1))),
+        Parameter("stiffening", "1/N", (0, 100), (1e-4, 1e-1), role="choice", joint=((0, 100), (1e-4, 1e-1))),
     )
     experiment: ClassVar = "change the payload: at constant load most of the sag hides in the joint geometry"
     action: ClassVar = (
@@ -94,7 +94,7 @@ class Compliance(Effect):
     def fitted(self, parameter: Parameter) -> tuple[int | None, ...]:
         if self.moments:
             return tuple(i for i, v in enumerate(self.moments) if v) if parameter.name == "moments" else ()
-        return (None,) if parameter.name == "stiffness" or (parameter.name == "stiffening" and self.stiffening) else ()
+        return (None,) if parameter.name == "stiffness" else ()
 
     @classmethod
     def unusual(cls, place: str, values: Mapping[str, object]) -> str | None:
