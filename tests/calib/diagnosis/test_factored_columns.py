@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.factored_columns import FactoredColumns
-from calib.diagnosis.engine.linear_model import Block, Column, LinearModel
+from calib.diagnosis.engine.linear_model import Block, Column, FactoredColumns, LinearModel
 
 F, ROWS, KNOWN = 12, 30, 4
 

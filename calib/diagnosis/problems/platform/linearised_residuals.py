@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnosis.engine.factored_columns import FactoredColumns
-from calib.diagnosis.engine.linear_model import Block, Column, LinearModel, orthonormal_combinations
+from calib.diagnosis.engine.linear_model import Block, Column, FactoredColumns, LinearModel, orthonormal_combinations
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corners import (
     MEDIAN,
