@@ -65,6 +65,12 @@ def correction_lookup_table(
     side: what that leaves is in the covariance.
     Raises RigError for a channel on which nothing depends, Unreachable for poses that no command reaches
     """
+    if wanted.t is not None or wanted.directions:
+        raise RigError(
+            "a lookup table takes whole poses without times: leave out the column t"
+            if wanted.t is not None
+            else "a lookup table takes whole poses, not directions"
+        )
     values = {name: np.asarray(own, float) for name, own in channels.items()}
     _require_known(calibration, values)
     count = len(wanted.poses.frame) * int(np.prod([len(own) for own in values.values()]))

@@ -215,15 +215,18 @@ def correct(
             "--single-step is for corrections that depend on the configuration only; this calibration includes "
             "physics besides"
         )
+    unreached: dict[int, str] = {}
     if wanted.directions:
         if not isinstance(calibration.correction, ArmCorrection):
             raise RigError("directions are wanted of arms, as of a telescope's mount; state whole poses")
-        T = calibration.correction.poses_pointing_along(wanted.poses.T_base_platform)
-        wanted = replace(wanted, poses=replace(wanted.poses, T_base_platform=T))
+        wanted, unreached = _pointed(calibration.correction, wanted, options.skip_unreachable)
     _require_log(options.sensors, wanted)
     start = _start(options.start, calibration)
     count = len(wanted.poses.frame)
-    keep, refused = np.arange(count), []
+    keep, refused = (
+        np.delete(np.arange(count), list(unreached)),
+        [(int(wanted.poses.frame[i]), why) for i, why in unreached.items()],
+    )
     while len(keep):  # first what no command reaches, then what lies beyond the limits or comes too soon
         try:
             done = _commanded(calibration, wanted, keep, start, options)
@@ -275,6 +278,30 @@ def _commanded(
     done = commands_along_route(calibration, T, start, pace, options.sensors, options.approach, plain)
     require_reachable(done.values, correction.nominal, [f"pose {i}" for i in range(len(keep))])
     return done
+
+
+def _pointed(
+    correction: ArmCorrection, wanted: WantedPoses, skip_unreachable: bool
+) -> tuple[WantedPoses, dict[int, str]]:
+    """(Wanted directions as whole poses, {index: why} of those that none reaches, which stay as they are).
+
+    Raises Unreachable, naming frames, where these are not to be skipped
+    """
+    T, frame = wanted.poses.T_base_platform, wanted.poses.frame
+    reached, unreached = np.arange(len(frame)), {}
+    try:
+        poses = correction.poses_pointing_along(T)
+    except Unreachable as error:
+        why = [line.split(": ", 1)[1] for line in error.violations]
+        if not skip_unreachable or len(error.index) == len(frame):
+            lines = [f"frame {frame[i]}: {text}" for i, text in zip(error.index, why)]
+            raise Unreachable(str(error).splitlines()[0], error.index, lines) from None
+        unreached, reached = dict(zip(map(int, error.index), why)), np.delete(reached, error.index)
+        poses = correction.poses_pointing_along(T[reached])
+    matrix = T.as_matrix()
+    matrix[reached] = poses.as_matrix()
+    whole = replace(wanted.poses, T_base_platform=RigidTransform.from_matrix(matrix))
+    return replace(wanted, poses=whole), unreached
 
 
 def _require_log(sensors: Sensors | None, wanted: WantedPoses) -> None:

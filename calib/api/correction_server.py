@@ -30,6 +30,7 @@ LONGEST = 1 << 24  # bytes of a request's line
 CLIENTS = 64  # at a time
 LAST = 2.0  # s that clients have to take their last answer once the server ends
 SOON = 0.2  # s after which it is looked whether to end
+MOST_POSES = 10_000  # of a request; others wait meanwhile
 MOST_TURN = 1e3  # rad, of a rotation vector; more is no pose, and its sine is left to chance
 KEYS = ("id", "poses", "start", "sensors")
 
@@ -133,7 +134,7 @@ def _refuse_constant(name: str) -> None:
 
 
 def _parsed(line: bytes) -> Json:
-    """The object of a line. Raises RigError for a line that is none, and for keys that are not known."""
+    """The object of a line. Raises RigError for a line that is none."""
     try:
         request = json.loads(line.decode(), parse_constant=_refuse_constant)
     except json.JSONDecodeError as error:
@@ -142,15 +143,12 @@ def _parsed(line: bytes) -> Json:
         raise RigError(f"no JSON: {error}") from None
     if not isinstance(request, dict):
         raise RigError(f"a request is an object of JSON with {', '.join(KEYS)}, not {type(request).__name__}")
-    unknown = [key for key in request if key not in KEYS]
-    if unknown:
-        raise RigError(f"the key {unknown[0]!r} is not known; known are {', '.join(KEYS)}")
     return request
 
 
-def _numbers(values: object, count: int | None, where: str) -> Floats:
+def _numbers(values: object, count: int, where: str) -> Floats:
     """(count,) numbers, all finite. Raises RigError that says where they are none."""
-    if not isinstance(values, list) or (count is not None and len(values) != count):
+    if not isinstance(values, list) or len(values) != count:
         found = f"{len(values)} entries" if isinstance(values, list) else type(values).__name__
         raise RigError(f"{where} must be a list of {count} numbers, not {found}")
     for i, value in enumerate(values):
@@ -162,9 +160,14 @@ def _numbers(values: object, count: int | None, where: str) -> Floats:
 
 def _commands(calibration: Calibration, request: Json) -> Json:
     """What answers a request. Raises RigError for a wrong request."""
+    unknown = [key for key in request if key not in KEYS]
+    if unknown:
+        raise RigError(f"the key {unknown[0]!r} is not known; known are {', '.join(KEYS)}")
     wanted = request.get("poses")
     if not isinstance(wanted, list) or not wanted:
         raise RigError("poses must be a list of poses [x, y, z, rx, ry, rz], m and rad, at least one")
+    if len(wanted) > MOST_POSES:
+        raise RigError(f"a request has at most {MOST_POSES} poses, not {len(wanted)}")
     vectors = np.array([_numbers(one, 6, f"poses[{i}]") for i, one in enumerate(wanted)])
     for i, (place, turn) in enumerate(np.abs(vectors).reshape(-1, 2, 3).max(axis=2).tolist()):
         if place > LARGEST_RIG:

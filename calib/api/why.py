@@ -23,6 +23,7 @@ from calib.samples.confounded_conditions import confound_sentences
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.importers.recipe_of_data import require_data
+from rig.model.pose import direction_difference
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import Link
 from rig.report.result_in_console_and_notebook import result_html
@@ -50,6 +51,8 @@ class RepeatedConfigurations:
         sizes = [
             text(value) for value, text in ((self.position, _length), (self.rotation, _angle)) if value is not None
         ]
+        if not sizes:
+            return f"repeatability unknown: lengths alone were measured of {self.count} repeated configurations"
         return f"repeatability {' and '.join(sizes)} RMS over {self.count} repeated configurations"
 
 
@@ -310,17 +313,22 @@ def _repeats(calibrated: CalibrationResult) -> RepeatedConfigurations | None:
     again = size[label] > 1
     if not again.any():
         return None
-    R, p = samples.T_base_platform.rotation, samples.T_base_platform.translation
+    T, p = samples.T_base_platform, samples.T_base_platform.translation
     squares = np.zeros(2)
     free = 0
     for k in np.flatnonzero(size > 1):
         rows = np.flatnonzero(label == k)
         squares[0] += ((p[rows] - p[rows].mean(axis=0)) ** 2).sum()
-        squares[1] += ((R[rows].mean().inv() * R[rows]).magnitude() ** 2).sum()
+        if samples.measured == "direction":
+            squares[1] += (
+                direction_difference(T[np.repeat(rows, len(rows))], T[np.tile(rows, len(rows))]) ** 2
+            ).sum() / (2 * len(rows))
+        else:
+            squares[1] += ((T[rows].rotation.mean().inv() * T[rows].rotation).magnitude() ** 2).sum()
         free += len(rows) - 1
     position, rotation = np.sqrt(squares / free).tolist()
     return RepeatedConfigurations(
         int((size > 1).sum()),
         position if samples.measured in ("pose", "position") else None,
-        rotation if samples.measured in ("pose", "rotation") else None,
+        rotation if samples.measured in ("pose", "orientation", "direction") else None,
     )

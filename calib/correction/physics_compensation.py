@@ -25,7 +25,7 @@ from rig.errors import NotConverged, RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model import mechanisms, motion_simulation
 from rig.model import motion_simulation as machine
-from rig.model.base_tilt import BaseTilt
+from rig.model.base_tilt import GRAVITY, BaseTilt
 from rig.model.design import Actuator, Design, Platform
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
@@ -118,11 +118,28 @@ class Physics:
         t : (n,) s, the times at which they are asked for
         """
         there = Sensors(np.array([t[0], t[-1] + 1.0]), {}) if sensors is None else sensors
-        if self.tilts and {tilt.channel for tilt in self.tilts} <= set(there.channels):
-            there = sensors_with_gravity(self.gravity, self.tilts, there) or there
-        missing = tuple(name for name in self.channels if name not in there.channels)
+        follows = self._follows_tilts(there)
+        missing = tuple(
+            name for name in self.channels if name not in there.channels and not (follows and name in GRAVITY)
+        )
         filled = {name: np.full(len(there.t), self.channels[name][0]) for name in missing}
-        return Sensors(there.t, {**there.channels, **filled}), missing
+        whole = replace(there, channels={**there.channels, **filled})
+        return (sensors_with_gravity(self.gravity, self.tilts, whole) or whole) if follows else whole, missing
+
+    def _follows_tilts(self, sensors: Sensors) -> bool:
+        """Whether gravity is worked out from tilts, which were logged when this was learnt or are now."""
+        known = {*self.channels, *sensors.channels}
+        return (
+            not set(GRAVITY) <= set(sensors.channels) and bool(self.tilts) and {x.channel for x in self.tilts} <= known
+        )
+
+    def displaced(self, sensors: Sensors, channel: str) -> Sensors:
+        """Sensors with a channel by its `spread` beyond where it stands, and what follows it."""
+        moved = {**sensors.channels, channel: sensors.channels[channel] + self.spread(channel)}
+        if channel in {tilt.channel for tilt in self.tilts}:
+            moved = {name: values for name, values in moved.items() if name not in GRAVITY}
+            return sensors_with_gravity(self.gravity, self.tilts, replace(sensors, channels=moved)) or sensors
+        return replace(sensors, channels=moved)
 
     def spread(self, channel: str) -> float:
         """Standard deviation of a channel that nobody logs, as it was while this was learnt, and from day to day."""

@@ -177,8 +177,7 @@ def _covariance(
     middle, J = stands(t), _columns(physics, of, partial(stands, t))
     both = responses.parameters @ physics.cross @ np.swapaxes(J, 1, 2)
     for name in of.missing:
-        course = {**of.sensors.channels, name: of.sensors.channels[name] + physics.spread(name)}
-        moved = stands(t, sensors=Sensors(of.sensors.t, course)) - middle
+        moved = stands(t, sensors=physics.displaced(of.sensors, name)) - middle
         if moved.any():
             parts.append(moved[..., None])
             missing.append(name)

@@ -19,6 +19,7 @@ from rig.cli.shared.input_options_and_output_display import add_earlier_option
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
+MOST_VALUES = 1000  # of a channel, of a lookup table
 LISTED = ("camera-info", "opencv", "parquet")  # of which the files are named
 FORMATS = (
     "genhexkins",
@@ -104,6 +105,9 @@ def run(arguments: Namespace) -> None:
     from calib.api.export import ExportOptions, export
 
     _require_out(arguments)
+    names = [name for name, _ in arguments.over]
+    if len(set(names)) < len(names):
+        raise RigError(f"--over states {next(n for n in names if names.count(n) > 1)} twice")
     options = ExportOptions(
         arguments.units, arguments.coupling, arguments.lead, arguments.parts, arguments.poses, dict(arguments.over)
     )
@@ -137,7 +141,10 @@ def _channel_values(text: str) -> tuple[str, list[float]]:
     if ":" not in rest:
         return name, numbers
     low, high, step = numbers
-    return name, [low + step * k for k in range(int((high - low) / step + 1e-9) + 1)]
+    count = (high - low) / step
+    if abs(count - round(count)) > 1e-6 or count > MOST_VALUES:
+        raise ArgumentTypeError(f"{text!r}: STEP must divide HIGH - LOW, into at most {MOST_VALUES} parts")
+    return name, [low + step * k for k in range(round(count) + 1)]
 
 
 def _require_out(arguments: Namespace) -> None:

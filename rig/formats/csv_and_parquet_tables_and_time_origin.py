@@ -7,6 +7,7 @@ decimal, before a time becomes a float, and put back in decimal when one is writ
 
 import csv
 import difflib
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Context, Decimal, InvalidOperation
@@ -186,6 +187,9 @@ def _number_problem(cell: str) -> str | None:
     return "is too large to compute with" if abs(value) > LARGEST_NUMBER else None
 
 
+POINTED = re.compile(r"\s*[-+]?\d+\.\d+\s*")  # a number with a point, which may stand for thousands
+
+
 def read_csv_table(
     path: str | Path,
     required_columns: tuple[str, ...],
@@ -218,13 +222,21 @@ def read_csv_table(
                     reader.line_num,
                     min(len(row), len(header)) or None,
                 )
-            rows.append([cell.replace(",", ".") for cell in row] if form.decimal == "comma" else row)
+            rows.append(_with_points(path, row, reader.line_num) if form.decimal == "comma" else row)
             lines.append(reader.line_num)
     except csv.Error as error:
         raise FileError(path, f"not valid CSV: {error}", reader.line_num) from None
     if not rows:
         raise FileError(path, "has a header but no rows", 1)
     return Table(path, header, rows, np.array(lines), form)
+
+
+def _with_points(path: Path, row: list[str], line: int) -> list[str]:
+    """A row of decimal commas with points. Raises FileError for a number that has a point already."""
+    for k, cell in enumerate(row):
+        if POINTED.fullmatch(cell):
+            raise FileError(path, f"{cell.strip()} has a point, in a file of decimal commas", line, k + 1)
+    return [cell.replace(",", ".") for cell in row]
 
 
 def _header(path: Path, cells: Iterable[str], required: tuple[str, ...], optional: tuple[str, ...]) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """Tilt of a machine's base by a sensor channel, and gravity in the base's frame as it turns with such tilts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from rig.array_and_json_types import Floats
 
 GRAVITY = ("gravity_x_m_s2", "gravity_y_m_s2", "gravity_z_m_s2")  # channels of gravity in the base frame
+LARGEST_TURN = np.radians(1.0)  # of a tilting base between two rows, of which gravity is interpolated
 ANGLE_UNITS = {"_deg": np.pi / 180, "_rad": 1.0}  # by the end of a channel's name
 
 
@@ -24,10 +25,24 @@ class BaseTilt:
     axis: Floats
     zero: float = 0.0
 
+    def angle(self, values: Floats) -> Floats:
+        """(n,) rad from where gravity is as stated, at values (n,) of the channel."""
+        return values * next(size for end, size in ANGLE_UNITS.items() if self.channel.endswith(end)) - self.zero
+
     def turn(self, values: Floats) -> Rotation:
         """Rotations (n,) of the base from where gravity is as stated, at values (n,) of the channel."""
-        scale = next(size for end, size in ANGLE_UNITS.items() if self.channel.endswith(end))
-        return Rotation.from_rotvec((values * scale - self.zero)[:, None] * self.axis)
+        return Rotation.from_rotvec(self.angle(values)[:, None] * self.axis)
+
+
+def times_between_small_turns(t: Floats, tilts: tuple[BaseTilt, ...], channels: Mapping[str, Floats]) -> Floats:
+    """Times (m,) s of a log's rows and of as many between as make no tilt turn by more than LARGEST_TURN at once.
+
+    t : (n,) s; channels : {name: (n,) values}, linear between rows
+    """
+    turns = np.max([np.abs(np.diff(tilt.angle(channels[tilt.channel]))) for tilt in tilts], axis=0)
+    parts = np.maximum(np.ceil(turns / LARGEST_TURN), 1).astype(int)
+    shares = np.concatenate([np.arange(count) / count for count in parts] or [np.zeros(0)])
+    return np.r_[np.repeat(t[:-1], parts) + shares * np.repeat(np.diff(t), parts), t[-1:]]
 
 
 def gravity_channels(

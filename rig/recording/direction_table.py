@@ -33,7 +33,8 @@ def read_direction_table(path: str | Path, form: TableFormat = PLAIN) -> tuple[T
         bad = np.flatnonzero(np.abs(values[:, k]) > most)
         if len(bad):
             rows.fail(
-                f"{ANGLES[k]} = {values[bad[0], k]:g} rad is implausible (degrees?)",
+                f"{ANGLES[k]} = {form.units.shown(values[bad[0], k], 'rad')} is implausible"
+                + (" (degrees?)" if form.units.angle == "rad" else ""),
                 bad[0],
                 ANGLES[k],
                 values[bad[0], k],

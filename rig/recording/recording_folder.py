@@ -22,7 +22,7 @@ from rig.formats.csv_and_parquet_tables_and_time_origin import (
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import require_complete_folder, write_bytes, write_text
 from rig.formats.rig_toml import design_file
-from rig.model.base_tilt import GRAVITY, BaseTilt, gravity_channels
+from rig.model.base_tilt import GRAVITY, BaseTilt, gravity_channels, times_between_small_turns
 from rig.model.design import Design, Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
 from rig.recording.image_file_check_and_reading import UnreadableImage
@@ -274,10 +274,13 @@ def load_sensors(path: str | Path, origin: TimeOrigin) -> Sensors:
 def sensors_with_gravity(gravity: Floats, tilts: tuple[BaseTilt, ...], sensors: Sensors | None) -> Sensors | None:
     """Sensors with channels of gravity in the base frame where the base tilts. gravity : (3,) m/s^2 at zero tilt
 
-    Gravity that was logged itself, by an accelerometer on the base, is left as it is.
-    Raises RigError where a tilt was not logged
+    Gravity that was logged itself, by an accelerometer on the base, is left as it is. Rows are added where a tilt
+    changes much, as gravity is interpolated between them.
+    Raises RigError where a tilt was not logged, or gravity in part
     """
     logged = set() if sensors is None else set(sensors.channels)
+    if set(GRAVITY) & logged and not set(GRAVITY) <= logged:
+        raise RigError(f"sensors.csv has gravity in part: {', '.join(GRAVITY)} belong together")
     if not tilts or set(GRAVITY) <= logged:
         return sensors
     missing = [tilt.channel for tilt in tilts if tilt.channel not in logged]
@@ -286,8 +289,11 @@ def sensors_with_gravity(gravity: Floats, tilts: tuple[BaseTilt, ...], sensors: 
             f"rig.toml states that the base tilts by {', '.join(missing)} ([[environment.tilt]]), which sensors.csv "
             "does not have: log it, or gravity in the base frame as " + ", ".join(GRAVITY)
         )
-    turned = gravity_channels(gravity, tilts, lambda name: sensors.channels[name])
-    return replace(sensors, channels={**sensors.channels, **turned})
+    t = times_between_small_turns(sensors.t, tilts, sensors.channels)
+    channels: dict[str, Floats] = {
+        name: np.asarray(np.interp(t, sensors.t, values)) for name, values in sensors.channels.items()
+    }
+    return replace(sensors, t=t, channels={**channels, **gravity_channels(gravity, tilts, lambda name: channels[name])})
 
 
 def _origin(rows: Table) -> TimeOrigin:

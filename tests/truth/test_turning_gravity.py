@@ -14,10 +14,12 @@ import calib
 import rig
 from calib.api.calibrate import CalibrateOptions
 from calib.api.correct import CorrectOptions
+from calib.correction.physics_compensation import Physics
 from calib.files.calibration_file import save
 from rig.cli.command_line import main
 from rig.errors import RigError
-from rig.recording.recording_folder import Sensors
+from rig.model.base_tilt import GRAVITY, BaseTilt
+from rig.recording.recording_folder import Sensors, sensors_with_gravity
 from tests.truth import draw, record, rms, wanted
 from tests.truth.case import Case
 from tests.truth.eyes import Camera, Sight
@@ -162,3 +164,30 @@ def test_a_tilt_that_was_not_logged_is_refused(tmp_path):
     (tmp_path / "a" / "sensors.csv").write_text("t,ambient_temperature_C\n0,20\n1e4,20\n")
     with pytest.raises(RigError, match="the base tilts by elevation_deg"):
         rig.load(tmp_path / "a")
+
+
+def test_gravity_keeps_its_length_between_rows_far_apart():
+    tilts = (BaseTilt("elevation_deg", AXIS), BaseTilt("rotator_deg", np.array([0.0, 0.0, 1.0])))
+    log = Sensors(
+        np.array([0.0, 100.0]), {"elevation_deg": np.array([0.0, 90.0]), "rotator_deg": np.array([0.0, 40.0])}
+    )
+    turned = sensors_with_gravity(np.array([0.0, 0.0, -9.80665]), tilts, log)
+    at = np.array([turned.at([12.3, 50.0], name) for name in GRAVITY])
+    np.testing.assert_allclose(np.linalg.norm(at, axis=0), 9.80665, rtol=1e-4)
+    with pytest.raises(RigError, match="gravity in part"):
+        sensors_with_gravity(np.zeros(3), tilts, Sensors(np.zeros(1), {GRAVITY[0]: np.ones(1)}))
+
+
+def test_a_tilt_counts_where_another_was_not_logged():
+    tilts = (BaseTilt("elevation_deg", AXIS), BaseTilt("rotator_deg", np.array([0.0, 0.0, 1.0])))
+    known = {"elevation_deg": (30.0, 20.0), "rotator_deg": (10.0, 5.0), **dict.fromkeys(GRAVITY, (1.0, 1.0))}
+    physics = Physics(
+        (), np.zeros((0, 0)), np.zeros((0, 0)), np.array([0, 0, -9.80665]), None, None, known, tilts=tilts
+    )
+    high, missing = physics.sensed(Sensors(np.zeros(1), {"elevation_deg": np.array([80.0])}), np.zeros(1))
+    low, _ = physics.sensed(Sensors(np.zeros(1), {"elevation_deg": np.array([0.0])}), np.zeros(1))
+    assert missing == ("rotator_deg",)
+    assert high.channels[GRAVITY[2]][0] == pytest.approx(-9.80665 * np.cos(np.radians(80)))
+    assert low.channels[GRAVITY[2]][0] == pytest.approx(-9.80665)
+    moved = physics.displaced(high, "rotator_deg")
+    assert abs(moved.channels[GRAVITY[1]][0] - high.channels[GRAVITY[1]][0]) > 0.1

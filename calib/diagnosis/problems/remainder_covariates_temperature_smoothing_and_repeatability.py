@@ -117,8 +117,8 @@ FEWEST = 12  # pairs
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Repeats:
-    """pairs : how many; mean, rms : m, of one position's length about what it repeats; mean_rad : of a rotation, None
-    where not measured
+    """pairs : how many; mean, rms : m, of one position's length about what it repeats, of directions rad
+    mean_rad : of a rotation, None where not measured
     recurring_share : share of what is left that comes again under the same command, 0..1; p_value : of that share by
         chance"""
 

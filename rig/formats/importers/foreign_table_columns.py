@@ -162,7 +162,7 @@ def find_columns(
     missing = [ours for ours in header_names if ours not in found and (ours in required_names or ours == "t")]
     supposed = _supposed_columns(cells, missing, header_names, set(found.values()))
     absent = [ours for ours in missing if ours in required_names or ours in supposed]
-    if absent:
+    if any(ours in required_names or split_header(supposed[ours])[1] in TIMES for ours in absent):
         unread = [header for k, header in enumerate(cells.header) if k not in found.values()]
         lines = [
             f"  {ours}: "

@@ -34,6 +34,7 @@ STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 DYNAMICS = ("links", "torque_limits", "torque_sigma", "torque_constants", "friction", "angle_sigma", "speed_sigma")
 LEAST_GRAVITY = 0.1  # m/s^2; a smaller one in a file in mm is in m/s^2
 LARGEST_MARKER = 5.0  # m
+MOST_TILT = 6.3  # rad
 LARGEST = 1 << 22  # bytes of a rig.toml
 
 
@@ -192,7 +193,7 @@ def base_tilt_of_table(table: Entries) -> BaseTilt:
     size = float(np.linalg.norm(axis))
     if not size > 0:
         table.fail("axis has no direction", "axis")
-    return BaseTilt(channel, axis / size, table.number("zero", 0.0, unit="rad"))
+    return BaseTilt(channel, axis / size, table.number("zero", 0.0, least=-MOST_TILT, most=MOST_TILT, unit="rad"))
 
 
 def _sensors(table: Entries) -> SensorPort:

@@ -5,10 +5,12 @@ calibrated.
 import csv
 import shutil
 from decimal import Decimal
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from rig.formats.importers.foreign_table_columns import axis_header_names, find_columns
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import said
 from tests.conftest import BENCH
@@ -125,3 +127,13 @@ def test_a_header_that_is_not_known_is_asked_for(tmp_path):
     assert status == 1 and "--set 'commands.columns.t=Tick [ms]'" in text, text
     (tmp_path / "log.csv").write_text(log.replace("Time [ms]", "Zeitstempel (ms)"))
     assert said(*words)[0] == 0
+
+
+@pytest.mark.parametrize("header, values", [("temp", "20 20 19"), ("load", "20 21 22"), ("step", "0 1 2")])
+def test_a_column_beside_the_commands_is_not_taken_for_a_time(tmp_path, header, values):
+    names = [f"l{i + 1}" for i in range(6)]
+    header_row, columns = ("frame", *names, header), [*(["0.45"] * 3 for _ in range(7)), values.split()]
+    table = SimpleNamespace(columns=())
+    cells = SimpleNamespace(table=table, header=header_row, path=tmp_path, column=lambda at: columns[at])
+    known = {"t": ("time", "temps"), **axis_header_names(names)}
+    assert set(find_columns(cells, "commands", known, names)) == set(names)
