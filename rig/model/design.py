@@ -248,8 +248,8 @@ class Marker:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Target:
-    """Markers fixed to one body. A cube has edge, marker, faces and pose, a board board and pose; any
-    other target lists its markers.
+    """Markers fixed to one body. A cube has edge, marker, faces and pose, a board its board and
+    T_body_board; any other target lists its markers.
 
     name : its own; body : what it is fixed to, of a chain also what a stage below the last moves, as "stage 1"
     dictionary : OpenCV's name of the markers'; edge : m, of the cube; marker : m, outer side of the black border
