@@ -142,7 +142,6 @@ def _length(text: str, name: str, part: str, units: LengthAndAngleUnits) -> floa
     except ValueError:
         raise RigError(f"board {text!r}: {name} {part!r} is not a number ({units.length})") from None
     if not 0 < length <= LARGEST:
-        raise RigError(
-            f"board {text!r}: {name} = {part} {units.length} is implausible (lengths here are in {units.length})"
-        )
+        stated = "in metres" if units == SI else f'in what units = "{units}" states'
+        raise RigError(f"board {text!r}: {name} = {part} {units.length} is implausible (lengths are {stated})")
     return length
