@@ -15,6 +15,7 @@ from matplotlib.patches import Polygon, Rectangle
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats.output_files import write_bytes
+from rig.model.calibration_board import Board
 from rig.model.design import Design, Target
 from synthetic.cube_nets_and_stl import NET, SIDES, Piece, Placed, Size, arrange_net, cube_stl_files
 from synthetic.sheet_rulers_and_assembly_page import (
@@ -109,6 +110,8 @@ def write_sheets(design: Design, path: str | Path, paper: str = "A4") -> PrintSh
 
 def sheets_of_target(target: Target, paper: str) -> list[Page]:
     """Sheets of a target on paper of one size. Raises RigError for a face or marker that is too large."""
+    if target.board is not None:
+        return [_of_board(target, target.board, paper)]
     return [*_of_net(target, paper), *_of_loose(target, paper)]
 
 
@@ -126,9 +129,12 @@ def draw_sheet(axes: Axes, page: Page) -> None:
     for one in page.placed:
         assert page.size is not None
         _piece(axes, np.array([LEFT + one.x, MARGIN + FOOT + one.y]), page.target, one.piece, page.size)
+    if page.loose and page.target.board is not None:
+        _draw_board_outline_and_black_squares(axes, page, page.target.board)
     for marker in page.loose:
         corner = np.array([LEFT + marker.x, MARGIN + FOOT + marker.y])
-        axes.add_patch(Rectangle((corner[0], corner[1]), marker.size, marker.size, fill=False, ec="black", lw=0.5))
+        if page.target.board is None:
+            axes.add_patch(Rectangle((corner[0], corner[1]), marker.size, marker.size, fill=False, ec="black", lw=0.5))
         _marker(axes, corner + marker.size / 2, marker.side, page.target.dictionary, marker.number)
     draw_rulers_and_legend(axes, page.paper, page.label)
 
@@ -168,6 +174,41 @@ def _of_loose(target: Target, paper: str) -> Iterator[Page]:
             (),
             (Loose(marker.id, marker.side * 1e3, size, (room[0] - size) / 2, (room[1] - size) / 2),),
         )
+
+
+def _of_board(target: Target, board: Board, paper: str) -> Page:
+    """The one sheet of a board, its margin about it, in the middle of the paper as it lies."""
+    size = (np.array(board.size) + 2 * board.margin) * 1e3
+    lying = [PAPER[paper], PAPER[paper][::-1]]
+    fits = [one for one in lying if (size <= usable_area(one)).all()]
+    if not fits:
+        raise RigError(
+            f"target {target.name}: the board is {size[0]:.4g} x {size[1]:.4g} mm with its white margin, larger than "
+            f"can be printed on {paper}{_larger(float(size.max()), paper)}"
+        )
+    label = (
+        f"target {target.name}: {board.kind} board {board.columns}x{board.rows}, markers {board.side * 1e3:g} mm, "
+        f"{board.pitch * 1e3:g} mm apart, {board.dictionary}, first {target.listed[0].id}"
+    )
+    cell = (board.side + 2 * board.margin) * 1e3
+    corners = _on_sheet(board, board.places(), fits[0]) - cell / 2
+    loose = [Loose(marker.id, board.side * 1e3, cell, *corner) for marker, corner in zip(target.listed, corners)]
+    return Page(target, label, fits[0], None, (), tuple(loose))
+
+
+def _on_sheet(board: Board, places: Floats, paper: tuple[float, float]) -> Floats:
+    """Places (n, 2) m of a board in mm from the lower left of a sheet's usable area; the board is in its middle."""
+    middle = (np.array(usable_area(paper)) - np.array(board.size) * 1e3) / 2
+    return board.in_board_frame(places)[:, :2] * 1e3 + middle
+
+
+def _draw_board_outline_and_black_squares(axes: Axes, page: Page, board: Board) -> None:
+    origin, side = np.array([LEFT, MARGIN + FOOT]), board.pitch * 1e3
+    outline = np.array([[0.0, board.size[1]]]) + board.margin * np.array([[-1, 1]])
+    low, (width, height) = _on_sheet(board, outline, page.paper)[0] + origin, np.array(board.size) + 2 * board.margin
+    axes.add_patch(Rectangle((low[0], low[1]), width * 1e3, height * 1e3, fill=False, ec="black", lw=0.5))
+    for x, y in _on_sheet(board, board.black_squares(), page.paper) + origin - side / 2:
+        axes.add_patch(Rectangle((x, y), side, side, fc="black", ec="none"))
 
 
 def _larger(size: float, paper: str) -> str:

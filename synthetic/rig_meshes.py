@@ -85,7 +85,7 @@ def rig_parts(
     placed = markers if markers is not None else marker_map(design)
     carriers = {target.name: target.body for target in design.targets}
     for target in design.targets:
-        found += _blank_faces(target)
+        found += _blank_faces(target) + _black_squares(target)
     for k in range(len(placed.id)):
         found.append(
             _marker_face(
@@ -211,6 +211,15 @@ def _blank_faces(target: Target) -> list[Part]:
         for face in FACES
         if target.edge is not None and face not in taken
     ]
+
+
+def _black_squares(target: Target) -> list[Part]:
+    """The squares of a board's chessboard that carry no marker."""
+    if target.board is None or target.T_body_board is None:
+        return []
+    middles = target.board.in_board_frame(target.board.black_squares())
+    poses = [target.T_body_board * RigidTransform.from_translation(middle) for middle in middles]
+    return [_quad(target.body, T, target.board.pitch / 2, BLACK) for T in poses]
 
 
 def _marker_face(

@@ -79,7 +79,11 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
     ),
     "[[camera]]": (Camera, "One for each camera."),
     "[camera.capture]": (CaptureSettings, "May be left out; of `uvc` and `genicam` cameras."),
-    "[[target]]": (Target, "One for each cube, or other body with markers."),
+    "[[target]]": (
+        Target,
+        "One for each cube, board, or other body with markers. A board has `board`, `first`, `legacy` and `pose` "
+        "in place of `dictionary`, `edge`, `marker` and `faces`; [measuring](measuring.md#boards) says more.",
+    ),
     "[target.faces]": (
         None,
         'Of a cube: which marker is on which face, `"+x" = 3`. Faces that are not stated carry none.',
@@ -203,11 +207,22 @@ HANGS_ON_ANOTHER = {
     ("[[camera]]", "row_time"): "`0`; **required** of a rolling shutter",
     ("[controller]", "max_speed"): "`[actuator]` `max_speed`",
     ("[[target.marker]]", "margin"): "an eighth of `side`",
+    ("[[target]]", "board"): "a cube, or listed markers",
     ("[[target.marker]]", "pose"): "found from the recording",
     ('[mechanism] kind = "arm"', "base"): "the frame of poses itself",
     ('[mechanism] kind = "arm"', "tool"): "the last frame itself",
 }
+FIRST = "identity of a board's first marker"
+LEGACY = "whether a charuco's first square holds a marker where its rows are even"
+KEYS_TOLD = {  # of keys that are not fields, or not those alone
+    ("[[target]]", "board"): "description of a board with the lengths of its print",
+    ("[[target]]", "pose"): "T_body_cube, of the cube's centre, or T_body_board, of the board's lower left corner: x "
+    "right, y up, z out of the paper",
+    ("[[target]]", "first"): FIRST,
+    ("[[target]]", "legacy"): LEGACY,
+}
 KINDS_OF_GET = {
+    "legacy": "true or false",
     "homing": "true or false",
     "axes": "list of names",
     "may": "list of `payload`, `wait`, `turn cube NAME`",
@@ -252,6 +267,10 @@ def samples() -> list[dict[str, Any]]:
     whole["sensor"] = {name: getattr(Sensor(), name) for name in Sensor.__slots__}
     listed = tomllib.loads(hexapod_layout_and_camera_placement.two_strut_layout_rig_toml(0.3, cameras=1, cubes=1))
     marker = {"id": 90, "side": 0.03, "pose": {"position": [0.0, 0.0, 0.1], "rotvec": [0.0, 0.0, 0.0]}}
+    stands = {"position": [0.0, 0.0, 0.0], "rotvec": [0.0, 0.0, 0.0]}
+    listed["target"].append(
+        {"name": "board", "body": "base", "board": "aruco:2x2:0.03:0.01:DICT_6X6_250", "first": 200, "pose": stands}
+    )
     listed["target"].append({"name": "plate", "body": "base", "dictionary": "DICT_5X5_100", "marker": [marker]})
     arms = [
         tomllib.loads(shipped_arms_and_layouts.shipped_arm_rig_toml(name))
@@ -330,7 +349,8 @@ def page() -> str:
 def _row(at: tuple[str, Key], what: Asked, told: dict[str, str]) -> str:
     limits = f" ({what.limits})" if what.limits else ""
     default = HANGS_ON_ANOTHER.get((at[0], str(at[1])), "**required**" if what.default is None else f"`{what.default}`")
-    return f"| `{at[1]}` | {what.takes}{limits} | {default} | {told.get(str(at[1]), '')} |"
+    words = KEYS_TOLD.get((at[0], str(at[1])), told.get(str(at[1]), ""))
+    return f"| `{at[1]}` | {what.takes}{limits} | {default} | {words} |"
 
 
 def _indented(text: str) -> str:

@@ -24,7 +24,8 @@ def arguments(parser: ArgumentParser) -> None:
         "--board",
         required=True,
         help="charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY (squares; m, m), for one "
-        "charuco:5x7:0.036:0.018:DICT_6X6_250, or aruco:COLUMNSxROWS:SIDE:GAP:DICTIONARY (markers; m, m)",
+        "charuco:5x7:0.036:0.018:DICT_6X6_250, or aruco:COLUMNSxROWS:SIDE:GAP:DICTIONARY (markers; m, m); aprilgrid: "
+        "the same, numbered from the lower left",
     )
     parser.add_argument(
         "--legacy",
@@ -44,9 +45,12 @@ def run(arguments: Namespace) -> None:
     import sys
     from dataclasses import replace
 
-    from vision.lenses.calibration_board import parse_board
+    from rig.model.calibration_board import parse_board
 
-    board = replace(parse_board(arguments.board), legacy=arguments.legacy)
+    try:
+        board = replace(parse_board(arguments.board), legacy=arguments.legacy)
+    except RigError as error:
+        raise RigError(f"--board: {error}") from None
     paths = _paths(arguments.images)
     if not arguments.name or not arguments.name.isprintable() or '"' in arguments.name or "\\" in arguments.name:
         raise RigError(f"--name {arguments.name!r} is not a valid camera name")

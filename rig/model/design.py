@@ -10,6 +10,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.base_tilt import BaseTilt
+from rig.model.calibration_board import DICTIONARIES as DICTIONARIES
+from rig.model.calibration_board import Board
 from rig.model.controller_protocol_list_and_port_name_check import PROTOCOLS as PROTOCOLS
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2, freeze_array
 
@@ -57,15 +59,6 @@ DISTORTION_TERMS = (4, 5, 8, 12, 14)
 FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 PERMITTED = ("payload", "wait")  # what an owner may allow experiments, besides TURN and the name of a cube
 TURN = "turn cube "  # before the name of a cube that may be taken off and put back turned
-DICTIONARIES = {  # how many identities each dictionary of OpenCV holds
-    **{f"DICT_{bits}X{bits}_{count}": count for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
-    "DICT_ARUCO_ORIGINAL": 1024,
-    "DICT_ARUCO_MIP_36h12": 250,
-    "DICT_APRILTAG_16h5": 30,
-    "DICT_APRILTAG_25h9": 35,
-    "DICT_APRILTAG_36h10": 2320,
-    "DICT_APRILTAG_36h11": 587,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,11 +248,14 @@ class Marker:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Target:
-    """Markers fixed to one body. A cube has edge, marker, faces and pose; any other target lists its markers.
+    """Markers fixed to one body. A cube has edge, marker, faces and pose, a board its board and
+    T_body_board; any other target lists its markers.
 
     name : its own; body : what it is fixed to, of a chain also what a stage below the last moves, as "stage 1"
     dictionary : OpenCV's name of the markers'; edge : m, of the cube; marker : m, outer side of the black border
     faces : pairs of face and id; pose : T_body_cube, of the cube's centre; listed : the markers of one that is no cube
+    board : printed layout of one that is a board; T_body_board : of its lower left corner, x right, y up, z out of the
+        paper
     turned : quarter turns about the cube's own z, right-handed, with which it was taken off and put back since its pose
     was stated: its place is that only to what remounting may do; None for a target that was never taken off
     shift : added to its identities where it is one of several recordings together (see
@@ -274,6 +270,8 @@ class Target:
     faces: tuple[tuple[str, int], ...] = ()
     pose: RigidTransform | None = None
     listed: tuple[Marker, ...] = ()
+    board: Board | None = None
+    T_body_board: RigidTransform | None = None
     turned: int | None = None
     shift: int = 0
 

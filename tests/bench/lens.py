@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
 from rig.formats.rig_toml import design_file
+from rig.model.calibration_board import parse_board
 from rig.model.design import Camera
 from rig.model.pose import exp
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -29,7 +30,7 @@ from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated, update_estimate
 from vision.corner_observations import observations_from_corners, whitener_of_observations
 from vision.corners.marker_detection_and_corner_fit import detect_markers
-from vision.lenses import calibration_board as boards
+from vision.lenses import board_corners_in_photograph as boards
 from vision.lenses.lens_calibration import calibrate_lens, cross_validate_lens, observations_from_board_views
 from vision.predict import MarkerMap, State, marker_map, predict_corners
 from vision.recording_adjustment import measure_observations
@@ -48,7 +49,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
 
 
 def _chessboard():
-    board = boards.parse_board(BOARD)
+    board = parse_board(BOARD)
     theirs = cv2.aruco.CharucoDetector(
         cv2.aruco.CharucoBoard(
             (board.columns, board.rows),

@@ -35,7 +35,7 @@ WATCHED = (
     "calib.online.filter_state",
     "synthetic.diagnosis_score",
     "synthetic.secret_machine_and_truth_file",
-    "vision.lenses.calibration_board",
+    "rig.model.calibration_board",
     "tomllib._parser",
 )
 SHARES = {

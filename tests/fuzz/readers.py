@@ -21,6 +21,7 @@ from rig.formats.importers import image_file_frames as frames
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict
 from rig.formats.rig_toml import design_file
+from rig.model import calibration_board
 from rig.model.pose import TRIANGLE
 from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -35,7 +36,6 @@ from rig.recording.recording_table_loading_and_writing import (
 from synthetic import diagnosis_score, recording_simulation, secret_machine_and_truth_file
 from synthetic.blind_campaign import Campaign, parse_case_numbers
 from tests.fuzz.laws import laws
-from vision.lenses import calibration_board
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +197,11 @@ def _texts(design):
         ),
         Reader(
             "board",
-            (b"charuco:8x6:0.03:0.022:DICT_5X5_100", b"aruco:8x6:0.03:0.01:DICT_5X5_100"),
+            (
+                b"charuco:8x6:0.03:0.022:DICT_5X5_100",
+                b"aruco:8x6:0.03:0.01:DICT_5X5_100",
+                b"aprilgrid:6x6:0.03:0.01:DICT_APRILTAG_36h11",
+            ),
             of(calibration_board.parse_board),
         ),
         Reader("trials", (b"3,7-9", b"1"), of(lambda text: parse_case_numbers(text, 100))),

@@ -10,11 +10,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotEnoughData
+from rig.model.calibration_board import Board
 from rig.model.design import Camera
 from vision import lens
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.corner_observations import Observations, observations_of_frames
-from vision.lenses.calibration_board import Board, BoardView
+from vision.lenses.board_corners_in_photograph import BoardView
 from vision.pose.pose_refinement_and_ambiguity_resolution_by_neighbouring_frames import GATE, MEDIAN
 from vision.predict import State, predict_corners
 

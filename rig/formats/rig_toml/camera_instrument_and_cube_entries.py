@@ -309,7 +309,7 @@ def camera_toml(camera: Camera, has_pose: bool = False, units: LengthAndAngleUni
 
 
 def replace_target_markers(text: str, markers: dict[str, tuple[Marker, ...]]) -> str:
-    """The rig.toml text with the markers of each target replaced; cubes become lists of markers.
+    """The rig.toml text with the markers of each target replaced; cubes and boards become lists of markers.
 
     text : a valid rig.toml; markers : {target name: (Marker, ...)}
     A marker that is not among them and whose pose is not stated remains so.
@@ -322,7 +322,9 @@ def replace_target_markers(text: str, markers: dict[str, tuple[Marker, ...]]) ->
         found = {marker.id for marker in markers[table["name"]]}
         listed = table["marker"] if isinstance(table.get("marker"), list) else []
         unplaced = [row for row in listed if "pose" not in row and row["id"] not in found]
-        for key in ("edge", "marker", "faces", "pose"):
+        if "board" in table:
+            table["dictionary"] = str(table["board"]).rpartition(":")[2]
+        for key in ("edge", "marker", "faces", "pose", "board", "first", "legacy"):
             table.pop(key, None)
         rows = tomlkit.aot()
         for marker in markers[table["name"]]:

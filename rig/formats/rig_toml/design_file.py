@@ -1,10 +1,12 @@
 """Design file (rig.toml) read into a Design: every value checked, errors with file, line and column."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
+from rig.errors import RigError
 from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries, Required, name_problem
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_text
@@ -12,6 +14,7 @@ from rig.formats.rig_toml import camera_instrument_and_cube_entries
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table, user_program_text
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_table
 from rig.model.base_tilt import ANGLE_UNITS, BaseTilt
+from rig.model.calibration_board import parse_board
 from rig.model.controller_protocol_list_and_port_name_check import is_user_program, port_problem
 from rig.model.design import (
     DICTIONARIES,
@@ -260,14 +263,20 @@ def _sensor(table: Entries) -> Sensor:
 def _targets(tables: list[Entries], bodies: tuple[str, ...]) -> tuple[Target, ...]:
     targets, owners = list[Target](), dict[int, str]()
     for table in tables:
-        listed = isinstance(table.tree.get("marker"), list)
-        table.refuse_misspelt(("name", "body", "dictionary", "marker", *(() if listed else ("edge", "faces", "pose"))))
+        listed, board = isinstance(table.tree.get("marker"), list), "board" in table.tree
+        of_cube = () if listed else ("edge", "faces", "pose")
+        of_kind = ("board", "first", "legacy", "pose") if board else ("dictionary", "marker", *of_cube)
+        table.refuse_misspelt(("name", "body", *of_kind))
         name = table.identifier("name")
         if name in [target.name for target in targets]:
             table.fail(f"target {name!r} is listed twice", "name", value=name)
-        body, dictionary = table.text("body", bodies), table.text("dictionary", tuple(DICTIONARIES))
-        target = _listed(table, name, body, dictionary) if listed else _cube(table, name, body, dictionary)
-        keys: list[tuple[str | int, ...]] = [("faces", face) for face, _ in target.faces]
+        body = table.text("body", bodies)
+        target = _board(table, name, body) if board else (_listed if listed else _cube)(table, name, body)
+        dictionary, keys = target.dictionary, list[tuple[str | int, ...]]()
+        if board:
+            keys = [("first" if "first" in table.tree else "board",)] * len(target.listed)
+        else:
+            keys = [("faces", face) for face, _ in target.faces]
         for number, key in zip(target.ids, keys or [("marker", i, "id") for i in range(len(target.listed))]):
             if number >= DICTIONARIES[dictionary]:
                 table.fail(
@@ -285,7 +294,23 @@ def _targets(tables: list[Entries], bodies: tuple[str, ...]) -> tuple[Target, ..
     return tuple(targets)
 
 
-def _cube(table: Entries, name: str, body: str, dictionary: str) -> Target:
+def _board(table: Entries, name: str, body: str) -> Target:
+    """Target of the markers of a printed board."""
+    text, legacy = table.text("board"), table.flag("legacy", False)
+    try:
+        board = replace(parse_board(text, table.units), legacy=legacy)
+    except RigError as error:
+        table.fail(f"{table.name('board')}: {error}", "board", value=text)
+    if legacy and board.kind != "charuco":
+        table.fail(f"{table.name('legacy')} is of charuco boards alone, not of {board.kind}", "legacy")
+    first, T = table.whole("first", 0, default=0), table.pose("pose")
+    poses = [T * RigidTransform.from_translation(place) for place in board.in_board_frame(board.places())]
+    markers = tuple(Marker(first + i, board.side, place, board.margin) for i, place in enumerate(poses))
+    return Target(name, body, board.dictionary, listed=markers, board=board, T_body_board=T)
+
+
+def _cube(table: Entries, name: str, body: str) -> Target:
+    dictionary = table.text("dictionary", tuple(DICTIONARIES))
     edge = table.number("edge", above=0, most=LARGEST_MARKER, unit="m (is it in millimetres?)")
     marker = table.number("marker", above=0, most=LARGEST_MARKER, unit="m (is it in millimetres?)")
     if marker > edge:
@@ -305,7 +330,8 @@ def _cube(table: Entries, name: str, body: str, dictionary: str) -> Target:
     return Target(name, body, dictionary, edge, marker, pairs, table.pose("pose"))
 
 
-def _listed(table: Entries, name: str, body: str, dictionary: str) -> Target:
+def _listed(table: Entries, name: str, body: str) -> Target:
+    dictionary = table.text("dictionary", tuple(DICTIONARIES))
     markers = []
     for row in table.tables("marker"):
         row.refuse_misspelt(("id", "side", "pose", "margin"))

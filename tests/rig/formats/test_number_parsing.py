@@ -12,8 +12,8 @@ from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.importers.foreign_table_columns import NUMBER
 from rig.formats.number_parsing_and_rounding import NotFinite, parse_number, parse_whole_number
+from rig.model import calibration_board
 from rig.recording.frame_selection_and_content_hashes import parse_frame_ranges
-from vision.lenses import calibration_board
 
 NONE = (
     "1_0",

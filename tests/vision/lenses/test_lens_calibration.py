@@ -7,10 +7,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import NotEnoughData
+from rig.model.calibration_board import parse_board
 from rig.model.design import Camera
 from rig.model.pose import pose, transform_points
 from vision import lens
-from vision.lenses.calibration_board import BoardView, parse_board
+from vision.lenses.board_corners_in_photograph import BoardView
 from vision.lenses.lens_calibration import (
     calibrate_lens,
     choose_simplest_adequate_lens_model,

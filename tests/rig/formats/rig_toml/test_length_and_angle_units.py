@@ -71,6 +71,9 @@ def in_mm(tree, path=()):
                 if path[-1] != "joints"
                 else scaled(value, 1e3 if slide else DEG)
             )
+        elif key == "board":
+            kind, size, *lengths, dictionary = value.split(":")
+            out[key] = ":".join([kind, size, *(f"{float(one) * 1e3:.12g}" for one in lengths), dictionary])
         elif heading == '[mechanism] kind = "arm"' and key == "joints":
             out[key] = [row_in_mm(row) for row in value]
         else:

@@ -10,12 +10,13 @@ from scipy.spatial.transform import RigidTransform
 from scipy.stats import multivariate_normal
 
 from rig.errors import RigError
+from rig.model.calibration_board import parse_board
 from rig.model.design import Camera
 from rig.model.pose import pose, transform_points
 from tests.numerical_derivatives import jacobian
 from vision import lens
 from vision.lenses import chessboard_corner
-from vision.lenses.calibration_board import find_board_corners, parse_board
+from vision.lenses.board_corners_in_photograph import find_board_corners
 
 TEXT = "charuco:5x7:0.036:0.018:DICT_6X6_250"
 PINHOLE = Camera("cam", 420, 460, [[500, 0, 210], [0, 500, 230], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
