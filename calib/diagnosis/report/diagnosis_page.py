@@ -261,8 +261,13 @@ def _measurement(report: Report, view: View) -> list[tuple[str, object]]:
         "pose_rad": ("pose, rotation", "rad"),
         "strut_m": ("strut", "m"),
     }
-    return view.measurement() + [
+    rows: list[tuple[str, object]] = [
         (f"noise of a {units[key][0]}", report_sentences.value_text(value, units[key][1]))
         for key, value in report.noise.items()
         if value is not None and key in units
     ]
+    rows += [
+        (f"that noise over what is stated, in {kind}", report_sentences.noise_factor_text(factor))
+        for kind, factor in report.noise_times.items()
+    ]
+    return view.measurement() + rows

@@ -297,14 +297,20 @@ def _printed(name: str, p: Value, few: int) -> str:
     return f"{name} ({len(value)} numbers)" if numbers else f"{name} {', '.join(map(str, value)) or 'nothing known'}"
 
 
+def noise_factor_text(factor: Value) -> str:
+    """Text on one factor of noise over what is stated, with its interval."""
+    assert factor.ci95 is not None
+    low, high = factor.ci95
+    return f"{factor.value:.2f} ({low:.2f} to {high:.2f}) times"
+
+
 def noise_times_text(times: dict[str, Value]) -> str:
     """Text on the factors by which poses scatter more than is stated."""
-    each = [
-        f"{value.value:.2f} ({value.ci95[0]:.2f} to {value.ci95[1]:.2f}) times in {kind}"
-        for kind, value in times.items()
-        if value.ci95 is not None
-    ]
-    return f"the noise of the poses exceeds what is stated: {' and '.join(each)}"
+    each = [f"{noise_factor_text(value)} in {kind}" for kind, value in times.items()]
+    return (
+        f"the noise of the poses exceeds what is stated: {' and '.join(each)} (or something moves the machine at "
+        "random, which these poses do not distinguish)"
+    )
 
 
 def all_clear_sentence(crowd: Crowd | None, noise_from: str, noise_times: dict[str, Value]) -> str:

@@ -33,7 +33,7 @@ from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import (
     suggest_joint_formulas,
 )
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, Geometry, linearise_poses
-from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
+from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, term_columns
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     ASSUMED_NOISE,
     LEFT,
@@ -45,6 +45,12 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     RequestedEffects,
     Value,
     require_assumed_effects_testable,
+)
+from calib.diagnosis.problems.pose_noise_factors import (
+    PoseResiduals,
+    noise_covariance_by_kind,
+    noise_factors,
+    scaled_pose_covariance,
 )
 from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
     Repeats,
@@ -132,7 +138,9 @@ class ArmEvidence:
     without them, so that all is as if they had never been measured
     source : of the poses; requested : RequestedEffects; given : what is said beforehand
     stretches : of time, how many are held out, one number for each HeldOutPoses
-    log_errors : {channel: (rows, q) K} of the smoothed temperatures, see `smooth_temperatures`"""
+    log_errors : {channel: (rows, q) K} of the smoothed temperatures, see `smooth_temperatures`
+    stated : whether rig.toml or poses.csv state the noise of the poses, which cameras do not measure
+    noise_times : {kind of noise: Value} by which the poses' covariance was scaled, over what is stated"""
 
     linear: Callable[[frozenset[int]], tuple[Arms, Geometry]]
     source: str
@@ -140,6 +148,8 @@ class ArmEvidence:
     given: StatedTerms = NO_STATED_TERMS
     stretches: tuple[int, ...] = (FINE_PARTS, COARSE_PARTS)
     log_errors: Mapping[str, Floats] = field(default_factory=dict)
+    stated: bool = False
+    noise_times: dict[str, Value] = field(default_factory=dict)
 
     @property
     def family(self) -> Family:
@@ -166,6 +176,25 @@ class ArmEvidence:
     def outliers(self, fit: Fit, known: Outliers) -> Outliers:
         every = len(self.linear(frozenset())[0])
         return known.with_more(outlier_poses(fit.arms, fit.left, GATE), every, "poses")
+
+    def with_estimated_noise(self, selection: ArmSelection) -> "ArmEvidence | None":
+        """The same with the noise of its poses as they scatter, where nothing shows but scatter; see Capability."""
+        fit = selection.fit
+        if self.noise_times or not self.stated:
+            return None
+        scatter = excess_scatter_over_stated_noise(fit, self.repeats(selection), self.covariates(selection))
+        if not scatter or any(one.depends_on for one in scatter) or selection.problem.lack_of_fit(fit):
+            return None
+        times = noise_factors(_pose_residuals(fit))
+        if times is None:
+            return None
+        stated = self.linear
+
+        def linear(gone: frozenset[int]) -> tuple[Arms, Geometry]:
+            arms, geometry = stated(gone)
+            return replace(arms, own=scaled_pose_covariance(arms.own, times)), geometry
+
+        return replace(self, linear=linear, noise_times=times)
 
     def held_out_poses(self, selection: ArmSelection, progress: Progress | None) -> list[HeldOutPoses]:
         return nested_held_out_poses(_problem(selection), self.stretches, progress)
@@ -246,6 +275,7 @@ class ArmEvidence:
             _length(arms, slice(0, 3) if arms.unit == "rad" else slice(3, 6)) or None,
             None,
             ASSUMED_NOISE if arms.assumed else STATED,
+            self.noise_times,
         )
 
 
@@ -278,7 +308,8 @@ def arm_evidence(
         arms, found = linearise_poses(some, design, recording.commands, sensors, refuse_few=not gone)
         return replace(arms, assumed=known.assumed, sight=sight), found
 
-    return ArmEvidence(linear, known.source, requested, stated_terms, log_errors=log_errors)
+    stated = known.measurement is None and not known.assumed
+    return ArmEvidence(linear, known.source, requested, stated_terms, log_errors=log_errors, stated=stated)
 
 
 def pose_repeatability(fit: Fit) -> Repeats | None:
@@ -290,6 +321,23 @@ def pose_repeatability(fit: Fit) -> Repeats | None:
     pairs = repeated_pairs(fit.arms.q[used], fit.arms.context.moved().units)
     one, two = (fit.left[used[pairs[:, which]]] for which in (0, 1))
     return repeatability_of_pairs(pairs, (one, two), (one[:, :3], two[:, :3]))
+
+
+def _pose_residuals(fit: Fit) -> PoseResiduals:
+    """PoseResiduals of a Fit's poses, whitened by what is stated, without what agrees with no model."""
+    arms, used = fit.arms, fit.used & ~fit.aside
+    W = np.linalg.inv(np.linalg.cholesky(arms.own[used]))
+    columns = term_columns(arms, fit.terms).take(used)
+    noise = {name: W @ C @ np.swapaxes(W, 1, 2) for name, C in noise_covariance_by_kind(arms.own[used]).items()}
+    return PoseResiduals(
+        (W @ arms.left[used, :, None])[..., 0],
+        W @ columns.at(np.eye(columns.count)),
+        fit.prior(),
+        noise,
+        np.moveaxis(W @ arms.joints[used], 2, 0),
+        arms.q[used],
+        repeated_pairs(arms.q[used], arms.context.moved().units),
+    )
 
 
 def _problem(selection: ArmSelection) -> ArmProblem:

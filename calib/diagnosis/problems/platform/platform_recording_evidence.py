@@ -33,7 +33,7 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import (
     operating_point_of_recording,
     operating_point_without_distant_corners,
 )
-from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS
+from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
     _find_outliers,
     _without_outliers,
@@ -43,12 +43,17 @@ from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation
     find_marker_swaps,
 )
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
-from calib.diagnosis.problems.platform.pose_noise_factors import noise_factors_of_poses, scaled_pose_covariance
 from calib.diagnosis.problems.platform.strut_formula_suggestions import FORMULA_PLACES, suggest_strut_formulas
 from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import (
     add_temperature_effects_as_alternatives_of_findings,
     separate_findings_within_tolerances,
     widen_intervals_by_temperature_logs_and_tolerances,
+)
+from calib.diagnosis.problems.pose_noise_factors import (
+    PoseResiduals,
+    noise_covariance_by_kind,
+    noise_factors,
+    scaled_pose_covariance,
 )
 from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
     Repeats,
@@ -56,6 +61,7 @@ from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_rep
     repeatability_of_pairs,
     repeated_pairs,
 )
+from calib.models.platform.identification import PRIOR
 from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
@@ -63,6 +69,7 @@ from rig.effects.framework.effect import AT_REST, Effect
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model.design import Design
 from rig.model.effect_places_and_part_tolerances import PLACES
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import loop_closure_parameter_jacobian, strut_length_jacobian
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording
 from vision.bundle.marker_displacements import Move, marker_displacements
@@ -134,8 +141,7 @@ class PlatformEvidence:
         k = model.point
         if self.noise_times or self.point.own is None or k.assumed or not k.axes:
             return None
-        fitted = sum(p.size for e in k.effects for p in e.parameters)
-        times = noise_factors_of_poses(model, fitted, _repeated_at_rest(k))
+        times = noise_factors(_pose_residuals(model))
         if times is None:
             return None
         point = replace(self.point, own=scaled_pose_covariance(self.point.own, times))
@@ -270,6 +276,25 @@ def platform_evidence(
     )
     return PlatformEvidence(
         correct_marker_swaps(point, swapped), covariance, source, requested, stated_terms, tuple(swapped), tuple(moved)
+    )
+
+
+def _pose_residuals(model: LinearisedModel) -> PoseResiduals:
+    """PoseResiduals of a model's closures, in m, with the stated covariance of its poses."""
+    k = model.point
+    assert k.own is not None
+    left, geometry = closure_residuals(model), loop_closure_parameter_jacobian(k.T, k.platform)
+    fitted, A = sum(p.size for e in k.effects for p in e.parameters), strut_length_jacobian(k.T, k.platform)
+    share = min(fitted / max(left.size - geometry.shape[2], 1), 0.8)  # of the squares, what effects take
+    noise = {name: A @ C @ np.swapaxes(A, 1, 2) for name, C in noise_covariance_by_kind(k.own).items()}
+    return PoseResiduals(
+        left / np.sqrt(1 - share),
+        geometry,
+        np.full(geometry.shape[2], 1 / PRIOR**2),
+        noise,
+        np.broadcast_to(np.eye(k.axes)[:, None], (k.axes, *left.shape)),
+        k.commanded.at(k.t),
+        _repeated_at_rest(k),
     )
 
 
