@@ -6,8 +6,14 @@ from typing import ClassVar
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter
+from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_parameters_and_covariates import (
+    Context,
+    Covariate,
+    Linear,
+    Parameter,
+    derivative_step,
+)
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_twist_angles_about_struts, require_hexapod
@@ -15,16 +21,22 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_twist_ang
 
 @dataclass(frozen=True, slots=True)
 class ScrewCoupling(Effect):
-    """Deviation gain * lead / 2 pi * twist of the platform-side cardan against the base-side one, less the twist at
-    home.
+    """Deviation (gain + growth * twist) * lead / 2 pi * twist of the platform-side cardan against the base-side one,
+    less the twist at home.
+
+    growth : of the gain with the twist: a guide that yields turns with the nut more to one side than to the other
     """
 
     place: str
     gain: float = 0.0
+    growth: float = 0.0
     name: ClassVar = "screw_coupling"
     stage: ClassVar = "struts"
     places: ClassVar = ("rig", "axis")
-    parameters: ClassVar = (Parameter("gain", "", (-3, 3), (0.1, 1)),)
+    parameters: ClassVar = (
+        Parameter("gain", "", (-3, 3), (0.1, 1)),
+        Parameter("growth", "1/rad", (-10, 10), (0.1, 3), role="form"),
+    )
     experiment: ClassVar = "turn the platform about its axis and tilt it, far out: the pose alone determines it"
     action: ClassVar = "Correct lengths by the twist of the joints, or guide the nut so that it cannot turn."
     on_pose: ClassVar = True
@@ -32,7 +44,14 @@ class ScrewCoupling(Effect):
     whole_turns: ClassVar = True
 
     def deviation(self, motion: Motion) -> Floats:
-        return self.axes(motion.places) * self.gain * motion.turn() / (2 * np.pi) * self._twist(motion)
+        twist = self._twist(motion)
+        return self.axes(motion.places) * motion.turn() / (2 * np.pi) * (self.gain + self.growth * twist) * twist
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        plain = cls.linear(place)
+        growing = [*plain, Linear("growth", None, derivative_step(cls.parameters[1]))]
+        return [Candidate(cls, place, [{}], plain), Candidate(cls, place, [{}], growing, "growing")]
 
     def covariate(self, motion: Motion) -> Covariate:
         return Covariate(np.degrees(self._twist(motion)), "twist of the cardans, degrees")

@@ -11,7 +11,7 @@ from rig.model.effect_places_and_part_tolerances import Place
 from rig.recording.recording_folder import load_recording
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.truth import case as cases
-from tests.truth import draw, memories, record
+from tests.truth import draw, memories, places, record
 
 CONFIGURATIONS = 150
 LOGARITHMIC = ("creep", 1)  # creep with the logarithm of time
@@ -78,6 +78,18 @@ def test_a_profile_with_kinks_is_a_transmission_error(tmp_path, seed):
     case = hexapod("transmission_error", 1, 1)
     found = diagnosed(tmp_path, case, seed, laws=at_strut_3(case))
     assert sites(found) == [("transmission_error", "strut 3")]
+
+
+@pytest.mark.parametrize(
+    "law, bent",
+    [(places.Twisted(AXIS, 0.004, 1.0, 1.0), "growth"), (places.Coupled(AXIS, 4, 4e-3, 2e-2), "bow")],
+    ids=["screw_coupling", "axis_coupling"],
+)
+def test_a_coupling_that_grows_with_its_travel_keeps_the_name(tmp_path, request, law, bent):
+    name = request.node.callspec.id
+    found = diagnosed(tmp_path, hexapod(name, 3), 3, laws=(law,))
+    assert sites(found) == [(name, "strut 3")] and not found.left
+    assert getattr(found.effects[0], bent) > 0
 
 
 def test_nothing_below_zero_and_the_best_of_that():
