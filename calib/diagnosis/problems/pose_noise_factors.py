@@ -22,7 +22,7 @@ CRITERION = 10.0  # of Schwarz, by which common factors must be better than the 
 STEPS = 60
 SETTLED = 1e-7
 SEEN = 1e-6  # share of a residual's variance that a kind of pose noise must make up
-REFUTED = 1e-3  # chance that repeated poses agree so well under the noise estimated, or that noise is so little white
+REFUTED = 1e-3  # chance that repeated poses agree so well under the noise, or that residuals resemble neighbours so
 
 
 class PoseResiduals(NamedTuple):
@@ -183,18 +183,24 @@ def _refuted(residuals: PoseResiduals, covariance: Floats) -> bool:
         if scipy.special.chdtr(apart.size, square) < REFUTED:
             return True
     white = np.linalg.solve(np.linalg.cholesky(covariance), left[..., None])[..., 0]
-    scale = np.maximum(residuals.configuration.std(axis=0), 1e-12)
-    nearest = scipy.spatial.cKDTree(residuals.configuration / scale).query(residuals.configuration / scale, k=2)[1]
-    order = np.arange(len(left))
+    chances = [_chance_of_alike(white, pairs) for pairs in _neighbours(residuals.configuration)]
+    return min(chances) * len(chances) < REFUTED
+
+
+def _neighbours(configuration: Floats) -> list[Integers]:
+    """[(k, 2)] indices of rows next to each other in time, in each axis of a configuration (F, axes), and in all."""
+    order = np.arange(len(configuration))
+    sorted_rows = [order, *np.argsort(configuration, axis=0, kind="stable").T]
+    at = configuration / np.maximum(configuration.std(axis=0), 1e-12)
+    nearest = scipy.spatial.cKDTree(at).query(at, k=2)[1]
     near = np.stack([order, np.where(nearest[:, 0] == order, nearest[:, 1], nearest[:, 0])], axis=1)
-    next_to = np.stack([order[:-1], order[1:]], axis=1)
-    return any(_alike(white, pairs) for pairs in (next_to, np.unique(np.sort(near, axis=1), axis=0)))
+    return [*(np.stack([rows[:-1], rows[1:]], axis=1) for rows in sorted_rows), np.unique(np.sort(near), axis=0)]
 
 
-def _alike(white: Floats, pairs: Integers) -> bool:
-    """Whether rows of white (F, a) of pairs (k, 2) resemble each other beyond chance."""
+def _chance_of_alike(white: Floats, pairs: Integers) -> float:
+    """Chance that white rows (F, a) of pairs (k, 2) resemble each other so much."""
     product = (white[pairs[:, 0]] * white[pairs[:, 1]]).sum(axis=1)
-    return bool(scipy.special.ndtr(-product.sum() / max(np.sqrt((product**2).sum()), 1e-300)) < REFUTED)
+    return float(scipy.special.ndtr(-product.sum() / max(np.sqrt((product**2).sum()), 1e-300)))
 
 
 def _fitted(residuals: PoseResiduals, covariance: Floats) -> Floats:
