@@ -19,6 +19,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 KINDS = {"position": slice(0, 3), "rotation": slice(3, 6)}  # of the numbers of a pose
 DIRECTION = {"direction": slice(0, 2)}  # of a direction's
 CRITERION = 10.0  # of Schwarz, by which common factors must be better than the stated noise
+MISSTATED = 5.0  # times the stated noise, beyond which scatter is no mistake about it and stays unexplained
 STEPS = 60
 SETTLED = 1e-7
 SEEN = 1e-6  # share of a residual's variance that a kind of pose noise must make up
@@ -74,7 +75,8 @@ def noise_factors(residuals: PoseResiduals) -> dict[str, Value] | None:
     stated = criterion(at < 0)[0]
     alone = min(criterion(which)[0] for which in (each, alike, *(at == i for i in np.flatnonzero(each))))
     best, found = min((criterion(common | which) for which in (each, alike, at < 0)), key=lambda one: one[0])
-    if best > min(stated - CRITERION, alone) or np.sqrt(found.values[:count].max()) < MATERIAL:
+    greatest = np.sqrt(found.values[:count].max())
+    if best > min(stated - CRITERION, alone) or not MATERIAL <= greatest <= MISSTATED:
         return None
     if _refuted(residuals, np.einsum("p,pfij->fij", found.values, parts)):
         return None
