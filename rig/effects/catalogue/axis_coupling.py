@@ -12,9 +12,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     ControllerTerm,
     Covariate,
     Drawing,
-    Linear,
     Parameter,
-    derivative_step,
     draw_number,
     travel_covariate,
 )
@@ -23,22 +21,17 @@ from rig.effects.framework.machine_motion_and_play import Motion
 
 @dataclass(frozen=True, slots=True)
 class AxisCoupling(Effect):
-    """Deviation (scale + bow * q) * q of axis number `other` (from 1), q its commanded value less that at home.
-
-    bow : of a coupling that grows with the other's travel, as by a cable or belt that is bent further
-    """
+    """Deviation scale * q of axis number `other` (from 1), q its commanded value less that at home."""
 
     place: str
     scale: float = 0.0
     other: float = 1.0
-    bow: float = 0.0
     name: ClassVar = "axis_coupling"
     stage: ClassVar = "struts"
     places: ClassVar = ("axis",)
     parameters: ClassVar = (
         Parameter("scale", "", (-0.1, 0.1), (1e-5, 1e-2), signed=True),
         Parameter("other", "", (1, 100), (1, 6), role="choice"),
-        Parameter("bow", "1/m", (-10, 10), (1e-4, 1e-1), role="form", joint=((-1, 1), (1e-5, 1e-2))),
     )
     experiment: ClassVar = "move the other axis alone, over its whole travel"
     action: ClassVar = (
@@ -51,20 +44,20 @@ class AxisCoupling(Effect):
             return f"takes another axis, 1 to {len(motion.places)}, not {self.other:g}"
         return (
             "requires an axis other than its own"
-            if (self.scale or self.bow) and self.place == motion.places[int(self.other) - 1]
+            if self.scale and self.place == motion.places[int(self.other) - 1]
             else None
         )
 
     def deviation(self, motion: Motion) -> Floats:
-        travel = motion.stroke[:, [int(self.other) - 1]]
-        return self.axes(motion.places) * (self.scale + self.bow * travel) * travel
+        return self.axes(motion.places) * self.scale * motion.stroke[:, [int(self.other) - 1]]
 
     def in_controller(self, motion: Motion) -> ControllerTerm:
         other = int(self.other) - 1
-        travel = f"(c[{other}] - {motion.home[other].item()!r})"
-        factor = f"({self.scale!r} + {self.bow!r} * {travel})" if self.bow else repr(self.scale)
         return ControllerTerm(
-            tuple(f"d[{i}] += {factor} * {travel};" for i in np.flatnonzero(self.axes(motion.places)).tolist())
+            tuple(
+                f"d[{i}] += {self.scale!r} * (c[{other}] - {motion.home[other].item()!r});"
+                for i in np.flatnonzero(self.axes(motion.places)).tolist()
+            )
         )
 
     def covariate(self, motion: Motion) -> Covariate:
@@ -84,8 +77,4 @@ class AxisCoupling(Effect):
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         places = context.moved().places
         nodes = [{"other": float(i + 1)} for i, other in enumerate(places) if other != place]
-        plain = cls.linear(place)
-        bowed = [*plain, Linear("bow", None, derivative_step(cls.parameters_at(place)[2]))]
-        if not nodes:
-            return []
-        return [Candidate(cls, place, nodes, plain, extra=1), Candidate(cls, place, nodes, bowed, "bowed", extra=1)]
+        return [Candidate(cls, place, nodes, cls.linear(place), extra=1)] if nodes else []
