@@ -99,9 +99,9 @@ def simulate_world(
             plan.commands.t[-1], rng, worlds.strut_count(require_axes(world.true.mechanism))
         )
         sensors, log = sensors_with_payload(plan, true), sensors_with_payload(plan, log)
-        sensors_with_gravity(world.true.gravity, world.true.tilts, log)  # which says that a tilt is to be given
     else:
-        sensors = log = sensors_with_gravity(world.true.gravity, world.true.tilts, known_sensors) or known_sensors
+        sensors = log = known_sensors
+    sensors, log = (sensors_with_gravity(world.true.gravity, world.true.tilts, one) for one in (sensors, log))
     run = motion_simulation.simulate_machine_run(
         world.true,
         plan.commands,

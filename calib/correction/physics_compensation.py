@@ -25,7 +25,7 @@ from rig.errors import NotConverged, RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model import mechanisms, motion_simulation
 from rig.model import motion_simulation as machine
-from rig.model.base_tilt import GRAVITY, BaseTilt
+from rig.model.base_tilt import GRAVITY, BaseTilt, has_gravity
 from rig.model.design import Actuator, Design, Platform
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
@@ -124,21 +124,20 @@ class Physics:
         )
         filled = {name: np.full(len(there.t), self.channels[name][0]) for name in missing}
         whole = replace(there, channels={**there.channels, **filled})
-        return (sensors_with_gravity(self.gravity, self.tilts, whole) or whole) if follows else whole, missing
+        return sensors_with_gravity(self.gravity, self.tilts, whole) if follows else whole, missing
 
     def _follows_tilts(self, sensors: Sensors) -> bool:
         """Whether gravity is worked out from tilts, which were logged when this was learnt or are now."""
-        known = {*self.channels, *sensors.channels}
-        return (
-            not set(GRAVITY) <= set(sensors.channels) and bool(self.tilts) and {x.channel for x in self.tilts} <= known
-        )
+        if not self.tilts or has_gravity(sensors.channels):
+            return False
+        return {tilt.channel for tilt in self.tilts} <= {*self.channels, *sensors.channels}
 
     def displaced(self, sensors: Sensors, channel: str) -> Sensors:
         """Sensors with a channel by its `spread` beyond where it stands, and what follows it."""
         moved = {**sensors.channels, channel: sensors.channels[channel] + self.spread(channel)}
         if channel in {tilt.channel for tilt in self.tilts}:
             moved = {name: values for name, values in moved.items() if name not in GRAVITY}
-            return sensors_with_gravity(self.gravity, self.tilts, replace(sensors, channels=moved)) or sensors
+            return sensors_with_gravity(self.gravity, self.tilts, replace(sensors, channels=moved))
         return replace(sensors, channels=moved)
 
     def spread(self, channel: str) -> float:

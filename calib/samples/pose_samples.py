@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
-from rig.model.base_tilt import GRAVITY
+from rig.model.base_tilt import has_gravity
 from rig.model.design import Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, nearest_reachable_poses
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording
@@ -83,7 +83,7 @@ def conditions_of_exposures(recording: Recording, t: Floats) -> Conditions:
     weight = Weight(
         design.gravity, design.platform.mass, design.platform.centre_of_mass, design.platform.payload_centre_of_mass
     )
-    stands = design.gravity.any() and (sensors is None or not set(GRAVITY) <= set(sensors.channels))
+    stands = design.gravity.any() and (sensors is None or not has_gravity(sensors.channels))
     return Conditions(approach_direction(recording.commands, t), t, channels, weight if stands else None)
 
 

@@ -97,7 +97,8 @@ def class_literal(text: str, field: str) -> object:
     """
     try:
         classes = [node for node in ast.parse(text).body if isinstance(node, ast.ClassDef)]
-        values = [part.value for node in classes for part in node.body if field in _names(part)]  # type: ignore[attr-defined]
+        parts = [part for node in classes for part in node.body if field in _names(part)]
+        values = [part.value for part in parts]  # type: ignore[attr-defined]
         return ast.literal_eval(values[0]) if values and values[0] is not None else None
     except (SyntaxError, ValueError):
         return None

@@ -1,6 +1,6 @@
 """Tilt of a machine's base by a sensor channel, and gravity in the base's frame as it turns with such tilts."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +32,16 @@ class BaseTilt:
     def turn(self, values: Floats) -> Rotation:
         """Rotations (n,) of the base from where gravity is as stated, at values (n,) of the channel."""
         return Rotation.from_rotvec(self.angle(values)[:, None] * self.axis)
+
+
+def has_gravity(channels: Collection[str]) -> bool:
+    """Whether gravity in the base frame is among the names of sensor channels."""
+    return set(GRAVITY) <= set(channels)
+
+
+def logged_gravity(channel: Callable[[str], Floats]) -> Floats:
+    """(n, 3) m/s^2 of gravity in the base frame. channel : name -> (n,) values"""
+    return np.stack([channel(name) for name in GRAVITY], axis=1)
 
 
 def times_between_small_turns(t: Floats, tilts: tuple[BaseTilt, ...], channels: Mapping[str, Floats]) -> Floats:

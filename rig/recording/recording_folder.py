@@ -22,7 +22,7 @@ from rig.formats.csv_and_parquet_tables_and_time_origin import (
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import require_complete_folder, write_bytes, write_text
 from rig.formats.rig_toml import design_file
-from rig.model.base_tilt import GRAVITY, BaseTilt, gravity_channels, times_between_small_turns
+from rig.model.base_tilt import GRAVITY, BaseTilt, gravity_channels, has_gravity, times_between_small_turns
 from rig.model.design import Design, Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
 from rig.recording.image_file_check_and_reading import UnreadableImage
@@ -200,7 +200,9 @@ def load_recording(folder: str | Path, skip_unreadable: bool = False) -> Recordi
         if local_and_remote_input_files.exists(folder / "poses.csv")
         else None
     )
-    sensors = sensors_with_gravity(design.gravity, design.tilts, _sensors(folder / "sensors.csv", origin, exposures))
+    sensors = _sensors(folder / "sensors.csv", origin, exposures)
+    if sensors is not None or design.tilts:
+        sensors = sensors_with_gravity(design.gravity, design.tilts, sensors or Sensors(np.zeros(1), {}))
     return Recording(
         folder,
         design,
@@ -271,20 +273,19 @@ def load_sensors(path: str | Path, origin: TimeOrigin) -> Sensors:
     return _sensor_rows(csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("t",)), origin)
 
 
-def sensors_with_gravity(gravity: Floats, tilts: tuple[BaseTilt, ...], sensors: Sensors | None) -> Sensors | None:
+def sensors_with_gravity(gravity: Floats, tilts: tuple[BaseTilt, ...], sensors: Sensors) -> Sensors:
     """Sensors with channels of gravity in the base frame where the base tilts. gravity : (3,) m/s^2 at zero tilt
 
     Gravity that was logged itself, by an accelerometer on the base, is left as it is. Rows are added where a tilt
     changes much, as gravity is interpolated between them.
     Raises RigError where a tilt was not logged, or gravity in part
     """
-    logged = set() if sensors is None else set(sensors.channels)
-    if set(GRAVITY) & logged and not set(GRAVITY) <= logged:
+    if set(GRAVITY) & set(sensors.channels) and not has_gravity(sensors.channels):
         raise RigError(f"sensors.csv has gravity in part: {', '.join(GRAVITY)} belong together")
-    if not tilts or set(GRAVITY) <= logged:
+    if not tilts or has_gravity(sensors.channels):
         return sensors
-    missing = [tilt.channel for tilt in tilts if tilt.channel not in logged]
-    if missing or sensors is None:
+    missing = [tilt.channel for tilt in tilts if tilt.channel not in sensors.channels]
+    if missing:
         raise RigError(
             f"rig.toml states that the base tilts by {', '.join(missing)} ([[environment.tilt]]), which sensors.csv "
             "does not have: log it, or gravity in the base frame as " + ", ".join(GRAVITY)

@@ -86,6 +86,18 @@ def c_text(calibration):
     return correction_c_source(calibration.correction, calibration.physics, "rig 1.2.3").text
 
 
+def compiled_library(folder, name, *sources, include=()):
+    """The library NAME.so of C sources in a folder, loaded. include : further options"""
+    done = subprocess.run(
+        [COMPILER, *FLAGS, *include, "-shared", "-fPIC", *sources, "-o", f"{name}.so", "-lm"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return ctypes.CDLL(str(folder / f"{name}.so"))
+
+
 class Controller:
     """The C file of a calibration, compiled. channels : names in their order; state : as C holds it, or None"""
 
@@ -97,14 +109,7 @@ class Controller:
         )
         assert alone.returncode == 0, alone.stderr
         (folder / "loop.c").write_text(LOOP)
-        done = subprocess.run(
-            [COMPILER, *FLAGS, "-shared", "-fPIC", "loop.c", "-o", "loop.so", "-lm"],
-            cwd=folder,
-            capture_output=True,
-            text=True,
-        )
-        assert done.returncode == 0, done.stderr
-        self.library = ctypes.CDLL(str(folder / "loop.so"))
+        self.library = compiled_library(folder, "loop", "loop.c")
         self.library.slowest.restype = ctypes.c_double
         self.channels = re.findall(r"channels\[\d+\] (\w+)", self.text)
         self.state = None if stateless else np.full(12, np.nan)

@@ -10,7 +10,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.effect_parameters_and_covariates import Context, Linear, Parameter
 from rig.errors import RigError
-from rig.model.base_tilt import GRAVITY
+from rig.model.base_tilt import GRAVITY, has_gravity, logged_gravity
 from rig.model.design import Camera
 from rig.model.effect_places_and_part_tolerances import Place
 
@@ -36,8 +36,7 @@ class CameraSag(Effect):
     def mount(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
         if not any(self.yields) or not self.at(Place("camera", camera.name)):
             return np.zeros((len(t), 6))
-        down = np.stack([channel(name) for name in GRAVITY], axis=1) / WEIGHT
-        return down @ np.asarray(self.yields, float).reshape(3, 6)
+        return logged_gravity(channel) / WEIGHT @ np.asarray(self.yields, float).reshape(3, 6)
 
     def fitted(self, parameter: Parameter) -> tuple[int | None, ...]:
         return tuple(6 * axis + i for axis in range(3) for i in range(6) if any(self.yields[6 * axis : 6 * axis + 6]))
@@ -59,7 +58,8 @@ class CameraSag(Effect):
 
 def _turning(context: Context) -> tuple[int, ...]:
     """The axes of the base along which gravity changes in a recording."""
-    if context.sensors is None or not context.logged(*GRAVITY):
+    sensors = context.sensors
+    if sensors is None or not has_gravity(sensors.channels):
         return ()
-    down = np.stack([context.sensors.at(context.t, name) for name in GRAVITY], axis=1) / WEIGHT
+    down = logged_gravity(lambda name: sensors.at(context.t, name)) / WEIGHT
     return tuple(np.flatnonzero(down.std(axis=0) > TURNS).tolist())

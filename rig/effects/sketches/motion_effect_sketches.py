@@ -94,7 +94,7 @@ def example_run_with_effect(
     t = np.linspace(0.0, span, COUNT)
     commands, sensors = _commands(base, span), _sensors(span, tuple(camera.name for camera in seen.cameras))
     if kind.stage == "view":
-        sensors = sensors_with_gravity(base.gravity, (ELEVATION,), sensors) or sensors
+        sensors = sensors_with_gravity(base.gravity, (ELEVATION,), sensors)
     motion = motion_simulation.motion_of_commands(base, commands, t, (), sensors)
     motion = replace(motion, T=motion_simulation.simulate_machine_run(base, commands, t, (), sensors).T_base_platform)
     drawn = kind.drawn(place, Drawing(seen, t, motion, displaced), np.random.default_rng(SEED))

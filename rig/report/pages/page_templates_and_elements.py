@@ -270,7 +270,8 @@ def standalone_svg(title: str, words: str, figures: Sequence[str]) -> str:
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" role="img" width="{across}" height="{down}" viewBox="0 0 '
         f'{across} {down}">'
-        f"<title>{escape_html(title)}</title><style>{read_page_asset('theme.css')}{read_page_asset('figure.css')}</style>"
+        f"<title>{escape_html(title)}</title>"
+        f"<style>{read_page_asset('theme.css')}{read_page_asset('figure.css')}</style>"
         '<rect width="100%" height="100%" rx="8" style="fill:var(--card)"/>' + "\n".join(parts) + "</svg>\n"
     )
 

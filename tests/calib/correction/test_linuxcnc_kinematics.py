@@ -2,7 +2,6 @@
 
 import ctypes
 import re
-import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -22,13 +21,12 @@ from rig.model.pose import pose_difference
 from tests.calib.controllers_in_c import (
     BAD_POSE,
     CALIBRATIONS,
-    COMPILER,
-    FLAGS,
     NOT_CONVERGED,
     OUT_OF_STROKE,
     SENSOR_MISSING,
     WARM,
     calibration_of,
+    compiled_library,
     effects,
     fitted,
     needs_compiler,
@@ -55,14 +53,7 @@ class Module:
         self.units, self.text = UNITS[units], source_of(calibration, units).text
         for name, text in (HEADERS | {"rigkins.c": self.text, "hal.c": HAL}).items():
             (folder / name).write_text(text)
-        done = subprocess.run(
-            [COMPILER, *FLAGS, "-I.", "-shared", "-fPIC", "rigkins.c", "hal.c", "-o", "rigkins.so", "-lm"],
-            cwd=folder,
-            capture_output=True,
-            text=True,
-        )
-        assert done.returncode == 0, done.stderr
-        self.library = ctypes.CDLL(str(folder / "rigkins.so"))
+        self.library = compiled_library(folder, "rigkins", "rigkins.c", "hal.c", include=("-I.",))
         self.library.pin.restype = ctypes.c_void_p
         ctypes.c_int.in_dll(self.library, "most_pins").value = most_pins
         self.started = self.library.rtapi_app_main()
