@@ -117,7 +117,8 @@ FEWEST = 12  # pairs
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Repeats:
-    """pairs : how many; mean, rms : m, of one position's length about what it repeats, of directions rad
+    """pairs : how many; mean, rms : of one position's length about what it repeats; unit : theirs, "m", of directions
+    "rad"
     mean_rad : of a rotation, None where not measured
     recurring_share : share of what is left that comes again under the same command, 0..1; p_value : of that share by
         chance"""
@@ -125,6 +126,7 @@ class Repeats:
     pairs: int
     mean: float
     rms: float
+    unit: str
     mean_rad: float | None
     recurring_share: float
     p_value: float
@@ -137,13 +139,12 @@ def repeated_pairs(commands: Floats, units: Sequence[str]) -> Integers:
 
 
 def repeatability_of_pairs(
-    pairs: Integers, poses_of_pairs: tuple[Floats, Floats], residuals_of_pairs: tuple[Floats, Floats]
+    pairs: Integers, poses_of_pairs: tuple[Floats, Floats], residuals_of_pairs: tuple[Floats, Floats], unit: str = "m"
 ) -> Repeats | None:
     """Repeatability (Repeats) of pairs (p, 2) of poses with one command and of their residuals; None for too few.
 
     poses_of_pairs : two (p, 6 or 3) m and rad, measured poses of each pair, both less the same; residuals_of_pairs :
-        two (p, k) what a model
-    leaves of each
+        two (p, k) what a model leaves of each; unit : of the first three numbers of a pose, "m" or "rad"
 
     The difference of two poses under one command holds no model error, so its scatter is pure error; of a residual's
     square, the part that both share is repeatable and not explained.
@@ -161,6 +162,7 @@ def repeatability_of_pairs(
         len(pairs),
         float(apart.mean()),
         float(np.sqrt((apart**2).mean())),
+        unit,
         turned,
         max(again, 0.0),
         float(scipy.special.ndtr(-z)),

@@ -377,12 +377,11 @@ def repeatability_entry(diagnosis: Diagnosis) -> Json | None:
     again = diagnosis.repeats
     if again is None:
         return None
-    unit = diagnosis.misfits[diagnosis.shown_in].unit
     return {
         "pairs": again.pairs,
-        f"mean_{unit}": again.mean,
-        f"rms_{unit}": again.rms,
-        **({} if unit == "rad" else {"mean_rad": again.mean_rad}),
+        f"mean_{again.unit}": again.mean,
+        f"rms_{again.unit}": again.rms,
+        **({} if again.unit == "rad" else {"mean_rad": again.mean_rad}),
         "remainder_that_repeats": again.recurring_share,
     }
 

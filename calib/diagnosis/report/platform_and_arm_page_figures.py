@@ -323,10 +323,10 @@ SCALES, UNITS = {"m": 1e6, "rad": 1e6}, {"m": "µm", "rad": "µrad"}  # in which
 
 def repeatability_rows(diagnosis: Diagnosis) -> list[tuple[str, object]]:
     """Table rows [(what, value)] on how well poses repeat; none where too few commands were repeated."""
-    if diagnosis.repeats is None:
+    again = diagnosis.repeats
+    if again is None:
         return []
-    unit = UNITS[diagnosis.misfits[diagnosis.shown_in].unit]
-    text = f"{diagnosis.repeats.mean * 1e6:.1f} {unit} ({diagnosis.repeats.pairs} pairs)"
+    text = f"{again.mean * 1e6:.1f} {UNITS[again.unit]} ({again.pairs} pairs)"
     return [("repeatability of the same command", text)]
 
 

@@ -11,7 +11,8 @@ import pytest
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.problems.platform import platform_recording_evidence as platform
 from calib.diagnosis.report.diagnosis_json_entries import AlternativeEntry, NotAskedEntry
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import repeatability_of_pairs
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report, repeatability_entry
 from calib.diagnosis.report.residual_figures_and_finding_contributions_to_poses import (
     effect_residual_figures,
     model_residuals,
@@ -107,6 +108,16 @@ def test_alternatives_and_what_was_not_asked_are_listed(diagnosed, tmp_path):
     page, text = text_of(tmp_path / "page.html")
     assert "a &lt;ladder&gt;" in page and "1.2" in text and "thermal expansion" in text and "no channel" in text
     assert "This recording alone cannot distinguish the backlash" in text
+
+
+def test_how_well_poses_repeat_is_in_metres_where_the_misfit_is_in_pixels(diagnosed, tmp_path):
+    found, diagnosis = diagnosed
+    poses = np.zeros((20, 6)), np.tile([3e-6 * np.sqrt(2), 0, 0, 0, 0, 0], (20, 1))
+    repeats = repeatability_of_pairs(np.zeros((20, 2), int), poses, (np.ones((20, 6)), np.ones((20, 6))))
+    seen = replace(diagnosis, shown_in="corners", repeats=repeats)
+    assert diagnosis.misfits["corners"].unit == "px"
+    assert "3.0 µm (20 pairs)" in made(tmp_path, found, seen)[1]
+    assert repeatability_entry(seen)["mean_m"] == pytest.approx(3e-6)
 
 
 def test_taking_an_effect_away_brings_its_residual_back(diagnosed):

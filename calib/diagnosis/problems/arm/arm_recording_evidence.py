@@ -320,7 +320,7 @@ def pose_repeatability(fit: Fit) -> Repeats | None:
     used = np.flatnonzero(fit.used & ~fit.aside)
     pairs = repeated_pairs(fit.arms.q[used], fit.arms.context.moved().units)
     one, two = (fit.left[used[pairs[:, which]]] for which in (0, 1))
-    return repeatability_of_pairs(pairs, (one, two), (one[:, :3], two[:, :3]))
+    return repeatability_of_pairs(pairs, (one, two), (one[:, :3], two[:, :3]), fit.arms.unit)
 
 
 def _pose_residuals(fit: Fit) -> PoseResiduals:
