@@ -149,7 +149,7 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
             break
         fit, score = step
         taken.add(_hypothesis_key(score))
-        fit = _same_name_elsewhere(problem, fit, score, promising, taken)
+        fit = _same_name_elsewhere(problem, fit, score, promising, scores, taken)
         fit = _companions(problem, fit, score, promising, taken, size)
         fit = remove_redundant_terms(problem, _refined(problem, fit))
         site = score.candidate.name, score.candidate.place
@@ -241,11 +241,13 @@ def _same_name_elsewhere(
     fit: Fit,
     admitted: Score[C],
     promising: list[Score[C]],
+    scanned: list[Score[C]],
     taken: set[tuple[object, ...]],
 ) -> Fit:
     """The Fit with a name that was admitted at one of several axes admitted at the others too, each where it convinces
-    beside those before it."""
-    policy, size = problem.policy, problem.size(fit)
+    beside those before it; with one hypothesis about the whole machine in place of them all where that is likelier.
+    scanned : Scores of all candidates beside the terms before"""
+    policy, size, several = problem.policy, problem.size(fit), [admitted]
     group = best_scores_at_axes(promising, admitted.candidate.name, size)
     if len(group) < SEVERAL or not admitted.candidate.site.is_axis or isinstance(problem, Companions):
         return fit
@@ -260,7 +262,32 @@ def _same_name_elsewhere(
         if best is not None and is_significant(best, len(problem.candidates), problem.linear(model).size, policy):
             taken.add(_hypothesis_key(best))
             fit = problem.add_term(fit, best)
-    return fit
+            several.append(best)
+    return fit if len(several) < SEVERAL else _whole_machine_instead(problem, fit, several, scanned, taken)
+
+
+def _whole_machine_instead(
+    problem: Problem[Fit, Model, C],
+    fit: Fit,
+    several: list[Score[C]],
+    scores: list[Score[C]],
+    taken: set[tuple[object, ...]],
+) -> Fit:
+    """The Fit with one hypothesis about no single axis in place of its last terms, `several` at axes, where one of
+    those that a scan finds best is likelier once fitted; else the Fit itself."""
+    size, bare = problem.size(fit), fit
+    for _ in several:
+        bare = problem.remove_term(bare, len(problem.terms(bare)) - 1)
+    chosen, cost, key = fit, sum(s.complexity(size) for s in several), None
+    whole = sorted((s for s in scores if not s.candidate.site.is_axis), key=lambda s: -s.evidence(size))
+    own = [s for s in whole if s.candidate.name == several[0].candidate.name]
+    for score in own[:1] + [s for s in whole if not any(s is o for o in own[:1])][: problem.policy.refitted]:
+        new = problem.add_term(bare, score)
+        if problem.likelihood_ratio(chosen, new) > score.complexity(size) - cost:
+            chosen, cost, key = new, score.complexity(size), _hypothesis_key(score)
+    if key is not None:
+        taken.add(key)
+    return chosen
 
 
 def _companions(

@@ -42,6 +42,13 @@ def sites(found):
     return sorted((effect.name, effect.place) for effect in found.effects)
 
 
+@pytest.mark.parametrize("seed", [3, pytest.param(5, marks=pytest.mark.slow)])
+def test_struts_that_give_alike_are_one_finding_of_the_rig_and_not_six(tmp_path, seed):
+    case = hexapod("compliance", seed, 0)
+    found = diagnosed(tmp_path, case, seed, laws=(replace(case.laws[0], axes=np.full(6, 0.15)),))
+    assert sites(found) == [("compliance", "rig")] and not found.left
+
+
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_loops_of_another_shape_are_hysteresis(tmp_path, seed):
     sliders = memories.Sliders(AXIS, REACH, WEIGHTS, np.zeros(6))
