@@ -301,7 +301,7 @@ class LinearModel:
         return float(sum(block.residual @ block.residual for block in reversed(self.blocks)))
 
 
-def orthonormal_combinations(gram: Floats) -> Integers:
+def orthonormal_combinations(gram: Floats) -> Floats:
     """Orthonormal combinations (p, r) of columns with a Gram matrix (p, p).
 
     They span what the columns do; what is null is left out.

@@ -167,7 +167,7 @@ def summary_sentence(report: Report) -> str:
     slight = "1 more is significant but changes" if fewer == 1 else f"{fewer} more are significant but change"
     said += [f"{slight} held-out errors negligibly"] if fewer else []
     text = "; ".join([*said, *([f"besides, {left}"] if left else [])])
-    doubtful = [f.effect.replace("_", " ") for f in main if f.cannot_be_told_from]
+    doubtful = dict.fromkeys(f.effect.replace("_", " ") for f in main if f.cannot_be_told_from)
     text += (
         f". This recording alone cannot distinguish the {' and the '.join(doubtful)} from alternatives: see its entry"
         if doubtful

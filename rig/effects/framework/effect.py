@@ -18,6 +18,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     COUNT,
     QUADRATURE,
     SEARCHED,
+    SIZES,
     Context,
     ControllerTerm,
     Covariate,
@@ -39,6 +40,7 @@ from rig.model.effect_places_and_part_tolerances import AXES, Place, Tolerance, 
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
 MOTION_STAGES = ("command", "struts", "structure")
 AT_REST = 1e-9  # m/s or rad/s
+NEAR_MOTION = 0.1  # s, within which a clock that is off or a drive that lags makes an exposure at rest one in motion
 SELDOM = 0.25  # share of draws in which an effect that may start at a moment does so
 
 
@@ -235,7 +237,7 @@ class Effect:
             raise RigError("nothing was commanded")
         if not commanded and not context.cameras:
             raise RigError("there are no corners")
-        if cls.moving and np.abs(context.moved().path.speed).max(initial=0.0) < AT_REST:
+        if cls.moving and context.moved().path.from_motion.min(initial=np.inf) > NEAR_MOTION:
             raise RigError("every exposure was taken at rest")
         found = cls._places(context)
         if cls.fixed_mount:  # a mount that moves has no place to leave
@@ -259,11 +261,17 @@ class Effect:
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         """Candidates at a place: by default every linear parameter a column, and a grid of the nonlinear ones. What may
-        start at a moment, and by default does not, is tried without one as well.
+        start at a moment, and by default does not, is tried without one as well. What shows in motion alone is tried at
+        sizes of either sign where every exposure was taken at rest: it is not linear there.
         """
+        linear = cls.linear(place)
+        if cls.moving and linear and np.abs(context.moved().path.speed).max(initial=0.0) < AT_REST:
+            size = next(p for p in cls.parameters if p.name == linear[0].name)
+            sizes = np.geomspace(*size.usual, SIZES)
+            return [Candidate(cls, place, [{size.name: float(v)} for v in (*-sizes, *sizes)], [], "at rest", extra=1)]
         searched = [p.at(place) for p in cls.parameters if p.tried or p.role in SEARCHED]
         late = {p.name for p in searched if p.role == "moment" and np.isinf(getattr(cls(place), p.name))}
-        linear, out = cls.linear(place), []
+        out = []
         for without in (late, set()) if late else (late,):
             grids = {p.name: parameter_grid(p, context.t) for p in searched if p.name not in without}
             nodes = [dict(zip(grids, values)) for values in product(*grids.values())]

@@ -112,6 +112,19 @@ class Path:
         return self.t[self.at] - self.t[self._ends[self.at]]
 
     @property
+    def from_motion(self) -> Floats:
+        """(n,) s between each exposure and the nearest motion before or after it; 0 in motion, infinite where there is
+        none.
+        """
+        ends = np.flatnonzero(self.speeds.any(axis=1))  # motion lasts from the knot before to each of these
+        if not len(ends):
+            return np.full(len(self.at), np.inf)
+        t, after = self.t[self.at], np.searchsorted(ends, self.at)
+        before = np.where(after > 0, t - self.t[ends[after - 1]], np.inf)
+        start = np.append(self.t[ends - 1], np.inf)[after]
+        return np.maximum(np.minimum(before, start - t), 0.0)
+
+    @property
     def since_reversal(self) -> Floats:
         """(n, axes) m or rad each axis has moved since it last turned round, signed by the direction."""
         step = self._steps

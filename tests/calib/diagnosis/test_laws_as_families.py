@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import Normal, solve_nonnegative
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.recording.recording_folder import load_recording
 from tests.calib.diagnose_recording import diagnosis_of
@@ -47,6 +48,15 @@ def test_struts_that_give_alike_are_one_finding_of_the_rig_and_not_six(tmp_path,
     case = hexapod("compliance", seed, 0)
     found = diagnosed(tmp_path, case, seed, laws=(replace(case.laws[0], axes=np.full(6, 0.15)),))
     assert sites(found) == [("compliance", "rig")] and not found.left
+
+
+@pytest.mark.parametrize("effect", ["time_offset", pytest.param("servo_lag", marks=pytest.mark.slow)])
+def test_a_late_clock_shows_at_exposures_just_after_arrival_and_is_no_creep(tmp_path, effect):
+    report = diagnosis_report(diagnosed(tmp_path, hexapod(effect, 3, 0), 3))  # a lag and a clock are alike there
+    (finding,) = report.findings
+    named = {(finding.effect, finding.place)} | {(a.effect, a.place) for a in finding.cannot_be_told_from}
+    assert {("servo_lag", "rig"), ("time_offset", "clock")} <= named and not report.unknown
+    assert finding.effect in ("servo_lag", "time_offset")
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
-from calib.diagnosis.problems.platform.linearised_corners import SEAT_LABELS, linearised_corner_rows
+from calib.diagnosis.problems.platform.linearised_corners import SEAT_LABELS, corner_derivatives
 from rig.cli.command_line import main
 from rig.model.design import quarter_turns_of_cubes
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -103,9 +103,11 @@ def test_the_seat_of_a_cube_moves_its_corners_as_the_forward_model_has_it(second
     point, _, _ = operating_point_of_recording(both.recording)
     (seat,) = point.seats
     assert seat.place == "target P1@2"
-    rows, n = linearised_corner_rows(point), len(point.observed.observations)
+    rows, n = corner_derivatives(point, point.pixels()), len(point.observed.observations)
     at = [rows.names.index((seat.place, label)) for label in SEAT_LABELS]
-    table = rows.rows.reshape(n, 2, -1)[..., 1:][..., at]
+    frame = np.repeat(point.observed.observations.frame[rows.order], 2)
+    whole = rows.table + np.einsum("nl,nlp->np", rows.local, rows.inner[frame])  # before poses were taken out
+    table = whole.reshape(n, 2, -1)[..., at]
     for j in range(6):
         motions = [tuple(sign * STEP * (np.arange(6) == j)) for sign in (1, -1)]
         high, low = (replace(point, seats=(replace(seat, motion=m),)).pixels() for m in motions)

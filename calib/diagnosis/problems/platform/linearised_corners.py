@@ -5,8 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.diagnosis.engine.linear_model import orthonormal_combinations
 from calib.diagnosis.problems.platform.linearisation_operating_point import EDGE_SHIFT, OperatingPoint
 from rig.array_and_json_types import Floats, Integers
+from rig.compute.parallel_map_and_dask_cluster import thread_map
 from rig.model.design import Design
 from rig.model.effect_places_and_part_tolerances import FINDER, SEAT, Place
 from vision import lens
@@ -25,29 +27,52 @@ SEAT_LABELS = tuple(
 )  # of where a cube sits that was put back
 MEDIAN = 0.4549364  # of chi-square with one degree of freedom
 REPEATS = 5  # of a standing corner from which its mean counts
+NEAR = 0.3  # px that corners may move for their derivatives to hold: far below what changes these by a thousandth
+PARTS = 4  # of a long table, multiplied side by side; as many on any number of cores, so that sums are rounded alike
 STANDING_GROUPS, STANDING_PROOF = 20, 4.0  # standing corners, and standard errors by which they must be off together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CornerRows:
-    """n corners frame by frame. order : (n,) of the observations; edges : (F + 1,) where frames begin in it;
-    whiten : (n, 2, 2) 1/px
-    rows : (2n, 1 + p) whitened residuals, then derivatives with the nuisances; own : (2n,) bool, whether a corner's
-        covariance stands as stated
+class CornerDerivatives:
+    """Whitened derivatives of n corners, frame by frame, with the nuisances at an OperatingPoint.
+
+    point : OperatingPoint; pixels : (n, 2) px that it predicts, in the observations' order; order : (n,) of the
+        observations; edges : (F + 1,) where frames begin in it; whiten : (n, 2, 2) 1/px
+    table : (2n, p) derivatives, each frame's own poses taken out; inner : (F, L, p) what these take of them
+    gram : (p, p) products of the table's columns; free : (p, r) orthonormal combinations of them, priors counted
+    own : (2n,) bool, whether a corner's covariance stands as stated
     local : (2n, L) orthonormal basis of each frame's own poses; to_local : (F, L, L) from its coordinates to tangents
     names : (camera, what) of the nuisances; priors : (p,) 1 / standard deviation; camera_columns : {camera's index: its
         nuisances}"""
 
+    point: OperatingPoint
+    pixels: Floats
     order: Integers
     edges: Integers
     whiten: Floats
-    rows: Floats
+    table: Floats
+    inner: Floats
+    gram: Floats
+    free: Floats
     own: Floats
     local: Floats
     to_local: Floats
     names: list[tuple[str, str]]
     priors: list[float]
     camera_columns: dict[int, list[int]]
+
+    def holds_at(self, point: OperatingPoint, pixels: Floats) -> bool:
+        """Whether the derivatives hold at another OperatingPoint that predicts pixels (n, 2) px: the same corners, as
+        they count here, nearly where they are here.
+        """
+        known = self.point
+        return (
+            point.seen is known.seen
+            and point.standing == known.standing
+            and point.moving.keys() == known.moving.keys()
+            and [seat.place for seat in point.seats] == [seat.place for seat in known.seats]
+            and bool((np.abs(pixels - self.pixels) < NEAR).all())
+        )
 
 
 class _Nuisances:
@@ -70,13 +95,24 @@ class _Nuisances:
         self.priors += priors
 
 
-def linearised_corner_rows(point: OperatingPoint) -> CornerRows:
-    """Linearised rows (CornerRows) of the corners seen at an OperatingPoint: whitened residuals and derivatives."""
+def split_rows_by_frame_bases(rows: Floats, local: Floats, edges: Integers) -> tuple[Floats, Floats]:
+    """Rows (2n, k) split into coordinates in each frame's own basis (F, L, k) and the orthogonal rest (2n, k).
+
+    The rows are overwritten.
+    """
+    inner = np.empty((len(edges) - 1, local.shape[1], rows.shape[1]))
+    for f, (a, b) in enumerate(zip(2 * edges[:-1], 2 * edges[1:])):
+        inner[f] = local[a:b].T @ rows[a:b]
+        rows[a:b] -= local[a:b] @ inner[f]
+    return inner, rows
+
+
+def corner_derivatives(point: OperatingPoint, pixels: Floats) -> CornerDerivatives:
+    """CornerDerivatives at an OperatingPoint that predicts pixels (n, 2) px."""
     o = point.observed.observations
     n, L = len(o), 6 + 6 * len(point.moving)
     weights = _weights(o, point)
     whitener = np.linalg.inv(np.linalg.cholesky(weights))
-    rho = np.einsum("nij,nj->ni", whitener, o.uv - point.pixels())
     order = np.lexsort((o.camera, o.frame))
     edges = np.searchsorted(o.frame[order], np.arange(len(point.t) + 1))
     at = np.argsort(order)  # where each corner stands, frame by frame
@@ -97,18 +133,24 @@ def linearised_corner_rows(point: OperatingPoint) -> CornerRows:
             found.add(at[rows], whitener[rows] @ block, camera.name, labels, prior)
     _add_finder(point, found, at, whitener)
     _add_seats(point, found, at, whitener)
-    table, start = np.zeros((n, 2, 1 + len(found.names))), 1
-    table[:, :, 0] = rho[order]
+    table, start = np.zeros((n, 2, len(found.names))), 0
     for at_rows, block in found.shared:
         table[at_rows, :, start : start + block.shape[2]] = block
         start += block.shape[2]
     local, to_local = _own_basis(J_local.reshape(2 * n, L), edges)
     stated = np.repeat((weights[order] == o.covariance[order]).all(axis=(1, 2)), 2)
-    return CornerRows(
+    inner, derivatives = split_rows_by_frame_bases(table.reshape(2 * n, -1), local, edges)
+    gram = np.sum(thread_map(lambda part: part.T @ part, np.array_split(derivatives, PARTS)), axis=0)
+    return CornerDerivatives(
+        point,
+        pixels,
         order,
         edges,
         whitener[order],
-        table.reshape(2 * n, -1),
+        derivatives,
+        inner,
+        gram,
+        orthonormal_combinations(gram + np.diag(np.square(found.priors))),
         stated,
         local,
         to_local,

@@ -13,14 +13,15 @@ from calib.diagnosis.engine.linear_model import Block, Column, FactoredColumns, 
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corners import (
     MEDIAN,
-    CornerRows,
+    PARTS,
+    CornerDerivatives,
     camera_edge_bias_freedoms,
+    corner_derivatives,
     cube_seat_freedoms,
-    linearised_corner_rows,
+    split_rows_by_frame_bases,
 )
 from calib.models.platform.identification import PRIOR
 from rig.array_and_json_types import Floats, Integers
-from rig.compute.parallel_map_and_dask_cluster import thread_map
 from rig.model.effect_places_and_part_tolerances import FINDER, SEAT
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     geometric_parameters,
@@ -33,7 +34,6 @@ CORNERS, CLOSURES = 0, 1  # the blocks
 CLIP = 5.0
 REACHED = 0.98  # share of the corners
 EXCESS = 3.0  # standard errors by which struts must scatter beyond the poses' noise before it counts as theirs
-PARTS = 4  # of a long table, multiplied side by side; as many on any number of cores, so that sums are rounded alike
 ROUNDS = 3  # of weighing the struts anew by their scatter
 WILD = 50.0  # standard deviations; a residual counts for no more where the corners' noise is judged
 
@@ -81,21 +81,22 @@ class Nuisances:
 
     names: tuple[tuple[str, str | int], ...]
     camera_columns: dict[int, list[int]]
-    solve: Integers
-    at_rest: Integers
+    solve: Floats
+    at_rest: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearisedModel:
     """All that an OperatingPoint leaves, linear about it. linear : LinearModel of the blocks corners (px) and closures
     (m); point : OperatingPoint
-    corners : CornerFrames; closures : ClosureFrames; nuisances : Nuisances"""
+    corners : CornerFrames; closures : ClosureFrames; nuisances : Nuisances; derivatives : of the corners, or None"""
 
     linear: LinearModel
     point: OperatingPoint
     corners: CornerFrames
     closures: ClosureFrames
     nuisances: Nuisances
+    derivatives: CornerDerivatives | None
 
     @property
     def frames(self) -> int:
@@ -164,18 +165,21 @@ class LinearisedModel:
         )
 
 
-def linearise(point: OperatingPoint, clip: float = CLIP) -> LinearisedModel:
+def linearise(point: OperatingPoint, clip: float = CLIP, near: LinearisedModel | None = None) -> LinearisedModel:
     """LinearisedModel of an OperatingPoint: cameras, lenses and geometry are its nuisances.
 
     Each frame's pose is free in the image. clip : standard deviations for which a corner's residual counts at most
+    near : of another OperatingPoint, whose corners' derivatives are taken over where they hold here, or None
     """
     k = point
     if k.seen is not None:
-        rows = linearised_corner_rows(k)
-        frames, table = _without_poses(k, rows, clip)
+        pixels, rows = k.pixels(), near.derivatives if near is not None else None
+        rows = rows if rows is not None and rows.holds_at(k, pixels) else corner_derivatives(k, pixels)
+        frames, left = _corner_frames(k, rows, pixels, clip)
         names: list[tuple[str, str | int]] = list(rows.names)
         priors, camera_columns = list(rows.priors), rows.camera_columns
     else:
+        rows = None
         F = len(k.t)
         frames = CornerFrames(
             np.zeros(0, int),
@@ -185,8 +189,8 @@ def linearise(point: OperatingPoint, clip: float = CLIP) -> LinearisedModel:
             np.tile(np.eye(6), (F, 1, 1)),
             np.zeros((F, 6, 1)),
         )
-        table, names, priors, camera_columns = np.zeros((0, 1)), [], [], {}
-    closures = _closures(k, frames) if k.axes else _no_closures(k, frames, table)
+        left, names, priors, camera_columns = np.zeros(0), [], [], {}
+    closures = _closures(k, frames) if k.axes else _no_closures(k, frames, len(names))
     if k.axes:
         p = len(geometric_parameters(k.platform))
         names += [("geometry", j) for j in range(p)]
@@ -201,7 +205,7 @@ def linearise(point: OperatingPoint, clip: float = CLIP) -> LinearisedModel:
         mechanism, root = k.known
         beforehand[-len(root) :, 0] = root @ (geometric_parameters(mechanism) - geometric_parameters(k.platform))
         beforehand[-len(root) :, -len(root) :] = root
-    return _weighed(k, frames, table, closures, beforehand, tuple(names), camera_columns)
+    return _weighed(k, frames, left, rows, closures, beforehand, tuple(names), camera_columns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,23 +218,25 @@ class _Closures:
     to_length: Floats
 
 
-def _without_poses(k: OperatingPoint, rows: CornerRows, clip: float) -> tuple[CornerFrames, Floats]:
-    """(CornerFrames, (2n, 1 + p) residual and nuisances with each frame's own poses taken out, in units of the corners'
-    noise).
+def _corner_frames(
+    k: OperatingPoint, rows: CornerDerivatives, pixels: Floats, clip: float
+) -> tuple[CornerFrames, Floats]:
+    """(CornerFrames, (2n,) residual with each frame's own poses taken out, in units of the corners' noise) of corners
+    predicted at pixels (n, 2) px.
     """
-    table, local, edges = rows.rows, rows.local, rows.edges
-    rho = table[:, 0].copy()
-    inner, table = split_rows_by_frame_bases(table, local, edges)
-    sigma = _noise(table[:, 0], table[:, 1:], rows.priors, rows.own, local.shape[1] * len(k.t))
+    local, edges = rows.local, rows.edges
+    off = (k.observed.observations.uv - pixels)[rows.order]
+    rho = np.einsum("nij,nj->ni", rows.whiten, off).reshape(-1, 1)
+    _, whole = split_rows_by_frame_bases(rho.copy(), local, edges)
+    sigma = _noise(whole[:, 0], rows, local.shape[1] * len(k.t))
     far = np.abs(rho / sigma)
     excess = float((2 * clip * np.maximum(far - clip, 0)).sum())
     reach = float(np.quantile(far, REACHED)) if len(far) else 0.0
-    table /= sigma
-    inner /= sigma
-    inner[..., :1], table[:, :1] = split_rows_by_frame_bases(np.clip(rho / sigma, -clip, clip)[:, None], local, edges)
+    taken, left = split_rows_by_frame_bases(np.clip(rho / sigma, -clip, clip), local, edges)
+    inner = np.concatenate([taken, rows.inner / sigma], axis=2)
     return (
         CornerFrames(rows.order, edges, rows.whiten, local, rows.to_local * sigma, inner, sigma, excess, clip, reach),
-        table,
+        left[:, 0],
     )
 
 
@@ -251,29 +257,17 @@ def _closures(k: OperatingPoint, frames: CornerFrames) -> _Closures:
     return _Closures(covariance, rows, to_length)
 
 
-def _no_closures(k: OperatingPoint, frames: CornerFrames, table: Floats) -> _Closures:
+def _no_closures(k: OperatingPoint, frames: CornerFrames, count: int) -> _Closures:
     F = len(k.t)
-    return _Closures(np.zeros((F, 0, 0)), np.zeros((F, 0, table.shape[1])), np.zeros((F, 0, frames.to_local.shape[1])))
+    return _Closures(np.zeros((F, 0, 0)), np.zeros((F, 0, 1 + count)), np.zeros((F, 0, frames.to_local.shape[1])))
 
 
-def split_rows_by_frame_bases(rows: Floats, local: Floats, edges: Integers) -> tuple[Floats, Floats]:
-    """Rows (2n, k) split into coordinates in each frame's own basis (F, L, k) and the orthogonal rest (2n, k).
-
-    The rows are overwritten.
+def _noise(left: Floats, rows: CornerDerivatives, lost: int) -> float:
+    """What standard deviations must be multiplied by, from the middle of the corners' residuals left (2n,) where
+    covariances are corners' own. lost : freedoms that the frames' own poses took
     """
-    inner = np.empty((len(edges) - 1, local.shape[1], rows.shape[1]))
-    for f, (a, b) in enumerate(zip(2 * edges[:-1], 2 * edges[1:])):
-        inner[f] = local[a:b].T @ rows[a:b]
-        rows[a:b] -= local[a:b] @ inner[f]
-    return inner, rows
-
-
-def _noise(left: Floats, V: Floats, priors: list[float], own: Floats, lost: int) -> float:
-    """What standard deviations must be multiplied by, from the middle of the corners' residuals where covariances are
-    corners' own.
-    """
+    own, V, half = rows.own, rows.table, rows.free
     left = np.clip(left, -WILD, WILD)
-    half = orthonormal_combinations(V.T @ V + np.diag(np.square(priors)))
     left = left - V @ (half @ (half.T @ (V.T @ left)))
     return float(
         np.sqrt(
@@ -285,7 +279,8 @@ def _noise(left: Floats, V: Floats, priors: list[float], own: Floats, lost: int)
 def _weighed(
     k: OperatingPoint,
     frames: CornerFrames,
-    table: Floats,
+    left: Floats,
+    derivatives: CornerDerivatives | None,
     closures: _Closures,
     beforehand: Floats,
     names: tuple[tuple[str, str | int], ...],
@@ -293,12 +288,17 @@ def _weighed(
 ) -> LinearisedModel:
     """LinearisedModel with the struts weighed by the poses' noise and by what they scatter beyond.
 
-    table : (2n, 1 + p) corners' residual and nuisances; beforehand : (q, 1 + p) rows of what was known before
+    left : (2n,) corners' residual; derivatives : CornerDerivatives, None without corners; beforehand : (q, 1 + p) rows
+        of what was known before
     """
-    F, axes, seen = len(k.t), k.axes, table.shape[1] - 1
-    scatter = np.zeros(axes)
-    parts = np.array_split(table, PARTS)
-    inner = sum(thread_map(lambda part: part.T @ part, parts))
+    F, axes = len(k.t), k.axes
+    table = np.zeros((0, 0)) if derivatives is None else derivatives.table
+    seen = table.shape[1]
+    scatter, inner = np.zeros(axes), np.zeros((1 + seen, 1 + seen))
+    if derivatives is not None:
+        inner[0, 0], inner[1:, 1:] = left @ left, derivatives.gram / frames.sigma**2
+        parts = zip(np.array_split(table, PARTS), np.array_split(left, PARTS))
+        inner[0, 1:] = inner[1:, 0] = sum(part.T @ some for part, some in parts) / frames.sigma
     for turn in range(ROUNDS):
         W = (
             np.linalg.inv(np.linalg.cholesky(closures.covariance + np.diag(scatter**2)))
@@ -313,15 +313,15 @@ def _weighed(
         basis = rows[:, 1:] @ half
         if not axes or turn == ROUNDS - 1:
             break
-        left = np.linalg.solve(W, (rows[: F * axes, 0] - basis[: F * axes] @ z).reshape(F, axes, 1))[..., 0]
-        new = _scatter(left, closures.covariance)
+        beyond = np.linalg.solve(W, (rows[: F * axes, 0] - basis[: F * axes] @ z).reshape(F, axes, 1))[..., 0]
+        new = _scatter(beyond, closures.covariance)
         if np.abs(new - scatter).max() < 1e-8:
             break
         scatter = new
-    onto = np.concatenate([np.zeros((1, half.shape[1])), half[:seen]])  # the residual is no nuisance
+    onto = half[:seen] / frames.sigma
     Q = Column((FactoredColumns(table, onto), basis))
     blocks = (
-        Block("corners", "px", table[:, 0] - table @ (onto @ z), 2 * frames.edges),
+        Block("corners", "px", left - table @ (onto @ z), 2 * frames.edges),
         Block("closures", k.axis_unit, rows[:, 0] - basis @ z, np.arange(F + 1) * axes),
     )
     size = len(table) - (frames.local.shape[1] * F if len(table) else 0) + F * axes - basis.shape[1]
@@ -332,6 +332,7 @@ def _weighed(
         frames,
         ClosureFrames(W, to_rows, scatter),
         Nuisances(names, camera_columns, half, z),
+        derivatives,
     )
 
 

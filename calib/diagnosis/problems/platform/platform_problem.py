@@ -111,9 +111,9 @@ class PlatformProblem:
         k = fit.refined.point
         if fit.terms[number].seen_alone:
             return refine_at_fixed_repeated_error(
-                operating_point_without_term(fit.refined, number), self.sensitivities
+                operating_point_without_term(fit.refined, number), self.sensitivities, fit.refined.model
             ).model
-        return linearise(k.with_effects(e for i, e in enumerate(k.effects) if i != number))
+        return linearise(k.with_effects(e for i, e in enumerate(k.effects) if i != number), near=fit.refined.model)
 
     def marginalised(self, model: LinearisedModel) -> LinearisedModel:
         """LinearisedModel with the parameters of the effects admitted there among the nuisances."""
@@ -159,7 +159,9 @@ class PlatformProblem:
 
     def remove_term(self, fit: PlatformFit, number: int) -> PlatformFit:
         return PlatformFit(
-            refine_operating_point(operating_point_without_term(fit.refined, number), self.sensitivities),
+            refine_operating_point(
+                operating_point_without_term(fit.refined, number), self.sensitivities, fit.refined.model
+            ),
             fit.terms[:number] + fit.terms[number + 1 :],
         )
 
@@ -167,7 +169,7 @@ class PlatformProblem:
         k = fit.refined.point
         order = [*k.effects[:number], k.effects[-1], *k.effects[number:-1]]
         terms = (*fit.terms[:number], fit.terms[-1], *fit.terms[number:-1])
-        return PlatformFit(refine_operating_point(k.with_effects(order), self.sensitivities), terms)
+        return PlatformFit(refine_operating_point(k.with_effects(order), self.sensitivities, fit.refined.model), terms)
 
     def wald(self, fit: PlatformFit, number: int) -> Wald:
         return Wald(*fit.refined.wald(number))

@@ -21,15 +21,9 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     camera_edge_bias_freedoms,
     cube_seat_freedoms,
     repeated_corner_error,
-)
-from calib.diagnosis.problems.platform.linearised_residuals import (
-    CLIP,
-    CLOSURES,
-    CORNERS,
-    LinearisedModel,
-    linearise,
     split_rows_by_frame_bases,
 )
+from calib.diagnosis.problems.platform.linearised_residuals import CLIP, CLOSURES, CORNERS, LinearisedModel, linearise
 from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
 from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
 from rig.array_and_json_types import Floats, Integers
@@ -195,7 +189,7 @@ def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensit
             break
     if found is None:
         raise ValueError(f"{score.candidate.name} at {score.candidate.place}: the other effects leave their domain")
-    return refine_operating_point(found[0], sensitivities)
+    return refine_operating_point(found[0], sensitivities, model)
 
 
 def operating_point_without_term(refinement: Refinement, number: int) -> OperatingPoint:
@@ -212,20 +206,24 @@ def operating_point_without_term(refinement: Refinement, number: int) -> Operati
     return _apply(model, step, refinement.column, [e for i, e in enumerate(effects) if i != number])[0]
 
 
-def refine_operating_point(point: OperatingPoint, sensitivities: Sensitivities) -> Refinement:
+def refine_operating_point(
+    point: OperatingPoint, sensitivities: Sensitivities, near: LinearisedModel | None = None
+) -> Refinement:
     """Refine an operating point: cameras, geometry, poses and the admitted effects' parameters together.
 
     Standing corners are first taken at their covariance; only what they then still miss together, in every frame,
-    loosens them.
+    loosens them. near : as `linearise` takes it
     """
-    refined = refine_at_fixed_repeated_error(replace(point, standing=0.0), sensitivities)
+    refined = refine_at_fixed_repeated_error(replace(point, standing=0.0), sensitivities, near)
     left = repeated_corner_error(refined.point)
     return refine_at_fixed_repeated_error(replace(refined.point, standing=left), sensitivities) if left else refined
 
 
-def refine_at_fixed_repeated_error(point: OperatingPoint, sensitivities: Sensitivities) -> Refinement:
-    """Refine an operating point with the repeated error of standing corners fixed."""
-    model, far = linearise(point), True
+def refine_at_fixed_repeated_error(
+    point: OperatingPoint, sensitivities: Sensitivities, near: LinearisedModel | None = None
+) -> Refinement:
+    """Refine an operating point with the repeated error of standing corners fixed. near : as `linearise` takes it"""
+    model, far = linearise(point, CLIP, near), True
     for _ in range(MAX_ITERATIONS):
         model = _model_with_fitting_clip(model) if far else model
         coordinates, column = effect_parameter_directions(model, sensitivities)
@@ -237,16 +235,16 @@ def refine_at_fixed_repeated_error(point: OperatingPoint, sensitivities: Sensiti
         if new is None and model.corners.clip == CLIP:
             break
         if new is None:
-            model, far = linearise(point), False
+            model, far = linearise(point, CLIP, model), False
             continue
         point, gained = new
-        model = linearise(point, model.corners.clip)
+        model = linearise(point, model.corners.clip, model)
         if model.corners.clip > CLIP:
             continue
         if (np.abs(step) < SMALL * np.sqrt(np.diag(covariance))).all() and gained < 1 or gained < ENOUGH:
             break
     if model.corners.clip > CLIP:
-        model = linearise(point)
+        model = linearise(point, CLIP, model)
     coordinates, column = effect_parameter_directions(model, sensitivities)
     if column is None:
         return Refinement(point, model, coordinates, np.zeros(0), np.zeros((0, 0)), None)
@@ -260,7 +258,7 @@ def _model_with_fitting_clip(model: LinearisedModel) -> LinearisedModel:
     clip, reach = model.corners.clip, model.corners.reach
     if reach > clip or clip > CLIP and reach < clip / 3:
         wide = max(reach if reach > 2 * CLIP else CLIP, CLIP)
-        return model if wide == clip else linearise(model.point, wide)
+        return model if wide == clip else linearise(model.point, wide, model)
     return model
 
 
@@ -364,4 +362,4 @@ def _apply(
     if k.seen is None:
         local = np.zeros((model.frames, 6))
     moved = move_operating_point(k, cameras, local)
-    return replace(moved, effects=tuple(effects), finder=tuple(finder), seats=seats), cast(Floats, z)
+    return replace(moved, effects=tuple(effects), finder=tuple(finder), seats=seats), z
