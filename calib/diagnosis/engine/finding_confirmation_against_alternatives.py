@@ -13,6 +13,7 @@ from calib.diagnosis.engine.linear_model import column_cosine
 from calib.diagnosis.engine.problem_interface import AliasedNodes, Fit, Model, Problem, Progress
 from rig.model.effect_places_and_part_tolerances import Place
 
+SAME = 0.02  # of a finding's evidence, by which two scans beside the same terms may differ and still be the same
 RESTARTS = 2  # times the most terms that there may be, replacements after which terms are confirmed as they stand
 
 
@@ -32,14 +33,47 @@ def is_indistinguishable(alternative: Alternative[C], policy: SelectionPolicy) -
     return close > policy.cosine or (alternative.behind < policy.alike and close >= policy.akin)
 
 
+class Scans(Generic[C]):
+    """Scores of all candidates by the terms that were admitted when they were scanned: what is searched once is not
+    searched again.
+    """
+
+    def __init__(self) -> None:
+        self._by_terms: dict[frozenset[int], list[Score[C]]] = {}
+
+    def keep(self, terms: Sequence[C], scores: list[Score[C]]) -> None:
+        """Keep the Scores of a scan beside some terms."""
+        self._by_terms[frozenset(map(id, terms))] = scores
+
+    def same(self, terms: Sequence[C], score: Score[C], size: int) -> tuple[list[Score[C]], Score[C]] | None:
+        """(Scores of the scan beside the same terms, a candidate's among them) where it gave that candidate the
+        evidence that a Score gives it now; else None.
+        """
+        scores = self._by_terms.get(frozenset(map(id, terms)), [])
+        own = next((s for s in scores if s.candidate is score.candidate), None)
+        if own is None or abs(own.evidence(size) - score.evidence(size)) > SAME * abs(score.evidence(size)):
+            return None
+        return scores, own
+
+
 def find_alternatives(
-    problem: Problem[Fit, Model, C], model: Model, finding_score: Score[C], progress: Callable[[int, int], None] | None
+    problem: Problem[Fit, Model, C],
+    model: Model,
+    finding_score: Score[C],
+    progress: Callable[[int, int], None] | None,
+    known: tuple[list[Score[C]], Score[C]] | None = None,
 ) -> list[Alternative[C]]:
-    """Find the alternatives to a finding ([Alternative]) on a model without it, by weight, the best of each place."""
+    """Find the alternatives to a finding ([Alternative]) on a model without it, by weight, the best of each place.
+
+    known : as `Scans.same` has it, taken in place of a new scan
+    """
     policy, linear = problem.policy, problem.linear(model)
     size, here = linear.size, (finding_score.candidate.name, finding_score.candidate.place)
+    if known is not None:
+        finding_score = known[1]
     reach = max(2 * policy.alike, policy.near * finding_score.delta_chi2 * finding_score.dispersion)
-    scores = problem.search(model, problem.candidates, max(finding_score.raw_delta_bic(size) - reach, 0.0), progress)
+    least = max(finding_score.raw_delta_bic(size) - reach, 0.0)
+    scores = problem.search(model, problem.candidates, least, progress) if known is None else known[0]
     column = problem.column(model, finding_score)
 
     def alternative(score: Score[C]) -> Alternative[C]:
@@ -131,11 +165,13 @@ def may_become_significant_when_fitted(score: Score[C], count: int, size: int, p
     )
 
 
-def confirm_terms(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> tuple[Fit, list[Finding[C]]]:
+def confirm_terms(
+    problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress: Progress | None
+) -> tuple[Fit, list[Finding[C]]]:
     """Confirm each term of a Fit against all candidates: removed, replaced, or retained with its alternatives.
 
     The others stay admitted meanwhile. What was replaced does not come back, and after a number of replacements nothing
-    is replaced any more: every term of the Fit is a finding in the end.
+    is replaced any more: every term of the Fit is a finding in the end. scans : those made so far
     """
     policy, count = problem.policy, len(problem.candidates)
     findings: list[Finding[C]] = []
@@ -159,8 +195,13 @@ def confirm_terms(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress 
             replaced.append(problem.terms(fit)[number])
             fit, findings = problem.in_place(member, number), []
             continue
+        others = [c for i, c in enumerate(problem.terms(fit)) if i != number]
         found = find_alternatives(
-            problem, model, scanned, labelled_progress(progress, f"alternatives of {own.candidate.name}")
+            problem,
+            model,
+            scanned,
+            labelled_progress(progress, f"alternatives of {own.candidate.name}"),
+            scans.same(others, scanned, problem.linear(model).size),
         )  # like against like
         tries = refit_alternatives(problem, fit, number, scanned, found, own is not scanned)
         rest = [a for a in found if not any(a is t.scanned for t in tries)]

@@ -15,6 +15,7 @@ from calib.diagnosis.engine.candidate_score import (
 from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import C
 from calib.diagnosis.engine.finding_confirmation_against_alternatives import (
     Finding,
+    Scans,
     confirm_terms,
     is_significant,
     labelled_progress,
@@ -55,8 +56,8 @@ class Selection(Generic[Fit, C]):
 def select_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Selection[Fit, C]:
     """Selection of the terms that a problem needs. progress : called with (label, done, of), or None"""
     before = problem.start()
-    problem, fit = _chosen(problem, before, progress)
-    fit, findings = confirm_terms(problem, fit, progress)
+    problem, fit, scans = _chosen(problem, before, progress)
+    fit, findings = confirm_terms(problem, fit, scans, progress)
     return Selection(problem, before, fit, findings, len(problem.candidates))
 
 
@@ -70,16 +71,16 @@ def fit_selected_terms(problem: Problem[Fit, Model, C], progress: Progress | Non
 
 def _chosen(
     problem: Problem[Fit, Model, C], before: Fit, progress: Progress | None
-) -> tuple[Problem[Fit, Model, C], Fit]:
-    """(Problem, Fit) with terms admitted, and those that pay on stretches held out retained. Raises ValueError for a
-    policy that admits companions of a problem that has none.
+) -> tuple[Problem[Fit, Model, C], Fit, Scans[C]]:
+    """(Problem, Fit, Scans made) with terms admitted, and those that pay on stretches held out retained. Raises
+    ValueError for a policy that admits companions of a problem that has none.
     """
     if np.isfinite(problem.policy.companions) and not isinstance(problem, Companions):
         raise ValueError("the policy admits companions, and the problem does not search for any")
-    problem, fit = _forward(problem, _fit_with_stated_terms(problem, before), progress)
+    problem, fit, scans = _forward(problem, _fit_with_stated_terms(problem, before), progress)
     if isinstance(problem, TermSimplification):
         fit = problem.simplify_terms(fit)
-    return problem, _remove_terms_without_held_out_gain(problem, fit)
+    return problem, _remove_terms_without_held_out_gain(problem, fit), scans
 
 
 def _fit_with_stated_terms(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
@@ -111,20 +112,21 @@ def _tolerances_explain(problem: Problem[Fit, Model, C], fit: Fit, best: Score[C
 
 def _forward(
     problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None
-) -> tuple[Problem[Fit, Model, C], Fit]:
-    """(Problem, Fit) with terms admitted step by step; from the beginning again, tolerances among the nuisances, where
-    these turn out to explain more.
+) -> tuple[Problem[Fit, Model, C], Fit, Scans[C]]:
+    """(Problem, Fit, Scans) with terms admitted step by step; from the beginning again, tolerances among the nuisances,
+    where these turn out to explain more.
     """
-    found = _steps(problem, fit, progress)
+    scans: Scans[C] = Scans()
+    found = _steps(problem, fit, scans, progress)
     while found is None and isinstance(problem, Tolerances):
-        problem = problem.with_tolerances()
-        found = _steps(problem, fit, progress)
-    return problem, fit if found is None else found
+        problem, scans = problem.with_tolerances(), Scans()
+        found = _steps(problem, fit, scans, progress)
+    return problem, fit if found is None else found, scans
 
 
-def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> Fit | None:
+def _steps(problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress: Progress | None) -> Fit | None:
     """The Fit with terms admitted step by step; after each step, those that others have made needless go again. None
-    where tolerances explain more than any name."""
+    where tolerances explain more than any name. scans : kept of each step"""
     policy, count = problem.policy, len(problem.candidates)
     taken: set[tuple[object, ...]] = set()
     refused: list[C] = []
@@ -133,6 +135,7 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
         model_size = problem.linear(model).size
         label = f"searching beside {admitted} effects" if admitted else "searching"
         scores = problem.search(model, _admissible(problem, fit), policy.delta_bic, labelled_progress(progress, label))
+        scans.keep(problem.terms(fit), scores)
         fresh = [s for s in scores if _hypothesis_key(s) not in taken and not any(s.candidate is c for c in refused)]
         promising = [s for s in fresh if is_significant(s, count, model_size, policy)] or _hidden(
             problem, fit, model, fresh

@@ -4,6 +4,7 @@ from typing import cast
 
 import numpy as np
 import scipy
+from numpy.lib.stride_tricks import sliding_window_view
 
 from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion
@@ -163,10 +164,10 @@ def _mirrors_of_slow_changes(t: Floats, spectrum: Floats, length: float, high: f
     reach, before = SLOWEST * OVERSAMPLED, np.r_[0, np.cumsum(window > ALIAS)]
     at = np.arange(len(spectrum))
     near = before[np.minimum(at + reach + 1, len(window))] > before[np.maximum(at - reach, 0)]
-    found, slow = np.flatnonzero(near), np.arange(-reach, reach + 1)
-    apart = np.abs(found[:, None] - slow)
-    apart = np.where(apart < len(window), apart, bins - apart)
-    mirrored = (spectrum[np.abs(slow)] * window[apart] ** 2).max(axis=1)
+    found, slow = np.flatnonzero(near), np.abs(np.arange(-reach, reach + 1))
+    apart = np.abs(np.arange(-reach, len(spectrum) + reach))
+    power = window[np.where(apart < len(window), apart, bins - apart)] ** 2
+    mirrored = (sliding_window_view(power, len(slow))[found] * spectrum[slow]).max(axis=1)
     near[found] = spectrum[found] < CLEAR * mirrored
     return near
 
