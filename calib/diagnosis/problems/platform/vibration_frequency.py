@@ -4,7 +4,8 @@ from typing import cast
 
 import numpy as np
 import scipy
-from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion
@@ -16,7 +17,7 @@ from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares impor
 )
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
 from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
-from rig.array_and_json_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats, Integers
 
 FREQUENCIES = 8  # bins of the coarse spectrum for each cycle that the highest frequency makes
 ALIAS = 0.25  # of the spectral window's height from which a frequency mirrors a slow one
@@ -127,7 +128,7 @@ def rank_one_direction_and_phase_fit(b: Floats, G: Floats) -> tuple[float, Float
 
 def _bins(length: float, high: float) -> tuple[int, float]:
     """(how many, s of one) of the times on which the coarse spectrum stands."""
-    bins = int(2 ** np.ceil(np.log2(max(length * OVERSAMPLED, 1) * high * FREQUENCIES / OVERSAMPLED)))
+    bins = next_fast_len(int(np.ceil(max(length, 1 / OVERSAMPLED) * high * FREQUENCIES)), real=True)
     return bins, length * OVERSAMPLED / bins
 
 
@@ -145,31 +146,33 @@ def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tup
     half = np.linalg.cholesky(np.linalg.inv(power + SOFT * np.diag(np.maximum(own, SOFT * own.max()))))
     bins, step = _bins(np.ptp(t) + 1e-9, high)
     at = np.rint((t - t[0]) / step).astype(int)
-    series = (np.bincount(at, weights=one, minlength=bins)[:bins] for one in (beta @ half).T)
-    return np.sum([2 * np.abs(np.fft.rfft(one, bins)) ** 2 for one in series], axis=0), cast(
-        Floats, np.fft.rfftfreq(bins, step)
-    )
+    spectrum = np.zeros(bins // 2 + 1)
+    for one in (beta @ half).T:
+        found = _transform(at, one, bins)
+        spectrum += 2 * (found.real**2 + found.imag**2)
+    return spectrum, cast(Floats, np.fft.rfftfreq(bins, step))
+
+
+def _transform(at: Integers, weights: Floats, bins: int) -> NDArray[np.complex64]:
+    """(bins // 2 + 1,) Fourier transform of weights (F,) at bins (F,), in single precision: it finds peaks alone."""
+    series = np.bincount(at, weights=weights, minlength=bins)[:bins].astype(np.float32)
+    return cast(NDArray[np.complex64], np.fft.rfft(series))
 
 
 def _mirrors_of_slow_changes(t: Floats, spectrum: Floats, length: float, high: float) -> Booleans:
     """(bins,) bool: frequencies of a spectrum (bins,) that may mirror a drift, or cannot be told from none, at times
     t (F,) s.
 
-    What a slow change mirrors at a frequency is its power by the square of the spectral window between the two.
+    What a slow change mirrors at a frequency is its power by the square of the spectral window between the two, where
+    that window is high.
     """
     bins, step = _bins(length, high)
-    window = np.abs(
-        np.fft.rfft(np.bincount(np.rint((t - t[0]) / step).astype(int), minlength=bins)[:bins], bins)
-    ) / len(t)
-    reach, before = SLOWEST * OVERSAMPLED, np.r_[0, np.cumsum(window > ALIAS)]
-    at = np.arange(len(spectrum))
-    near = before[np.minimum(at + reach + 1, len(window))] > before[np.maximum(at - reach, 0)]
-    found, slow = np.flatnonzero(near), np.abs(np.arange(-reach, reach + 1))
-    apart = np.abs(np.arange(-reach, len(spectrum) + reach))
-    power = window[np.where(apart < len(window), apart, bins - apart)] ** 2
-    mirrored = (sliding_window_view(power, len(slow))[found] * spectrum[slow]).max(axis=1)
-    near[found] = spectrum[found] < CLEAR * mirrored
-    return near
+    window = np.abs(_transform(np.rint((t - t[0]) / step).astype(int), np.ones(len(t)), bins)) / len(t)
+    high_at, mirrored = np.flatnonzero(window > ALIAS), np.zeros(len(spectrum))
+    for slow in range(-SLOWEST * OVERSAMPLED, SLOWEST * OVERSAMPLED + 1):
+        at = np.abs(high_at + slow)
+        np.maximum.at(mirrored, np.minimum(at, bins - at), spectrum[abs(slow)] * window[high_at] ** 2)
+    return spectrum < CLEAR * mirrored
 
 
 def _tick(t: Floats) -> float:
