@@ -129,6 +129,8 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress:
     where tolerances explain more than any name. scans : kept of each step"""
     policy, count = problem.policy, len(problem.candidates)
     taken: set[tuple[object, ...]] = set()
+    tried: set[frozenset[int]] = set()
+    merged: set[str] = set()
     refused: list[C] = []
     while len(problem.terms(fit)) < policy.most:
         model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
@@ -152,12 +154,13 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress:
             break
         fit, score = step
         taken.add(_hypothesis_key(score))
-        fit = _same_name_elsewhere(problem, fit, score, promising, scores, taken)
+        fit = _same_name_elsewhere(problem, fit, score, promising, taken)
         fit = _companions(problem, fit, score, promising, taken, size)
         fit = remove_redundant_terms(problem, _refined(problem, fit))
         site = score.candidate.name, score.candidate.place
         if all((c.name, c.place) != site for c in problem.terms(fit)):  # it would be admitted and removed for ever
             refused += [c for c in problem.candidates if (c.name, c.place) == site]
+        fit = _one_hypothesis_of_alike_axes(problem, fit, taken, tried, merged)
     return None if _tolerances_explain(problem, fit, None) else fit
 
 
@@ -244,13 +247,11 @@ def _same_name_elsewhere(
     fit: Fit,
     admitted: Score[C],
     promising: list[Score[C]],
-    scanned: list[Score[C]],
     taken: set[tuple[object, ...]],
 ) -> Fit:
     """The Fit with a name that was admitted at one of several axes admitted at the others too, each where it convinces
-    beside those before it; with one hypothesis about the whole machine in place of them all where that is likelier.
-    scanned : Scores of all candidates beside the terms before"""
-    policy, size, several = problem.policy, problem.size(fit), [admitted]
+    beside those before it."""
+    policy, size = problem.policy, problem.size(fit)
     group = best_scores_at_axes(promising, admitted.candidate.name, size)
     if len(group) < SEVERAL or not admitted.candidate.site.is_axis or isinstance(problem, Companions):
         return fit
@@ -265,32 +266,46 @@ def _same_name_elsewhere(
         if best is not None and is_significant(best, len(problem.candidates), problem.linear(model).size, policy):
             taken.add(_hypothesis_key(best))
             fit = problem.add_term(fit, best)
-            several.append(best)
-    return fit if len(several) < SEVERAL else _whole_machine_instead(problem, fit, several, scanned, taken)
+    return fit
 
 
-def _whole_machine_instead(
+def _one_hypothesis_of_alike_axes(
     problem: Problem[Fit, Model, C],
     fit: Fit,
-    several: list[Score[C]],
-    scores: list[Score[C]],
     taken: set[tuple[object, ...]],
+    tried: set[frozenset[int]],
+    merged: set[str],
 ) -> Fit:
-    """The Fit with one hypothesis about no single axis in place of its last terms, `several` at axes, where one of
-    those that a scan finds best is likelier once fitted; else the Fit itself."""
-    size, bare = problem.size(fit), fit
-    for _ in several:
-        bare = problem.remove_term(bare, len(problem.terms(bare)) - 1)
-    chosen, cost, key = fit, sum(s.complexity(size) for s in several), None
-    whole = sorted((s for s in scores if not s.candidate.site.is_axis), key=lambda s: -s.evidence(size))
-    own = [s for s in whole if s.candidate.name == several[0].candidate.name]
-    for score in own[:1] + [s for s in whole if not any(s is o for o in own[:1])][: problem.policy.refitted]:
-        new = problem.add_term(bare, score)
-        if problem.likelihood_ratio(chosen, new) > score.complexity(size) - cost:
-            chosen, cost, key = new, score.complexity(size), _hypothesis_key(score)
-    if key is not None:
-        taken.add(key)
-    return chosen
+    """The Fit with one hypothesis about the whole machine in place of a name's terms at several axes, where that is
+    likelier once fitted, by what residuals scatter; axes may then differ from it anew. tried : terms that it was tried
+    with; merged : names that it was done for, once each"""
+    terms, size, key = problem.terms(fit), problem.size(fit), frozenset(map(id, problem.terms(fit)))
+    if key in tried:
+        return fit
+    tried.add(key)
+    for name in dict.fromkeys(c.name for c in terms if c.site.is_axis and c.name not in merged):
+        numbers = [i for i, c in enumerate(terms) if c.name == name and c.site.is_axis]
+        whole = [c for c in problem.candidates if c.name == name and not c.site.is_axis]
+        places = {terms[i].place for i in numbers}
+        if len(places) < SEVERAL or not whole or any(problem.given.holds(terms[i]) for i in numbers):
+            continue
+        bare, left = fit, problem.linear(problem.residual(fit))
+        for number in reversed(numbers):
+            bare = problem.remove_term(bare, number)
+        scores = problem.search(problem.residual(bare), whole, -np.inf, None)
+        new = problem.add_term(bare, max(scores, key=lambda s: s.evidence(size)))
+        fewer = _parameters(problem, fit, numbers) - _parameters(problem, new, [len(problem.terms(new)) - 1])
+        gain = problem.likelihood_ratio(fit, new) / max(left.cost() / left.size, 1.0)
+        if gain + fewer * np.log(size) > 0:
+            merged.add(name)
+            taken -= {known for known in taken if known[0] == name and known[1] in places}
+            return new
+    return fit
+
+
+def _parameters(problem: Problem[Fit, Model, C], fit: Fit, numbers: list[int]) -> float:
+    """How many numbers some terms of a Fit have, those found on a grid included."""
+    return sum(problem.wald(fit, n).freedom + problem.terms(fit)[n].extra for n in numbers)
 
 
 def _companions(
