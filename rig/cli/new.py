@@ -51,11 +51,7 @@ def run(arguments: Namespace) -> None:
     """
     from rig.formats.length_and_angle_units import SI
     from rig.formats.output_files import write_text
-    from rig.planning.layout.shipped_arms_and_layouts import (
-        LayoutOptions,
-        hexapod_two_strut_or_arm_rig_toml,
-        shipped_arm_names,
-    )
+    from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, new_rig_toml, shipped_arm_names
 
     out = arguments.out / "rig.toml"
     there = arguments.out.is_dir()
@@ -78,7 +74,7 @@ def run(arguments: Namespace) -> None:
         options, seen = LayoutOptions(arm=name), "its poses come from an instrument; see [instrument] in it"
     else:
         options, seen = _strut_options(arguments, kind)
-    text = hexapod_two_strut_or_arm_rig_toml(replace(options, units=arguments.units or SI))
+    text = new_rig_toml(replace(options, units=arguments.units or SI))
     if place is None:
         arguments.out.mkdir()
         place = arguments.outputs.file(out)

@@ -100,7 +100,7 @@ def run(arguments: Namespace) -> None:
     from rig.formats.importers.arm_of_urdf_or_dh_table import read_arm_file
     from rig.formats.length_and_angle_units import SI
     from rig.formats.output_files import write_text
-    from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, hexapod_two_strut_or_arm_rig_toml
+    from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, new_rig_toml
 
     units = None if arguments.dh is None or arguments.units is None else str(arguments.units)
     own = read_arm_file(arm_file_options(arguments, units))
@@ -118,7 +118,7 @@ def run(arguments: Namespace) -> None:
         own_arm=None if own is None else own.rig_toml(arguments.name),
         units=arguments.units or SI,
     )
-    text = hexapod_two_strut_or_arm_rig_toml(options)
+    text = new_rig_toml(options)
     for line in () if own is None else own.lines:
         print(line, file=sys.stderr)
     if arguments.out is None:

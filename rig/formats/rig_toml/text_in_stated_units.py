@@ -35,7 +35,7 @@ def rig_toml_in_units(text: str, units: LengthAndAngleUnits) -> str:
     if units == SI:
         return text
     entries = toml_entries(text, Path("rig.toml"))
-    if "units" in entries.tree or any("board" in target for target in entries.tree.get("target", [])):
+    if "units" in entries.tree or ("target" in entries.tree and any("board" in one for one in entries.tree["target"])):
         raise ValueError("expected a rig.toml in m and rad without boards")
     log: dict[tuple[Key, ...], UnitNames] = {}
     root = replace(entries, unit_log=log)
@@ -56,9 +56,10 @@ def rig_toml_in_units(text: str, units: LengthAndAngleUnits) -> str:
 
 def _units_of_joint_rows(table: Json, path: tuple[Key, ...]) -> Iterator[tuple[tuple[Key, ...], str]]:
     """(path, SI unit) of each figure of the rows of an arm, or of the arms of a chain, that are written as lists."""
-    for i, stage in enumerate(table.get("stage", [])):
+    stated: Json = {"stage": [], "joints": []} | table
+    for i, stage in enumerate(stated["stage"]):
         yield from _units_of_joint_rows(stage, (*path, "stage", i))
-    for i, row in enumerate(table.get("joints", [])):
+    for i, row in enumerate(stated["joints"]):
         if isinstance(row, list):
             word = isinstance(row[0], str)
             for j, unit in enumerate(ROW_UNITS[: len(row) - word]):

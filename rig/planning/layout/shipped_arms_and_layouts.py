@@ -252,7 +252,7 @@ class LayoutOptions:
         return int(size[1]), int(size[2])
 
 
-def hexapod_two_strut_or_arm_rig_toml(options: LayoutOptions) -> str:
+def new_rig_toml(options: LayoutOptions) -> str:
     """rig.toml text of a new hexapod, two struts or a shipped arm, with cameras and cubes placed.
 
     Raises RigError as `hexapod_layout_rig_toml`, `two_strut_layout_rig_toml` and `arm_layout_rig_toml`

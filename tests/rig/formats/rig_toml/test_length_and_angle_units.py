@@ -20,7 +20,7 @@ from rig.formats.rig_toml.design_file import design_of_entries
 from rig.formats.rig_toml.text_in_stated_units import rig_toml_in_units
 from rig.model.design import Marker
 from rig.model.pose import pose
-from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, hexapod_two_strut_or_arm_rig_toml
+from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, new_rig_toml
 from tests.gantry_and_hexapod import GANTRY
 
 DEG = 180 / np.pi
@@ -238,8 +238,8 @@ LAYOUTS = [
 @pytest.mark.parametrize("units", ["mm, deg", "in, mrad"])
 def test_a_new_rig_in_the_owners_units_is_that_in_m_and_rad_by_the_docstrings_units(options, units):
     stated = parse_length_and_angle_units(units)
-    plain = hexapod_two_strut_or_arm_rig_toml(options)
-    text = hexapod_two_strut_or_arm_rig_toml(replace(options, units=stated))
+    plain = new_rig_toml(options)
+    text = new_rig_toml(replace(options, units=stated))
     assert text.split("\n")[:2] == ['schema = "rig/1"', f'units = "{units}"']
     assert text.count("\n") == plain.count("\n") + 1
     one, other = flat(tomllib.loads(plain)), flat(tomllib.loads(text))
