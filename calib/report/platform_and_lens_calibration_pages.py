@@ -261,6 +261,14 @@ def write_lens_page(path: Path | str, lens_calibration: Calibrated, links: Seque
         : 4 + max(fit.terms, 0)
     ]
     parts = [
+        heading_html("Residuals and uncertainty of the lens"),
+        captioned_html(
+            panel_row_html(
+                _residuals(lens_calibration), _uncertainty(lens_calibration), _held_out_comparison(lens_calibration)
+            ),
+            "Uncertainty: the standard uncertainty of a projected direction, px, less what a small rotation of the "
+            "camera would compensate. Dots are corners; few or none near an edge increase it there.",
+        ),
         paragraph_html(
             f"{len(lens_calibration.used)} photographs, {fit.inliers.sum()} corners; the fit leaves {fit.rms:.4f} px "
             "RMS per axis, on photographs "
@@ -273,15 +281,6 @@ def write_lens_page(path: Path | str, lens_calibration: Calibrated, links: Seque
             "simplest is used."
         ),
         table_html(("model", "fitted, px RMS", "held out, px RMS", ""), _models(lens_calibration)),
-        heading_html("Residuals and uncertainty of the lens"),
-        note_html(
-            "Uncertainty: the standard uncertainty of a projected direction, px, less what a small rotation of the "
-            "camera would compensate. Dots are "
-            "corners; few or none near an edge increase it there."
-        ),
-        panel_row_html(
-            _residuals(lens_calibration), _uncertainty(lens_calibration), _held_out_comparison(lens_calibration)
-        ),
         heading_html("Parameters"),
         table_html(("term", "value", "± (k = 2)"), terms),
     ]

@@ -32,8 +32,8 @@ from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_3d_scri
 from rig.report.pages.page_templates_and_elements import (
     Link,
     Page,
+    captioned_html,
     heading_html,
-    note_html,
     paragraph_html,
     table_html,
     write_page,
@@ -241,10 +241,10 @@ def write_visits_page(
     last = visits[-1].evidence
     parts = [
         heading_html("Visit by visit"),
-        note_html(
-            f"The alarm is at a sum of {ALARM:g}, which unchanged visits reach once in {ALARM:g} visits or more."
+        captioned_html(
+            panel_row_html(*drawn),
+            f"The alarm is at a sum of {ALARM:g}, which unchanged visits reach once in {ALARM:g} visits or more.",
         ),
-        panel_row_html(*drawn),
     ]
     if last.alarm:
         shown = last.suspects[:SHOWN]
