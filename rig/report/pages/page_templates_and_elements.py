@@ -114,7 +114,7 @@ def inline_html(line: str) -> str:
 def capitalise(line: str) -> str:
     """Line with its first letter capitalised, unless its first word is a name, a sign or already capitalised."""
     first, *rest = line.split(" ", 1)
-    return line[:1].upper() + line[1:] if rest and first.isalpha() and first.islower() else line
+    return line[:1].upper() + line[1:] if rest and first.replace("-", "a").isalpha() and first.islower() else line
 
 
 def heading_html(line: str, level: int = 2) -> str:
@@ -351,7 +351,7 @@ def write_index_page(path: Path, folder: Path) -> None:
     items = "".join(
         f'<li><span class="badge {found.state}">{found.state}</span> <a '
         f'href="{_relative_link(found.path, folder)}">{html.escape(found.title)}</a>'
-        f'<br><span class="note">{inline_html(capitalise(found.why))}</span></li>'
+        f'<br><span class="note">{inline_html(capitalise(split_clauses(found.why)[0]))}</span></li>'
         for found in known
     )
     parts = [heading_html("Pages"), f'<ul class="pages">{items}</ul>'] if known else []
