@@ -40,7 +40,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--defaults", action="store_true", help=f"do not ask for defaults: hexapod, {CAMERAS} cameras, {SIZE}"
     )
-    add_units_option(parser)
+    add_units_option(parser, "in rig.toml")
     add_overwrite_option(parser)
 
 

@@ -31,7 +31,7 @@ def arguments(parser: ArgumentParser) -> None:
         "panda, stanford, scara, gantry",
     )
     add_own_arm_options(parser)
-    add_units_option(parser, ", and of --dh where its header states none")
+    add_units_option(parser, "in rig.toml, and in --dh where its header states none")
     parser.add_argument(
         "--seen",
         choices=("cubes", "hand"),

@@ -169,13 +169,13 @@ def add_overwrite_option(parser: ArgumentParser, name: str = "--force") -> None:
     )
 
 
-def add_units_option(parser: ArgumentParser, remark: str = "") -> None:
-    """Add the option --units of a rig.toml that is written. remark : what else they are units of"""
+def add_units_option(parser: ArgumentParser, what: str) -> None:
+    """Add the option --units of lengths and angles. what : has them, in words"""
     parser.add_argument(
         "--units",
         metavar="mm,deg",
         type=_parse_units,
-        help=f"units of lengths (m, mm, cm, um, in) and angles (rad, deg, mrad) in rig.toml{remark} (default m,rad)",
+        help=f"units of lengths (m, mm, cm, um, in) and angles (rad, deg, mrad) {what} (default m,rad)",
     )
 
 
