@@ -1,8 +1,8 @@
 """The machine: what it is, how it moves, how it is commanded, how it misbehaves.
 
-`load` reads a recording and `save` writes one; `load_design` reads a rig.toml alone. `plan` chooses configurations to
-visit, `check` says what a recording's files show of mistakes. What they refuse is a `RigError` that names file, line
-and column.
+`load` reads a recording and `save` writes one; `load_design` reads a rig.toml alone, `new_rig_toml` lays one out.
+`plan` chooses configurations to visit, `check` says what a recording's files show of mistakes. What they refuse is a
+`RigError` that names file, line and column.
 """
 
 from typing import TYPE_CHECKING
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from rig.errors import RigError as RigError
     from rig.formats.rig_toml.design_file import load_design as load_design
     from rig.model.design import Design as Design
+    from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions as LayoutOptions
+    from rig.planning.layout.shipped_arms_and_layouts import new_rig_toml as new_rig_toml
     from rig.recording.recording_folder import Recording as Recording
 
 set_kernel_cache_folder()
@@ -27,10 +29,12 @@ __all__ = [
     "load",
     "save",
     "load_design",
+    "new_rig_toml",
     "plan",
     "check",
     "Recording",
     "Design",
+    "LayoutOptions",
     "PlannedConfigurations",
     "CheckResult",
     "RigError",
@@ -40,6 +44,7 @@ __getattr__ = lazy_getattr(
     {
         **dict.fromkeys(("load", "save", "plan", "check", "CheckResult", "PlannedConfigurations"), "rig.api"),
         "load_design": "rig.formats.rig_toml.design_file:load_design",
+        **dict.fromkeys(("LayoutOptions", "new_rig_toml"), "rig.planning.layout.shipped_arms_and_layouts"),
         "Recording": "rig.recording.recording_folder",
         "Design": "rig.model.design",
         "RigError": "rig.errors",

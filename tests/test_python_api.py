@@ -53,9 +53,7 @@ CALLS = {
     "doctor completion": "rig.cli.shared.argument_parser_and_common_options:completion_script",
     "print": "synthetic.print_sheets:write_sheets",
     "print check": "vision.printed_marker_size_from_photograph:measure_printed_marker_scale",
-    **dict.fromkeys(
-        ("new design", "new"), "rig.planning.layout.shipped_arms_and_layouts:hexapod_two_strut_or_arm_rig_toml"
-    ),
+    **dict.fromkeys(("new design", "new"), "rig.planning.layout.shipped_arms_and_layouts:new_rig_toml"),
     "import": "rig.api:import_recording",
     "emulate": "rig.driving.emulators.controller_emulator_opening_and_ports:load_emulator",
     "view index": "rig.report.pages.page_templates_and_elements:write_index_page",

@@ -136,7 +136,8 @@ def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[Json]]
     """
     found = closed_form_and_numerical_arm_inverse.numerical_inverse_solutions(T, arm)
     if not len(found.q):
-        return f"unreachable: the arm comes no nearer than {found.missed[0]:.3g} m and {found.missed[1]:.3g} rad", []
+        place, turn = (1e3 * missed for missed in found.missed)
+        return f"unreachable: the arm comes no nearer than {place:.3g} mm and {turn:.3g} mrad", []
     entries = [
         {
             "q": q.tolist(),

@@ -171,14 +171,15 @@ def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress
         parameter_combinations(root, mechanism) for root in (chosen.before, chosen.root, chosen.even)
     )
     visited = 0 if options.given is None else len(options.given)
+    gain = (seen.singular.prod() / even.singular.prod()) ** (1 / 42)
+    counted = f"{options.count} configurations" + (f" besides {visited} given" if visited else "")
     said = [
-        f"{options.count} configurations besides {visited} given: condition number of the 42 parameters "
+        f"{counted}: condition number of the 42 parameters "
         f"{seen.condition:.0f}, "
         f"with the same number evenly spread {even.condition:.0f}",
         f"worst determined combination {after[0].sigma * 1e6:.2f} um, evenly spread "
         f"{PLAUSIBLE / even.singular[-1] * 1e6:.2f} um; "
-        f"all 42 together {(seen.singular.prod() / even.singular.prod()) ** (1 / 42):.2f} times as precise "
-        "as evenly spread",
+        f"all 42 together {gain:.2f} times as precise as evenly spread",
     ]
     hidden = [part for part in before if not part.determined]
     if visited and not hidden:
@@ -197,7 +198,11 @@ def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress
         for part in (before if visited else after)[:SHOWN]
     ]
     unseen = sum(not part.determined for part in after)
-    why = said[0] + (f"; {unseen} combinations remain undetermined" if unseen else "")
+    why = (
+        f"{counted} leave {unseen} of 42 combinations of the parameters undetermined: visit more"
+        if unseen
+        else f"{counted} determine all 42 parameters, {gain:.1f} times as precisely as evenly spread ones"
+    )
     return PlanResult(design, chosen.commands, not unseen, why, said)
 
 

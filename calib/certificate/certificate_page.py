@@ -14,6 +14,7 @@ from rig.array_and_json_types import Floats
 from rig.report.pages.page_templates_and_elements import (
     Link,
     Page,
+    captioned_html,
     folding_section_html,
     heading_html,
     note_html,
@@ -159,7 +160,7 @@ def write_certificate_page(path: Path, certificate: Certificate, links: Sequence
         path,
         Page(
             "certify",
-            f"Certificate of {certificate.machine} {certificate.provenance['id']}",
+            f"Certificate of {certificate.machine}, {certificate.provenance['created'][:10]}",
             verdict,
             parts,
             verdict.next,
@@ -175,7 +176,8 @@ def _promise(c: Certificate) -> list[str]:
         certificate_sentences.measured_volume_line(c),
         *certificate_sentences.basis_lines(c),
     )
-    return [*map(paragraph_html, lines), _error_distribution_figure(c)]
+    caption = "Share of the held-out poses whose measured position error is no larger; dashed: the promise."
+    return [captioned_html(_error_distribution_figure(c), caption), *map(paragraph_html, lines)]
 
 
 def _against(c: Certificate) -> list[str]:
@@ -206,9 +208,9 @@ def _cells(c: Certificate) -> list[str]:
     ]
     return [
         heading_html("By part of the volume"),
-        _cell_bound_figures(c),
-        note_html(
-            "The same promise for boxes of the volume, each from its own poses, with the stated confidence for each."
+        captioned_html(
+            _cell_bound_figures(c),
+            "The same promise for boxes of the volume, each from its own poses, with the stated confidence for each.",
         ),
         table_html(("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "N"), rows),
     ]
@@ -325,8 +327,8 @@ def _budget(c: Certificate) -> list[str]:
     ]
     return [
         heading_html("Uncertainty contributions (U, coverage 95 %)"),
+        captioned_html(_budget_figure(c), "Contributions to the uncertainty of a position, coverage 95 %."),
         paragraph_html("; ".join(said) + ". Unknown contributions are in neither."),
-        _budget_figure(c),
         table_html(("contribution", "to", "position, um", "rotation, urad", "k", "kind", "how"), rows),
         note_html(
             "95 % of the error's lengths lie within U = k u, with u their RMS. k depends on the directions "

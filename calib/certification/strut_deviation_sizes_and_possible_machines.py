@@ -15,6 +15,7 @@ import numpy as np
 
 from calib.certification.strut_deviation_covariance_functions import CONDITION, CONFIGURATION, PLACE, SAMPLE, Component
 from rig.array_and_json_types import Booleans, Floats, Integers
+from rig.formats.number_parsing_and_rounding import number_text
 
 SOUND, ALIKE, MIXED = 0.3, 0.4, 0.3  # probabilities, before the poses, of the three kinds
 CLEARLY = 3.0  # of logarithms of probabilities
@@ -261,7 +262,7 @@ class Machines:
                 found.setdefault((ANY, ""), {})[i] = _size(rest[-1])
         if not found and _surely(np.sum(rest, axis=0)):
             return (
-                f"the {axis}s together leave {_size(np.sum(rest, axis=0)) * 1e6:.2g} um beyond what the "
+                f"the {axis}s together leave {number_text(_size(np.sum(rest, axis=0)) * 1e6, 2)} um beyond what the "
                 "stated pose noise explains, "
                 "which is attributable to no single one or cause",
             )
@@ -278,7 +279,7 @@ def _size(squares: Floats) -> float:
 
 def _sentence(over: str, word: str, sizes: dict[int, float], axis: str) -> str:
     struts = f"{axis}{'' if len(sizes) == 1 else 's'} {', '.join(str(i + 1) for i in sizes)}"
-    size = f"{max(sizes.values()) * 1e6:.2g} um" + ("" if len(sizes) == 1 else " at most")
+    size = f"{number_text(max(sizes.values()) * 1e6, 2)} um" + ("" if len(sizes) == 1 else " at most")
     what = {
         SAMPLE: f"scatter by {size} beyond what the stated pose noise explains",
         CONFIGURATION: f"differ from configuration to configuration by {size}, with no pattern "

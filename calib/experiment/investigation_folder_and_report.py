@@ -16,9 +16,9 @@ from rig.formats import csv_and_parquet_tables_and_time_origin, json_toml_and_ya
 from rig.formats.checked_entries import Entries
 from rig.report.pages.page_templates_and_elements import (
     Page,
+    captioned_html,
     heading_html,
     list_html,
-    note_html,
     paragraph_html,
     table_html,
     write_page,
@@ -248,15 +248,14 @@ def write_investigation_page(
     rig, budget, end_reason, final_action : as of `notebook_text`
     """
     parts = [
-        paragraph_html(f"{recording_minutes_spent(rounds):.1f} of {budget:.0f} min of the rig's time."),
         heading_html("Odds"),
-        _odds_figure(rounds),
-        note_html(
-            "Odds of the hypotheses considered after each recording, from all recordings so far; a hypothesis "
-            "with no equally good alternative "
-            "is at 1, one that was excluded at 0."
+        captioned_html(
+            _odds_figure(rounds),
+            "Odds of the hypotheses considered after each recording, from all recordings so far; a hypothesis with no "
+            "equally good alternative is at 1, one that was excluded at 0.",
         ),
         heading_html("Experiments"),
+        paragraph_html(f"{recording_minutes_spent(rounds):.1f} of {budget:.0f} min of the rig's time."),
         table_html(
             ("recording", "plan", "exposures", "min", "predicted chance to settle", "settled"),
             [_row(before, look) for before, look in zip((None, *rounds), rounds)],

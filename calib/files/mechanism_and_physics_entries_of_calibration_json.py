@@ -295,7 +295,7 @@ def physics_from_entries(table: Entries, mechanism: Commanded, parameter_count: 
         table.array("gravity", (3,)),
         Actuator(
             actuator.number("screw_lead", None, above=0),
-            actuator.text("joints", ("cardan-cardan", "cardan-ball"), None),
+            actuator.text("joints", ("cardan-cardan", "cardan-ball"), default=None),
             actuator.number("max_speed", None, above=0),
         ),
         Platform(

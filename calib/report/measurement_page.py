@@ -16,6 +16,7 @@ from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane
 from rig.report.pages.page_templates_and_elements import (
     Link,
     Page,
+    captioned_html,
     folding_section_html,
     heading_html,
     list_html,
@@ -116,24 +117,26 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
     rotation = np.sqrt(np.trace(m.covariance[:, 3:, 3:], axis1=1, axis2=2))
     position = np.sqrt(np.trace(m.covariance[:, :3, :3], axis1=1, axis2=2))
     parts = [
+        *_suspects(result.suspects),
+        *_pictures(result),
+        heading_html("Residuals of the cameras"),
+        captioned_html(
+            _residual_maps(m),
+            "Mean residual over patches of the image, enlarged, on the local RMS. A pattern here indicates lens errors "
+            "that the model omits.",
+        ),
         paragraph_html(
             f"{m.inliers.sum()} corners used, {(~m.inliers & np.isfinite(m.residuals[:, 0])).sum()} set "
             "aside as outliers. A corner "
             f"scatters by {m.noise:.4f} px per axis. {_held(result.held)}"
         ),
-        *_suspects(result.suspects),
-        *_pictures(result),
-        heading_html("Residuals of the cameras"),
-        note_html(
-            "Mean residual over patches of the image, enlarged, on the local RMS; a pattern here "
-            "indicates lens errors that the model omits."
-        ),
-        _residual_maps(m),
         heading_html("Positions of the platform"),
         pose_coverage_figures(pose_to_vector(m.T_base_platform)),
         heading_html("Uncertainty of each pose"),
-        note_html("Standard uncertainty of its length, including that of the cameras."),
-        _uncertainty(m, position, rotation),
+        captioned_html(
+            _uncertainty(m, position, rotation),
+            "Standard uncertainty of each pose, position and rotation, including that of the cameras.",
+        ),
         heading_html("Cameras"),
         _cameras(result.recording, m),
     ]

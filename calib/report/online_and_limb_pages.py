@@ -13,10 +13,12 @@ from rig.array_and_json_types import Floats, Integers
 from rig.report.pages.page_templates_and_elements import (
     Link,
     Page,
+    captioned_html,
     heading_html,
     list_html,
     note_html,
     paragraph_html,
+    section_html,
     table_html,
     write_page,
 )
@@ -57,23 +59,21 @@ class OnlineResult:
 def write_online_page(path: Path | str, name: str, result: OnlineResult, links: Sequence[Link] = ()) -> None:
     """Write the HTML page of on-line learning from a recording."""
     sizes = np.sqrt((result.innovations**2).mean(axis=1))
+    innovation = plot_panel_svg(
+        "innovation", ("frame", "standard deviations"), [Series(result.frames, sizes)], log=True, level=1.0
+    )
     parts = [
+        heading_html("Innovation of each pose"),
+        captioned_html(
+            panel_row_html(innovation),
+            "Deviation from the prediction by previous poses, in standard deviations, RMS over the six axes: 1 where "
+            "nothing remains to be learnt.",
+        ),
         paragraph_html(
             f"{len(result.frames)} poses from {result.source}, learnt one at a time. Joints and zeros moved by "
             f"{result.moved * 1e3:.4f} mm RMS from rig.toml."
-        )
-    ]
-    if result.said:
-        parts += [heading_html("What jumped"), list_html(result.said)]
-    parts += [
-        heading_html("Innovation of each pose"),
-        note_html(
-            "Deviation from the prediction by previous poses, in standard deviations, RMS over the six axes: 1 where "
-            "nothing remains to be learnt."
         ),
-        plot_panel_svg(
-            "innovation", ("frame", "standard deviations"), [Series(result.frames, sizes)], log=True, level=1.0
-        ),
+        *section_html("What jumped", [list_html(result.said)] if result.said else []),
     ]
     if result.dropped:
         parts += [
@@ -167,8 +167,10 @@ def write_measuring_limbs_page(
     ]
     parts = [
         heading_html("Agreement of each axis with its tolerance"),
-        note_html("95 % of the differences, limbs minus vision, lie within; in bold: axes that do not pass."),
-        panel_row_html(*halves),
+        captioned_html(
+            panel_row_html(*halves),
+            "95 % of the differences, limbs minus vision, lie within; in bold: axes that do not pass.",
+        ),
         heading_html("In figures"),
         note_html(
             f"{agreement.n} poses, vision's from {source}, each by limbs fitted to other stretches; µm and µrad."

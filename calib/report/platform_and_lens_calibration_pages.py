@@ -12,7 +12,7 @@ from calib.correction.correction import Correction
 from calib.correction.interpolation.gaussian_process import Radial
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import parameter_combinations
 from calib.models.platform.identification import Identified
-from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures, rig_scene
+from calib.report.pose_and_effect_figures import FITTED, correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
 from rig.array_and_json_types import Floats, Json
@@ -32,11 +32,13 @@ from rig.report.pages.image_plane_and_3d_views import view_3d_html as view
 from rig.report.pages.page_templates_and_elements import (
     Link,
     Page,
+    captioned_html,
     folding_section_html,
     heading_html,
     list_html,
     note_html,
     paragraph_html,
+    section_html,
     table_html,
     write_page,
 )
@@ -56,17 +58,15 @@ def write_calibration_page(
     """Write the HTML page of a platform's calibration: held-out errors, corrections, coverage, parameters."""
     correction = calibration.correction
     parts = [
-        *evidence_html(calibration),
-        *_held(calibration.held_out),
         heading_html("Errors before and after, by pose"),
-        note_html("All poses, including those fitted."),
-        correction_error_figures(*errors_before_and_after_correction(correction, samples), samples.frame),
+        correction_error_figures(*errors_before_and_after_correction(correction, samples), samples.frame, FITTED),
+        *section_html("At poses that were not fitted", _held(calibration.held_out) + evidence_html(calibration)),
         *view_3d_html(recording, calibration, samples),
         heading_html("Correction of each strut"),
-        note_html(
-            "Dots: x - IK(GDK(x)) at the visited configurations. Squares: the correction at the same configurations."
+        captioned_html(
+            _corrections(correction, samples),
+            "Dots: x - IK(GDK(x)), what each commanded length misses by. Crosses: the correction.",
         ),
-        _corrections(correction, samples),
         heading_html("Residuals of the correction"),
         _left(samples, identified),
         heading_html("Positions of the platform"),
@@ -181,20 +181,14 @@ def _left(samples: Samples, found: Identified) -> str:
     top = 1.05 * max(float(np.nanmax(np.abs(struts))), 2 * sigma)
     places, unit = mechanisms.axis_place_texts(found.mechanism), found.mechanism.axis_unit
     part = found.mechanism.axis_words[0]
-    return paragraph_html(
-        f"Two standard deviations of a pose are {2 * sigma:.1f} u{unit} in a {part}."
-    ) + panel_row_html(
-        *(
-            plot_panel_svg(
-                places[i],
-                ("frame", f"left, u{unit}"),
-                [Series(samples.frame, struts[:, i])],
-                limits=(-top, top),
-                level=0.0,
-            )
-            for i in range(struts.shape[1])
+    panels = (
+        plot_panel_svg(
+            places[i], ("frame", f"left, u{unit}"), [Series(samples.frame, struts[:, i])], limits=(-top, top), level=0.0
         )
+        for i in range(struts.shape[1])
     )
+    noise = f"two standard deviations of a measured pose are {2 * sigma:.1f} u{unit} in a {part}."
+    return captioned_html(panel_row_html(*panels), f"What the correction leaves; {noise}")
 
 
 def _parameters(calibration: Calibration) -> str:
@@ -267,6 +261,14 @@ def write_lens_page(path: Path | str, lens_calibration: Calibrated, links: Seque
         : 4 + max(fit.terms, 0)
     ]
     parts = [
+        heading_html("Residuals and uncertainty of the lens"),
+        captioned_html(
+            panel_row_html(
+                _residuals(lens_calibration), _uncertainty(lens_calibration), _held_out_comparison(lens_calibration)
+            ),
+            "Uncertainty: the standard uncertainty of a projected direction, px, less what a small rotation of the "
+            "camera would compensate. Dots are corners; few or none near an edge increase it there.",
+        ),
         paragraph_html(
             f"{len(lens_calibration.used)} photographs, {fit.inliers.sum()} corners; the fit leaves {fit.rms:.4f} px "
             "RMS per axis, on photographs "
@@ -279,15 +281,6 @@ def write_lens_page(path: Path | str, lens_calibration: Calibrated, links: Seque
             "simplest is used."
         ),
         table_html(("model", "fitted, px RMS", "held out, px RMS", ""), _models(lens_calibration)),
-        heading_html("Residuals and uncertainty of the lens"),
-        note_html(
-            "Uncertainty: the standard uncertainty of a projected direction, px, less what a small rotation of the "
-            "camera would compensate. Dots are "
-            "corners; few or none near an edge increase it there."
-        ),
-        panel_row_html(
-            _residuals(lens_calibration), _uncertainty(lens_calibration), _held_out_comparison(lens_calibration)
-        ),
         heading_html("Parameters"),
         table_html(("term", "value", "± (k = 2)"), terms),
     ]

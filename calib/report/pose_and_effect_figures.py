@@ -30,6 +30,7 @@ from rig.model.pose import pose, pose_difference, pose_to_vector
 from rig.recording.recording_folder import Commands, Sensors
 from rig.report.pages import image_plane_and_3d_views
 from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, DrawnEffect, Quads, Scene, image_plane_figure
+from rig.report.pages.page_templates_and_elements import captioned_html
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 from vision.predict import MarkerMap, Sightings, State, marker_map, predict_sightings
 
@@ -99,17 +100,20 @@ def pose_coverage_figures(vectors: Floats) -> str:
         Series(np.arange(len(vectors)), np.degrees(vectors[:, 3 + k]), name, colour=k)
         for k, name in enumerate(("rx", "ry", "rz"))
     ]
-    return panel_row_html(*places, plot_panel_svg("how it was turned", ("pose", "rotation vector, degrees"), turns))
+    panels = panel_row_html(*places, plot_panel_svg("how it was turned", ("pose", "rotation vector, degrees"), turns))
+    return captioned_html(panels, "Positions of the poses, from above and from the side, and the rotation of each.")
 
 
-def correction_error_figures(before: Floats, after: Floats, frames: Integers) -> str:
-    """Figures of errors (n, 6) m and rad before and after correction, frame (n,) by frame; nan is left out."""
+def correction_error_figures(before: Floats, after: Floats, frames: Integers, poses: str) -> str:
+    """Figures of errors (n, 6) m and rad before and after correction, frame (n,) by frame; nan is left out.
+    poses : which they are, in words, for the caption
+    """
     seen = [
         (part, label)
         for part, label in ((slice(0, 3), "position, mm"), (slice(3, 6), "rotation, mrad"))
         if np.isfinite(after[:, part]).all()
     ]
-    return panel_row_html(
+    panels = panel_row_html(
         *(
             plot_panel_svg(
                 f"error of {label.partition(',')[0]}",
@@ -123,6 +127,10 @@ def correction_error_figures(before: Floats, after: Floats, frames: Integers) ->
             for part, label in seen
         )
     )
+    return captioned_html(panels, f"Error of each pose as the nominal model and as the correction have it: {poses}.")
+
+
+FITTED = "all poses, including those fitted"
 
 
 SIGHT = 0.12  # of a camera's distance: how long its lines are drawn

@@ -17,7 +17,7 @@ from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Recording
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Played
 from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_3d_scripts_if_needed
-from rig.report.pages.page_templates_and_elements import Link, Page, heading_html, list_html, write_page
+from rig.report.pages.page_templates_and_elements import Link, Page, captioned_html, heading_html, list_html, write_page
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 from rig.report.verdict_and_refutations_by_later_recordings import (
     Evidence,
@@ -149,15 +149,15 @@ def write_plan_page(path: Path | str, file: str, plan_result: PlanFigures, links
             for i, (name, (scale, unit)) in enumerate(zip(mechanisms.axis_place_texts(mechanism), scales))
         )
     )
-    said = [list_html(plan_result.said[1:])] if plan_result.said[1:] else []
+    said = [heading_html("In figures"), list_html(filter(None, plan_result.said))] if any(plan_result.said) else []
     parts = [
-        *said,
         heading_html("In three dimensions"),
         *view_3d_html(rig_scene(plan_result.design, n, T, plan_result.values)),
         heading_html("Positions"),
         pose_coverage_figures(pose_to_vector(T)),
         heading_html("Axis by axis"),
-        axes,
+        captioned_html(axes, "What each axis is commanded, configuration by configuration."),
+        *said,
     ]
     steps = [
         f"Drive it: `rig run RIG.toml --plan commands:{file} --out REC`",

@@ -32,8 +32,8 @@ from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_3d_scri
 from rig.report.pages.page_templates_and_elements import (
     Link,
     Page,
+    captioned_html,
     heading_html,
-    note_html,
     paragraph_html,
     table_html,
     write_page,
@@ -88,14 +88,15 @@ def write_verification_page(path: Path | str, name: str, verified: Verified, lin
         f"{verified.held.floor[1] * 1e3:.4f} mrad."
     )
     errors = {"nominal model": -verified.before, "corrected": -verified.after}
-    parts = [paragraph_html(floor)] if np.isfinite(verified.held.floor).all() else []
-    parts += [paragraph_html(f"{line[0].upper()}{line[1:]}.") for line in verified.displacement]
+    parts: list[str] = []
     if verified.driven is not None:
         parts += [heading_html("Wanted and measured poses"), _driven(verified.samples.frame, *verified.driven)]
     parts += [
         heading_html("Errors before and after, by pose"),
-        correction_error_figures(verified.before, verified.after, verified.samples.frame),
+        correction_error_figures(verified.before, verified.after, verified.samples.frame, "poses of this recording"),
         _figures(verified.held),
+        *([paragraph_html(floor)] if np.isfinite(verified.held.floor).all() else []),
+        *(paragraph_html(f"{line[0].upper()}{line[1:]}.") for line in verified.displacement),
         heading_html("In three dimensions"),
         *view_3d_html(
             rig_scene(
@@ -240,10 +241,10 @@ def write_visits_page(
     last = visits[-1].evidence
     parts = [
         heading_html("Visit by visit"),
-        note_html(
-            f"The alarm is at a sum of {ALARM:g}, which unchanged visits reach once in {ALARM:g} visits or more."
+        captioned_html(
+            panel_row_html(*drawn),
+            f"The alarm is at a sum of {ALARM:g}, which unchanged visits reach once in {ALARM:g} visits or more.",
         ),
-        panel_row_html(*drawn),
     ]
     if last.alarm:
         shown = last.suspects[:SHOWN]

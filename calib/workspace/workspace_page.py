@@ -13,6 +13,7 @@ from rig.formats.number_parsing_and_rounding import number_text
 from rig.report.pages.page_templates_and_elements import (
     Link,
     Page,
+    captioned_html,
     heading_html,
     note_html,
     paragraph_html,
@@ -227,8 +228,8 @@ def workspace_section_html(workspace: Workspace | None, unit: str) -> list[str]:
     maps = ("<div>" + "".join(_titled_cells_html(workspace, q)) + "</div>" for q in quantities)
     return [
         heading_html("The workspace"),
+        captioned_html(panel_row_html(*maps), "Cells of the workspace, seen from above and from the side."),
         *(paragraph_html(f"{line}.") for line in workspace_lines(workspace, unit)),
-        panel_row_html(*maps),
     ]
 
 
@@ -258,14 +259,14 @@ def write_workspace_page(
     ]
     first, *rest = workspace_lines(workspace, unit)
     parts = [
-        *(paragraph_html(f"{line}.") for line in rest),
-        note_html(
+        captioned_html(
+            panel_row_html(*("<div>" + "".join(_titled_cells_html(workspace, q)) + "</div>" for q in quantities)),
             f"Cells of {workspace.size * 1e3:.3g} mm, projected. Poses: all configurations of "
             "the strokes, all axes free of each "
-            f"other; what depends on history, temperature and load is not in it. Room: of {margin_description}."
+            f"other; what depends on history, temperature and load is not in it. Room: of {margin_description}.",
         ),
+        *(paragraph_html(f"{line}.") for line in rest),
     ]
-    parts.append(panel_row_html(*("<div>" + "".join(_titled_cells_html(workspace, q)) + "</div>" for q in quantities)))
     if certified is not None:
         known = np.flatnonzero(np.isfinite(certified[:, 0]))
         rows = [

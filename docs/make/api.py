@@ -10,7 +10,6 @@ from pathlib import Path
 from docs.make.told import in_cell
 
 ROOT = Path(__file__).parents[2]
-ENTRIES = ("rig", "vision", "calib")
 ENTRIES = ("rig", "synthetic", "vision", "calib")
 HEAD = """# From Python
 
@@ -19,28 +18,8 @@ Made from the code. What a command computes is one function here: `rig calibrate
 verdict with `print`, shows itself in a notebook, and writes what the command writes. `import rig, synthetic, vision,
 calib` takes no time: a name is opened when it is first used.
 
-Three notebooks show complete examples: [measure and calibrate](notebooks/measure-and-calibrate.md),
-[diagnose](notebooks/diagnose.md), [certify](notebooks/certify.md).
+The [gallery](gallery.md) shows each step as a short script, with what it prints.
 
-"""
-EXAMPLE = """\
-import calib, rig, synthetic, vision
-
-made = synthetic.simulate("rig.toml", synthetic.SimulateOptions(plan="sobol:16", seed=1))
-made.write("REC")                                # a recording; its truth stays with `made`
-recording = rig.load("REC")                      # a folder, checked
-measured = vision.measure(recording)             # poses with covariance, cameras adjusted
-result = calib.calibrate(recording)              # geometry, corrections, what they are worth
-print(result)                                    # the verdict, in a line
-calib.save("calibration.json", result.calibration)
-again = synthetic.simulate("rig.toml", synthetic.SimulateOptions(plan="sobol:12", seed=2))
-again.write("REC2")
-verified = calib.verify(result.calibration, rig.load("REC2"))
-found = calib.diagnose(recording, calib.DiagnoseOptions(only=("backlash",)))
-wanted = recording.design.mechanism.home         # RigidTransform () or (n,)
-commands = calib.correct(result.calibration, wanted).values
-"""
-REST = """
 What a function refuses is a `rig.RigError`. `progress` of a function is called with (label, done, of), `notice` with
 lines on what is unlikely in a recording; both are silent unless given.
 
@@ -59,8 +38,7 @@ docstrings.
 
 def page() -> str:
     """The page in Markdown."""
-    example = "".join(f"    {line}".rstrip() + "\n" for line in EXAMPLE.splitlines())
-    parts = [HEAD, example, REST]
+    parts = [HEAD]
     for name in ENTRIES:
         package = importlib.import_module(name)
         parts.append(f"\n## {name}\n\n{inspect.getdoc(package)}\n")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "glossary.md"
-GENERATED = ("rig-toml.md", "tables.md", "effects.md", "results.md")
+GENERATED = ("rig-toml.md", "tables.md", "effects.md", "results.md", "gallery.md")
 SPECIAL = {  # anchor in the glossary: the word as pages use it
     "claim": "claims?",
     "closure": "closures?",

@@ -48,8 +48,8 @@ rotation vector, `rotvec`. In its place a pose may state `look_at = [x, y, z]`, 
 y down, as a camera's (`up = [..]` where that is not the base's z). Or it states `euler = "xyz"` with
 `degrees = [a, b, c]`: turns about fixed axes x, y, z in this order; in capitals about axes already turned.
 A key that the reader does not know is an error, with its line and the nearest key that is
-known; remarks are TOML comments. `rig new design` writes a file to begin with; [conventions](conventions.md) say how \
-frames, faces and corners are meant.
+known; remarks are TOML comments. `rig new design` writes a file to begin with, in mm and degrees with \
+`--units mm,deg`; [conventions](conventions.md) say how frames, faces and corners are meant.
 
 `schema = "rig/1"` stands first. After it `units = "mm, deg"` may state that the whole file has millimetres and degrees
 wherever this page has m and rad: in rotation vectors, `look_at`, tolerances, speeds (mm/s), gravity (mm/s^2).

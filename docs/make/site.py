@@ -18,8 +18,8 @@ sys.path[:0] = [str(ROOT)]  # the pages are made from this tree
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add the pages and the diagrams that are made from the code, the notebooks as pages, and the changes."""
-    from docs.make import api, commands, dependency_diagram, messages, notebooks
+    """Add the pages and the diagrams that are made from the code, and the changes."""
+    from docs.make import api, commands, dependency_diagram, messages
 
     made = {
         "commands.md": commands.page(),
@@ -28,8 +28,6 @@ def on_files(files: Files, config: Any) -> Files:
         "dependencies.md": dependency_diagram.page(),
         "changelog.md": (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").replace("](docs/", "]("),
     }
-    for path in sorted(notebooks.FOLDER.glob("*.ipynb")):
-        made[f"notebooks/{path.stem}.md"] = notebooks.page(path)
     for name, content in made.items():
         files.append(File.generated(config, name, content=content))
     for name in dependency_diagram.DIAGRAMS:

@@ -12,6 +12,7 @@ from rig.cli.shared.argument_parser_and_common_options import (
     add_port_and_trace_options,
     add_speed_option,
     add_trust_unhomed_position_option,
+    add_units_option,
     require_share,
 )
 from rig.errors import RigError
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
     from calib.api.pose_move import PoseMove
+    from rig.formats.length_and_angle_units import LengthAndAngleUnits
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -36,6 +38,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--pose", metavar="X,Y,Z,RX,RY,RZ", required=True, help="platform in base: m, and a rotation vector in rad"
     )
+    add_units_option(parser, "in --pose")
     parser.add_argument(
         "--uncorrected", action="store_true", help="command what the nominal model says, for comparison"
     )
@@ -52,13 +55,14 @@ def run(arguments: Namespace) -> None:
     from calib.api.pose_move import plan_pose_move, require_same_rig
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
+    from rig.formats.length_and_angle_units import SI
 
     require_share(arguments.speed)
     design = design_with_controller_port(arguments.rig, arguments.port)
     calibration = input_options_and_output_display.calibration_of_arguments(arguments)
     input_options_and_output_display.read_and_print_refutations(arguments.calibration)
     require_same_rig(design, calibration, arguments.rig, arguments.calibration)
-    move = plan_pose_move(design, calibration, parse_pose(arguments.pose), arguments.uncorrected)
+    move = plan_pose_move(design, calibration, parse_pose(arguments.pose, arguments.units or SI), arguments.uncorrected)
     _print_plan(move)
     arguments.result = move.tree()
     if arguments.dry_run:
@@ -92,11 +96,13 @@ def _print_remainder(move: PoseMove) -> None:
         )
 
 
-def parse_pose(text: str) -> RigidTransform:
-    """Parse a pose, six numbers split by commas, m and rad, as RigidTransform. Raises RigError for anything else."""
+def parse_pose(text: str, units: LengthAndAngleUnits) -> RigidTransform:
+    """Parse a pose, six numbers split by commas, as RigidTransform. units : of the numbers
+    Raises RigError for anything else, and for a turn by more than once round
+    """
     import numpy as np
 
-    from rig.formats.checked_entries import LARGEST_RIG
+    from rig.formats.checked_entries import LARGEST_RIG, LARGEST_TURN
     from rig.model.pose import pose
 
     try:
@@ -104,10 +110,18 @@ def parse_pose(text: str) -> RigidTransform:
     except ValueError:
         values = np.zeros(0)
     if values.shape != (6,) or not np.isfinite(values).all():
-        raise RigError(f"--pose takes six figures separated by commas, x,y,z (m) and rx,ry,rz (rad), got {text!r}")
-    if np.abs(values[:3]).max() > LARGEST_RIG:
         raise RigError(
-            f"--pose {text}: {np.abs(values[:3]).max():g} m is implausible: poses are in metres and radians "
-            "(millimetres?)"
+            f"--pose takes six figures separated by commas, x,y,z ({units.length}) and rx,ry,rz ({units.angle}), "
+            f"got {text!r}"
         )
+    values = units.si(values, ("m",) * 3 + ("rad",) * 3)
+    for size, limit, unit in (
+        (np.abs(values[:3]).max(), LARGEST_RIG, "m"),
+        (np.abs(values[3:]).max(), LARGEST_TURN, "rad"),
+    ):
+        if size > limit:
+            raise RigError(
+                f"--pose {text}: {units.shown(size, unit)} is implausible: poses are in {units}; --units mm,deg states "
+                "others"
+            )
     return pose(values[:3], values[3:])

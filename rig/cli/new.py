@@ -3,10 +3,16 @@
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from rig.cli.shared.argument_parser_and_common_options import add_overwrite_option, parse_length, suggestion_text
+from rig.cli.shared.argument_parser_and_common_options import (
+    add_overwrite_option,
+    add_units_option,
+    parse_length,
+    suggestion_text,
+)
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -34,6 +40,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--defaults", action="store_true", help=f"do not ask for defaults: hexapod, {CAMERAS} cameras, {SIZE}"
     )
+    add_units_option(parser, "in rig.toml")
     add_overwrite_option(parser)
 
 
@@ -42,12 +49,9 @@ def run(arguments: Namespace) -> None:
 
     Prompts for missing values and prints next steps. Raises RigError where something must be asked and nobody is there.
     """
+    from rig.formats.length_and_angle_units import SI
     from rig.formats.output_files import write_text
-    from rig.planning.layout.shipped_arms_and_layouts import (
-        LayoutOptions,
-        hexapod_two_strut_or_arm_rig_toml,
-        shipped_arm_names,
-    )
+    from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, new_rig_toml, shipped_arm_names
 
     out = arguments.out / "rig.toml"
     there = arguments.out.is_dir()
@@ -70,7 +74,7 @@ def run(arguments: Namespace) -> None:
         options, seen = LayoutOptions(arm=name), "its poses come from an instrument; see [instrument] in it"
     else:
         options, seen = _strut_options(arguments, kind)
-    text = hexapod_two_strut_or_arm_rig_toml(options)
+    text = new_rig_toml(replace(options, units=arguments.units or SI))
     if place is None:
         arguments.out.mkdir()
         place = arguments.outputs.file(out)

@@ -5,7 +5,12 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import add_overwrite_option, file_or_stdout
+from rig.cli.shared.argument_parser_and_common_options import (
+    add_overwrite_option,
+    add_units_option,
+    file_or_stdout,
+    parse_length,
+)
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
@@ -26,6 +31,7 @@ def arguments(parser: ArgumentParser) -> None:
         "panda, stanford, scara, gantry",
     )
     add_own_arm_options(parser)
+    add_units_option(parser, "in rig.toml, and in --dh where its header states none")
     parser.add_argument(
         "--seen",
         choices=("cubes", "hand"),
@@ -34,9 +40,9 @@ def arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--radius",
-        type=parse_number,
-        metavar="M",
-        help="of a hexapod's circle of base joints, m; of planar2 half the joints' distance",
+        type=_radius,
+        metavar="0.3",
+        help="of a hexapod's circle of base joints, m, or with a unit, as 300mm; of planar2 half the joints' distance",
     )
     parser.add_argument("--cameras", type=parse_whole_number, default=3)
     parser.add_argument("--cubes", type=parse_whole_number, default=4, help="on the base, and as many on the platform")
@@ -69,24 +75,35 @@ def add_own_arm_options(parser: ArgumentParser) -> None:
         "(revolute, prismatic), name, lower, upper; units in the header, as alpha_deg, d_mm",
     )
     parser.add_argument("--modified", action="store_true", help="of --dh, rows in Craig's convention")
-    parser.add_argument("--units", metavar="mm,deg", help="of --dh, where the header states none (default m,rad)")
 
 
-def arm_file_options(arguments: Namespace) -> "ArmFileOptions":
-    """ArmFileOptions of the arguments that `add_own_arm_options` adds. Raises RigError"""
+def arm_file_options(arguments: Namespace, units: str | None) -> "ArmFileOptions":
+    """ArmFileOptions of the arguments that `add_own_arm_options` adds. units : of --dh, None for its header's or SI
+    Raises RigError
+    """
     from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions
 
-    names = ("urdf", "tip", "root", "dh", "modified", "units")
-    return ArmFileOptions(**{name: getattr(arguments, name) for name in names})
+    names = ("urdf", "tip", "root", "dh", "modified")
+    return ArmFileOptions(**{name: getattr(arguments, name) for name in names}, units=units)
+
+
+def _radius(text: str) -> float:
+    """A length in m, or with its unit."""
+    try:
+        return parse_number(text)
+    except ValueError:
+        return parse_length(text)
 
 
 def run(arguments: Namespace) -> None:
     """Run `rig new design`: write the rig.toml of a new design."""
     from rig.formats.importers.arm_of_urdf_or_dh_table import read_arm_file
+    from rig.formats.length_and_angle_units import SI
     from rig.formats.output_files import write_text
-    from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, hexapod_two_strut_or_arm_rig_toml
+    from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, new_rig_toml
 
-    own = read_arm_file(arm_file_options(arguments))
+    units = None if arguments.dh is None or arguments.units is None else str(arguments.units)
+    own = read_arm_file(arm_file_options(arguments, units))
     options = LayoutOptions(
         mechanism=arguments.mechanism,
         arm=arguments.arm,
@@ -99,8 +116,9 @@ def run(arguments: Namespace) -> None:
         limbs=arguments.limbs,
         name=arguments.name,
         own_arm=None if own is None else own.rig_toml(arguments.name),
+        units=arguments.units or SI,
     )
-    text = hexapod_two_strut_or_arm_rig_toml(options)
+    text = new_rig_toml(options)
     for line in () if own is None else own.lines:
         print(line, file=sys.stderr)
     if arguments.out is None:

@@ -154,7 +154,7 @@ def _print_plan(planned: PlannedRun) -> None:
         print(f"step {k + 1}: {lengths_text(step.goal)}, {distances[k] * 1e3:.1f} mm to go, {exposed}")
     pixels, slowest = sum(camera.width * camera.height for camera in cameras), np.min(planned.design.driver().max_speed)
     print(
-        f"{len(steps)} steps, {planned.frames} frames of {len(cameras)} cameras, {distances.sum():.2f} m of the "
+        f"{len(steps)} steps, {planned.frames} frames of {len(cameras)} cameras, {distances.sum() * 1e3:.0f} mm of the "
         f"busiest strut, {(distances / slowest).sum() / 60:.1f} min of moving; at most "
         f"{planned.frames * pixels / 1e9:.2f} GB of images; nothing was moved"
     )

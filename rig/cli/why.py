@@ -28,6 +28,7 @@ def arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--rig", metavar="rig.toml", type=Path, help="the machine, where DATA does not state it")
     add_own_arm_options(parser)
+    parser.add_argument("--units", metavar="mm,deg", help="of --dh, where the header states none (default m,rad)")
     parser.add_argument(
         "--position-sigma",
         metavar="0.02mm",
@@ -76,7 +77,7 @@ def run(arguments: Namespace) -> int:
         print(line, file=sys.stderr)
 
     options = WhyOptions(
-        arm_file_options(arguments),
+        arm_file_options(arguments, arguments.units),
         arguments.rig,
         arguments.position_sigma,
         arguments.rotation_sigma,

@@ -76,7 +76,8 @@ def require_lengths_in_range(lengths: Floats, mechanism: Hexapod | Planar2) -> F
     if beyond.any():
         low, high = mechanism.strut_range.T
         lines = [
-            f"strut {i + 1}: {lengths[i]:.6f} m is outside {low[i]:g} .. {high[i]:g} m" for i in np.flatnonzero(beyond)
+            f"strut {i + 1}: {lengths[i] * 1e3:.3f} mm is outside {low[i] * 1e3:.6g} .. {high[i] * 1e3:.6g} mm"
+            for i in np.flatnonzero(beyond)
         ]
         raise Unreachable("not moved: the lengths are beyond what the struts reach", [0], lines)
     return lengths

@@ -84,16 +84,17 @@ class ArrayOptions(TypedDict, total=False):
 
 @dataclass
 class Entries:
-    """A table that knows its position. tree : {key: value}, of a list {0: value, ..}; path : keys and indices that
-    lead to it
+    """A table that knows its position. tree : {key: value}, of a list {0: value, ..}; path : keys and indices to it
     places : {path: (line, column)} of the values whose place in the file is known, the path () among them
-    units : in which the file states lengths and angles; all methods give SI"""
+    units : in which the file states lengths and angles; all methods give SI
+    unit_log : where given, gets {path: SI unit} of each figure that the file states and somebody reads"""
 
     tree: dict[Any, Any]
     path: tuple[str | int, ...]
     file: Path
     places: Mapping[Any, Any]
     units: LengthAndAngleUnits = SI
+    unit_log: dict[tuple[Key, ...], UnitNames] | None = None
 
     def in_stated_units(self) -> Entries:
         """The same, read in what the key `units` states: "mm, deg". Raises FileError for what is no such units."""
@@ -192,10 +193,7 @@ class Entries:
     def text(self, key: Key, choices: Collection[str] | None = None, default: str | Required = ...) -> str: ...
 
     @overload
-    def text(self, key: Key, choices: Collection[str] | None, default: None) -> str | None: ...
-
-    @overload
-    def text(self, key: Key, *, default: None) -> str | None: ...
+    def text(self, key: Key, choices: Collection[str] | None = ..., *, default: None) -> str | None: ...
 
     def text(self, key: Key, choices: Collection[str] | None = None, default: object = REQUIRED) -> object:
         """Text, one of choices where these are given."""
@@ -238,7 +236,7 @@ class Entries:
         self.numbers(value, (), key, (), nulls=nulls)
         if not isinstance(value, int | float):
             return math.nan
-        found = float(self.units.si(value, limits.get("unit", ""))) if key in self.tree else float(value)
+        found = float(self._si(key, value, limits.get("unit", "")))
         self._within(found, (key,), **limits)
         return found
 
@@ -303,7 +301,13 @@ class Entries:
         found = np.array(value, float)
         if not found.size:
             return found.reshape([n or 0 for n in shape])
-        return self.units.si(found, options.get("unit") or ("m" if length_limit else "")) if key in self.tree else found
+        return self._si(key, found, options.get("unit") or ("m" if length_limit else ""))
+
+    def _si(self, key: Key, value: Floats | float, unit: UnitNames) -> Floats:
+        """A value in SI. unit : SI unit of it; a default, which is not in the file, is in SI already"""
+        if key in self.tree and self.unit_log is not None:
+            self.unit_log[(*self.path, key)] = unit
+        return self.units.si(value, unit) if key in self.tree else np.asarray(value, float)
 
     def numbers(
         self,
@@ -314,9 +318,7 @@ class Entries:
         length_limit: float | None = None,
         nulls: bool = False,
     ) -> None:
-        """Check that a value is a number, or numbers nested as shape says; index : where within the key's value it
-        stands.
-        """
+        """Check that a value is a number, or numbers nested as shape says; index : where in the key's value it is."""
 
         def fail(message: str) -> NoReturn:
             self.fail(f"{self._label(key, index)} {message}", key, *index, value=value)
@@ -403,7 +405,6 @@ class Entries:
         for key in self.tree:
             if key not in known:
                 near = nearest_known_word(str(key), known, NEAREST)
-                hint = (
-                    f"is {near!r} meant?" if near else f"there {'are' if len(known) > 1 else 'is'} {', '.join(known)}"
-                )
+                known_words = f"there {'are' if len(known) > 1 else 'is'} {', '.join(known)}"
+                hint = f"is {near!r} meant?" if near else known_words
                 self.fail(f"unknown key {short_repr(self.name(key))}; {hint}", key, value=key)

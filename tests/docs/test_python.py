@@ -14,9 +14,7 @@ import calib
 import rig
 import synthetic
 import vision
-from docs.make import api
 from rig.errors import FileError
-from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.report.result_in_console_and_notebook import result_html
 from tests.docs.told import ROOT
 
@@ -76,14 +74,3 @@ def test_a_recording_shows_itself():
 def test_what_is_shown_is_text_and_nothing_else():
     made = result_html("<b>", ["a & b"], [("h<",), ("<script>",)])
     assert "<script>" not in made and "&lt;b&gt;" in made and "a &amp; b" in made and "<th>h&lt;</th>" in made
-
-
-@pytest.mark.slow
-def test_the_example_of_the_page_runs(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "rig.toml").write_text(hexapod_layout_rig_toml(0.3, cameras=2, width=640, height=512, cubes=2))
-    names = {}
-    exec(compile(api.EXAMPLE, "example", "exec"), names)
-    assert capsys.readouterr().out.startswith(("good: ", "check: "))
-    assert (tmp_path / "calibration.json").exists() and names["commands"].shape == (1, 6)
-    assert all(f"    {line}".rstrip() in api.page() for line in api.EXAMPLE.splitlines())

@@ -15,9 +15,9 @@ from rig.report.pages.image_plane_and_3d_views import view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_elements import (
     Link,
     Page,
+    captioned_html,
     folding_section_html,
     heading_html,
-    note_html,
     paragraph_html,
     table_html,
     write_page,
@@ -65,11 +65,12 @@ def arm_or_platform_page_view(diagnosis: Diagnosis, recording: Recording, report
 
 def write_diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link] = ()) -> None:
     """Write the diagnosis page of a Report: one offline HTML file."""
-    parts = [paragraph_html(report_sentences.held_out_sentence(report.fit, bool(report.named)))]
+    parts: list[str] = []
     main = report.mattering or report.named
     slight = [f for f in report.named if not any(f is m for m in main)]
     if report.findings:
         parts += [heading_html("Where"), view.where([f.place for f in (*main, *report.unknown, *slight)])]
+    parts.append(paragraph_html(report_sentences.held_out_sentence(report.fit, bool(report.named))))
     for number, finding in enumerate(main):
         title = (
             report_sentences.finding_title(finding)
@@ -132,7 +133,7 @@ def write_diagnosis_page(path: Path, report: Report, view: View, links: Sequence
 
 def _finding(finding: FindingEntry, view: View) -> list[str]:
     plot, sure = view.plot(finding), report_sentences.evidence_sentence(finding)
-    parts = [] if plot is None else [plot, note_html(DOTS)]
+    parts = [] if plot is None else [captioned_html(plot, DOTS)]
     parts.append(table_html(("parameter", "value", "95 % interval"), report_sentences.parameter_rows(finding)))
     parts += [paragraph_html(sure)] if sure else []
     parts += [paragraph_html(report_sentences.as_sentence(finding.unusual))] if finding.unusual else []

@@ -10,7 +10,7 @@ from calib.certification.held_out_errors import Figures, errors_before_and_after
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import CertifiedArm
 from calib.report.platform_and_lens_calibration_pages import evidence_html, view_3d_html, write_page_of_calibration
-from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures
+from calib.report.pose_and_effect_figures import FITTED, correction_error_figures, pose_coverage_figures
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
 from rig.effects.framework.effect_parameters_and_covariates import PLOT_UNITS
@@ -18,10 +18,11 @@ from rig.model import mechanisms
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import (
     Link,
+    captioned_html,
     folding_section_html,
     heading_html,
-    note_html,
     paragraph_html,
+    section_html,
     table_html,
 )
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
@@ -38,15 +39,17 @@ def write_arm_calibration_page(
     """Write the HTML page of an arm's calibration, as certified on held-out samples; links : to other pages."""
     went = np.concatenate([samples.T_base_platform.translation, samples.T_base_platform.rotation.as_rotvec()], axis=1)
     parts = [
-        *evidence_html(calibration),
-        *_held(certified),
         heading_html("Errors before and after, by pose"),
-        note_html("All poses, including those fitted."),
-        correction_error_figures(*errors_before_and_after_correction(calibration.correction, samples), samples.frame),
+        correction_error_figures(
+            *errors_before_and_after_correction(calibration.correction, samples), samples.frame, FITTED
+        ),
+        *section_html("At poses that were not fitted", _held(certified) + evidence_html(calibration)),
         *view_3d_html(recording, calibration, samples),
         heading_html("Correction of each joint"),
-        note_html("Excluding its offset, along the visited configurations."),
-        _profiles(calibration, samples),
+        captioned_html(
+            _profiles(calibration, samples),
+            "Correction of each joint along the visited configurations, excluding its offset.",
+        ),
         heading_html("Positions of the target"),
         pose_coverage_figures(went),
         *workspace_section_html(calibration.workspace, "rad"),

@@ -103,7 +103,7 @@ class ArmCorrection(Correction[Arm, Profile]):
             raise Unreachable(
                 f"the nominal model does not take {len(far)} of {len(flat)} corrected poses in their posture:",
                 far,
-                [f"pose {i}: it comes no nearer than {left[i]:.3g} m or rad" for i in far.tolist()],
+                [f"pose {i}: it comes no nearer than {left[i] * 1e3:.3g} mm or mrad" for i in far.tolist()],
             )
         return mechanism.joint_value_difference(flat, found, self.nominal).reshape(commands.shape)
 
@@ -126,7 +126,7 @@ class ArmCorrection(Correction[Arm, Profile]):
             raise Unreachable(
                 f"{len(far)} of {len(left)} wanted directions are out of the arm's reach:",
                 far,
-                [f"direction {i}: no command comes nearer than {left[i]:.3g} rad" for i in far.tolist()],
+                [f"direction {i}: no command comes nearer than {left[i] * 1e3:.3g} mrad" for i in far.tolist()],
             )
         return mechanism.forward(q, self.fitted)
 
@@ -208,7 +208,7 @@ class ArmCorrection(Correction[Arm, Profile]):
             raise Unreachable(
                 f"{len(failed)} of {len(T)} wanted poses are out of the arm's reach:",
                 failed,
-                [f"pose {i}: no command comes nearer than {left[i]:.3g} m or rad" for i in failed],
+                [f"pose {i}: no command comes nearer than {left[i] * 1e3:.3g} mm or mrad" for i in failed],
             )
         return commands.reshape(*shape, n)
 
@@ -266,7 +266,8 @@ class ArmCorrection(Correction[Arm, Profile]):
                 f"{len(far)} of {len(T)} wanted poses are out of the reach of the arm, which has {q.shape[2]} joints:",
                 far,
                 [
-                    f"pose {i}: no command comes nearer than {place[:, i].min():.3g} m and {turn[:, i].min():.3g} rad"
+                    f"pose {i}: no command comes nearer than {place[:, i].min() * 1e3:.3g} mm "
+                    f"and {turn[:, i].min() * 1e3:.3g} mrad"
                     for i in far.tolist()
                 ],
             )

@@ -35,7 +35,7 @@ from calib.models.arm.joint_effects_fit_and_held_out_scatter import unexplained_
 from calib.models.chain import error_model
 from calib.models.chain.identification import Identified, identify_chain
 from calib.report.platform_and_lens_calibration_pages import evidence_html, view_3d_html, write_page_of_calibration
-from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures
+from calib.report.pose_and_effect_figures import FITTED, correction_error_figures, pose_coverage_figures
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model.mechanism_geometry_classes import Chain
@@ -47,8 +47,8 @@ from rig.report.pages.page_templates_and_elements import (
     Link,
     folding_section_html,
     heading_html,
-    note_html,
     paragraph_html,
+    section_html,
     table_html,
 )
 
@@ -164,10 +164,11 @@ def write_chain_calibration_page(
 ) -> None:
     """Write the HTML page of a chain's calibration, as certified on held-out samples; links : to other pages."""
     parts = [
-        *evidence_html(calibration),
         heading_html("Errors before and after, by pose"),
-        note_html("All poses, including those fitted."),
-        correction_error_figures(*errors_before_and_after_correction(calibration.correction, samples), samples.frame),
+        correction_error_figures(
+            *errors_before_and_after_correction(calibration.correction, samples), samples.frame, FITTED
+        ),
+        *section_html("At poses that were not fitted", evidence_html(calibration)),
         *view_3d_html(recording, calibration, samples),
         heading_html("Stage by stage"),
         *(paragraph_html(line) for line in certified.found.report()),

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from _typeshed import SupportsWrite
 
     from calib.certification.held_out_errors import HeldOut
+    from rig.formats.length_and_angle_units import LengthAndAngleUnits
     from rig.report.pages.page_templates_and_elements import Link
     from vision.recording_adjustment import Measurement
 
@@ -166,6 +167,25 @@ def add_overwrite_option(parser: ArgumentParser, name: str = "--force") -> None:
         action="store_true",
         help="overwrite files that this command did not make; it never overwrites its inputs",
     )
+
+
+def add_units_option(parser: ArgumentParser, what: str) -> None:
+    """Add the option --units of lengths and angles. what : has them, in words"""
+    parser.add_argument(
+        "--units",
+        metavar="mm,deg",
+        type=_parse_units,
+        help=f"units of lengths (m, mm, cm, um, in) and angles (rad, deg, mrad) {what} (default m,rad)",
+    )
+
+
+def _parse_units(text: str) -> LengthAndAngleUnits:
+    from rig.formats.length_and_angle_units import parse_length_and_angle_units
+
+    try:
+        return parse_length_and_angle_units(text)
+    except ValueError as error:
+        raise ArgumentTypeError(f"expected {error}") from None
 
 
 def add_page_option(parser: ArgumentParser) -> None:

@@ -17,7 +17,7 @@ from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.rig_toml.design_file import design_of_entries, load_design
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
-from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, hexapod_two_strut_or_arm_rig_toml
+from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, new_rig_toml
 
 RECOVERED = ("lost-ok", "two-ok", "resend", "resend-moving", "late", "half-line", "garbage", "early-stop", "unplug")
 ON_RESETS = ("stale-alarm",)  # faults of controllers that are reset, which lines of text need not have
@@ -67,7 +67,7 @@ def conformance_design(path: Path | None) -> Design:
     controller, and FileError.
     """
     if path is None:
-        text = hexapod_two_strut_or_arm_rig_toml(LayoutOptions(radius=RADIUS))
+        text = new_rig_toml(LayoutOptions(radius=RADIUS))
         return design_of_entries(toml_entries(text, Path("hexapod.toml")))
     design = load_design(path)
     require_own_rig_toml(path, design)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.errors import RigError
 from rig.formats.importers.denavit_hartenberg_table import load_denavit_hartenberg_table
-from rig.formats.importers.urdf_joint_chain import MOVING, load_joint_chain
+from rig.formats.importers.urdf_joint_chain import MOVING, limits_text, load_joint_chain
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.denavit_hartenberg_rows_of_joint_axes import denavit_hartenberg_rows_of_joint_axes
 
@@ -142,8 +142,8 @@ def read_dh_table_arm(path: Path, is_modified: bool = False, units: str | None =
     arm = Arm(table.placed.rows, table.limits, table.placed.base, table.placed.tool, table.slides)
     lines = [
         f"read joint {name}: {MOVING[2] if slide else MOVING[0]}, limits{' assumed' if assumed else ''} "
-        f"{low:.6g} .. {high:.6g} {'m' if slide else 'rad'}"
-        for name, slide, assumed, (low, high) in zip(table.names, table.slides, table.assumed, table.limits)
+        f"{limits_text(limits, slide)}"
+        for name, slide, assumed, limits in zip(table.names, table.slides, table.assumed, table.limits)
     ]
     convention = "modified (Craig) rows, converted to distal ones" if is_modified else "distal rows"
     return ReadArm(arm, path.stem, table.names, f"{path.name}, {convention}", tuple(lines))

@@ -3,7 +3,7 @@
 Sources: the URDF specification, <joint>, <origin>, <axis>, <limit>, <mimic>; xacro, "Command line"
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NoReturn
@@ -62,10 +62,14 @@ class UrdfJoint:
         """What was read of it, in a line."""
         if self.limits is None:
             return f"read joint {self.name}: fixed, part of the geometry"
-        low, high = self.limits
-        unit = "m" if self.kind == "prismatic" else "rad"
         stated = "turns without end; limits assumed" if self.kind == "continuous" else "limits"
-        return f"read joint {self.name}: {self.kind}, {stated} {low:.6g} .. {high:.6g} {unit}"
+        return f"read joint {self.name}: {self.kind}, {stated} {limits_text(self.limits, self.kind == 'prismatic')}"
+
+
+def limits_text(limits: Sequence[float], slide: bool) -> str:
+    """Limits of a joint for people: mm of a slide, else degrees. limits : (2,) m or rad"""
+    low, high = np.asarray(limits) * (1e3 if slide else 180 / np.pi)
+    return f"{low:.6g} .. {high:.6g} {'mm' if slide else 'deg'}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

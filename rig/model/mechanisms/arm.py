@@ -195,7 +195,7 @@ def inverse(T_base_platform: RigidTransform, arm: Arm, guess: Floats | None = No
     q, left = solve_inverse(T_base_platform, arm, guess)
     failed = np.flatnonzero(np.ravel(left) > GOOD)
     if len(failed):
-        lines = [f"pose {i}: the arm comes no nearer than {np.ravel(left)[i]:.3g} m or rad" for i in failed]
+        lines = [f"pose {i}: the arm comes no nearer than {np.ravel(left)[i] * 1e3:.3g} mm or mrad" for i in failed]
         raise Unreachable(f"{len(failed)} of {left.size} poses are out of the arm's reach:", failed, lines)
     return q
 

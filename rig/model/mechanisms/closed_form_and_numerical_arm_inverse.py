@@ -77,7 +77,7 @@ class InverseBranches:
         """A line on pose `index` (of the flat batch): which singularities it touches, or why it cannot be reached."""
         reason = int(self.reason.ravel()[index])
         if reason:
-            return f"out of reach: {REASONS[reason]} {self.gap.ravel()[index]:.3g} m or rad"
+            return f"out of reach: {REASONS[reason]} {self.gap.ravel()[index] * 1e3:.3g} mm or mrad"
         flags = np.bitwise_or.reduce(np.where(self.there, self.singular, 0).reshape(-1, 8)[index])
         names = [name for bit, name in SINGULAR.items() if flags & bit]
         return f"singular: {', '.join(names)}" if names else "regular"

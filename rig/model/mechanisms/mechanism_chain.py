@@ -118,7 +118,7 @@ def inverse(T_base_platform: RigidTransform, chain: Chain, guess: Floats | None 
         raise Unreachable(
             f"{len(failed)} of {len(left)} poses are out of the chain's reach:",
             failed,
-            [f"pose {i}: no command comes nearer than {left[i]:.3g} m or rad" for i in failed],
+            [f"pose {i}: no command comes nearer than {left[i] * 1e3:.3g} mm or mrad" for i in failed],
         )
     return x.reshape(*T_base_platform.shape, -1)
 

@@ -14,7 +14,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
+from rig.formats.length_and_angle_units import SI, LengthAndAngleUnits
 from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml.text_in_stated_units import rig_toml_in_units
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
@@ -190,6 +192,7 @@ class LayoutOptions:
     radius : m, of a hexapod's circle of base joints, of planar2 half the joints' distance
     size : WIDTHxHEIGHT of the images, px; limbs : how many measuring limbs stand next to a hexapod's struts
     own_arm : rig.toml text of an arm that was read from a file, which is measured by an instrument
+    units : of the lengths and angles in the text, which states them
     Raises RigError for options that do not belong to each other
     """
 
@@ -204,6 +207,7 @@ class LayoutOptions:
     limbs: int = 0
     name: str | None = None
     own_arm: str | None = None
+    units: LengthAndAngleUnits = SI
 
     def __post_init__(self) -> None:
         if self.own_arm is not None:
@@ -248,11 +252,15 @@ class LayoutOptions:
         return int(size[1]), int(size[2])
 
 
-def hexapod_two_strut_or_arm_rig_toml(options: LayoutOptions) -> str:
+def new_rig_toml(options: LayoutOptions) -> str:
     """rig.toml text of a new hexapod, two struts or a shipped arm, with cameras and cubes placed.
 
     Raises RigError as `hexapod_layout_rig_toml`, `two_strut_layout_rig_toml` and `arm_layout_rig_toml`
     """
+    return rig_toml_in_units(_rig_toml_in_si(options), options.units)
+
+
+def _rig_toml_in_si(options: LayoutOptions) -> str:
     if options.own_arm is not None:
         return options.own_arm + INSTRUMENT
     if options.arm is not None and options.seen is None:

@@ -17,27 +17,24 @@ from rig.report import verdict_and_refutations_by_later_recordings
 from rig.report.verdict_and_refutations_by_later_recordings import WORST, State, Verdict, worst_state
 
 NARROW = {
-    ".": 0.32,
-    ",": 0.32,
-    ":": 0.34,
-    " ": 0.32,
-    "-": 0.37,
-    "i": 0.28,
-    "l": 0.28,
-    "t": 0.4,
-    "r": 0.42,
-    "f": 0.36,
-    "(": 0.4,
-    ")": 0.4,
-}
+    **dict.fromkeys(".,: ", 0.32), "-": 0.37, "i": 0.28, "l": 0.28, "t": 0.4, "r": 0.42, "f": 0.36, "(": 0.4, ")": 0.4,
+}  # fmt: skip
 LETTER = (
     0.645  # of a letter's height, the width of a digit and the most of a usual letter in the widest of common typefaces
 )
 
 
+SIGNS = {  # of a terminal, as patterns, and of print
+    r"\bu(m|rad)\b": r"µ\1", r"(?<!\S)->(?!\S)": "→", r"(?<!\S)\+-(?=[\s\d])": "±", "<=": "≤", ">=": "≥",
+    r"(?<=[a-z])\^2\b": "²",
+}  # fmt: skip
+
+
 def escape_html(text: str) -> str:
-    """Escape text for HTML; um and urad become µm and µrad."""
-    return html.escape(re.sub(r"\bu(m|rad)\b", r"µ\1", text))
+    """Escape text for HTML, with the signs of print for those of a terminal: µm, →, ±, ≤, ≥, ²."""
+    for pattern, sign in SIGNS.items():
+        text = re.sub(pattern, sign, text)
+    return html.escape(text)
 
 
 def text_width(text: str, size: float) -> float:
@@ -117,12 +114,17 @@ def inline_html(line: str) -> str:
 def capitalise(line: str) -> str:
     """Line with its first letter capitalised, unless its first word is a name, a sign or already capitalised."""
     first, *rest = line.split(" ", 1)
-    return line[:1].upper() + line[1:] if rest and first.isalpha() and first.islower() else line
+    return line[:1].upper() + line[1:] if rest and first.replace("-", "a").isalpha() and first.islower() else line
 
 
 def heading_html(line: str, level: int = 2) -> str:
     """HTML of a heading. level : 2 of a section, 3 within one"""
     return f"<h{level}>{inline_html(line)}</h{level}>"
+
+
+def section_html(title: str, parts: Sequence[str]) -> list[str]:
+    """Parts below a heading; nothing where there are none."""
+    return [heading_html(title), *parts] if parts else []
 
 
 def paragraph_html(line: str) -> str:
@@ -133,6 +135,16 @@ def paragraph_html(line: str) -> str:
 def note_html(line: str) -> str:
     """HTML of a note in smaller type, which explains a figure or table."""
     return f'<p class="note">{inline_html(line)}</p>'
+
+
+def captioned_html(figures: str, caption: str) -> str:
+    """HTML of a figure, or of several side by side, with a caption below; pages number them."""
+    return f'<figure class="plots">{figures}<figcaption>{inline_html(caption)}</figcaption></figure>'
+
+
+def split_clauses(text: str) -> list[str]:
+    """Clauses of a sentence at its semicolons, those within brackets excepted."""
+    return re.split(r"; (?![^()]*\))", text)
 
 
 def list_html(lines: Iterable[str], ordered: bool = False) -> str:
@@ -213,13 +225,15 @@ def write_page(path: Path | str, page: Page) -> None:
 def page_html(page: Page) -> str:
     """HTML of a Page."""
     state, why = page.verdict.state, page.verdict.why
-    links = "".join(f'<a href="{html.escape(link.path)}">{html.escape(link.label)}</a>' for link in page.links)
+    links = "".join(f'<a href="{html.escape(link.path)}">{escape_html(link.label)}</a>' for link in page.links)
     steps = list_html(map(capitalise, page.next_steps), ordered=len(page.next_steps) > 1)
     style, script = (
         read_page_asset("theme.css") + read_page_asset("document.css") + read_page_asset("figure.css"),
         read_page_asset("document.js"),
     )
     described = html.escape(f"{state}: {why}")
+    first, *doubts = split_clauses(why)
+    more = f'<div class="doubts">{list_html(map(capitalise, doubts))}</div>' if doubts else ""
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" '
         'content="width=device-width, initial-scale=1">'
@@ -227,7 +241,7 @@ def page_html(page: Page) -> str:
         f'<meta name="generator" content="rig {html.escape(page.kind)}"><meta name="description" content="{described}">'
         f"<title>{html.escape(page.title)}</title><style>{style}</style></head>\n<body>\n"
         f'<header class="{state}"><p class="verdict"><strong>{state}</strong> '
-        f"{inline_html(capitalise(why))}.</p><h1>{html.escape(page.title)}</h1>"
+        f"{inline_html(capitalise(first))}.</p>{more}<h1>{escape_html(page.title)}</h1>"
         + (f'<nav aria-label="other pages">{links}</nav>' if links else "")
         + "</header>\n<main>\n"
         + (f'<section class="next"><h2>What to do next</h2>{steps}</section>\n' if page.next_steps else "")
@@ -337,7 +351,7 @@ def write_index_page(path: Path, folder: Path) -> None:
     items = "".join(
         f'<li><span class="badge {found.state}">{found.state}</span> <a '
         f'href="{_relative_link(found.path, folder)}">{html.escape(found.title)}</a>'
-        f'<br><span class="note">{inline_html(capitalise(found.why))}</span></li>'
+        f'<br><span class="note">{inline_html(capitalise(split_clauses(found.why)[0]))}</span></li>'
         for found in known
     )
     parts = [heading_html("Pages"), f'<ul class="pages">{items}</ul>'] if known else []

@@ -35,7 +35,7 @@ from tests.conftest import BENCH
         (["mesure"], "did you mean measure?"),
         (["simulat", "rig.toml"], "did you mean simulate?"),
         (["measure", "REC", "--ot", "DIR"], "--ot: did you mean --out?"),
-        (["design", "--radius", "300mm"], "argument --radius: invalid number value: '300mm'"),
+        (["design", "--radius", "300nm"], "argument --radius: expected a length above 0 with its unit"),
         (["design", "--radius", "0.3", "--cameras", "two"], "argument --cameras: invalid whole number value: 'two'"),
         (["measure", "REC", "--out", "DIR", "--skip-unredable"], "--skip-unreadable?"),
         (["xyzzy"], "there is no command 'xyzzy'. `rig --help`"),
@@ -246,6 +246,10 @@ def test_new_writes_a_rig_by_options_and_refuses_to_guess(tmp_path, capsys):
     assert main(["design", "--radius", "0.3"]) == 0
     assert (tmp_path / "a" / "rig.toml").read_text() == capsys.readouterr().out
     assert "there is no page yet" in (tmp_path / "a" / "index.html").read_text()
+    assert main(["new", str(tmp_path / "mm"), "--defaults", "--radius", "300mm", "--units", "mm, deg", "--quiet"]) == 0
+    assert main(["design", "--radius", "300mm", "--units", "deg,mm"]) == 0
+    text = (tmp_path / "mm" / "rig.toml").read_text()
+    assert text == capsys.readouterr().out and 'units = "mm, deg"\n' in text and "edge = 93.0   # mm" in text
     for words, says in (
         (["--radius", "300"], "length above 0 with its unit"),
         (["--mechanism", "hexpod"], "did you mean hexapod?"),

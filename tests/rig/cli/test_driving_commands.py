@@ -116,7 +116,7 @@ def test_what_may_not_be_done_is_refused_before_anything_moves(emulated, rig, ca
         (("go", calibration[0], "--rig", rig, "--pose", "-0.5,0,0.45,0,0,0"), "cannot be reached"),
         (
             ("go", calibration[0], "--rig", rig, "--pose", "10,0,450,0,0,5"),
-            r"450 m is implausible: poses are in metres .*millimetres\?",
+            r"450 m is implausible: poses are in m, rad; --units mm,deg states others",
         ),
         (("run", rig, "--plan", "moving:5", "--out", str(tmp_path / "r")), "while the struts move"),
         (("run", rig, "--plan", "sobol:2", "--out", str(tmp_path / "r"), "--resume"), "no run to resume"),

@@ -2,6 +2,7 @@
 
 from argparse import ArgumentTypeError
 
+import numpy as np
 import pytest
 
 from rig.cli import certify
@@ -11,6 +12,7 @@ from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.importers.foreign_table_columns import NUMBER
+from rig.formats.length_and_angle_units import SI, parse_length_and_angle_units
 from rig.formats.number_parsing_and_rounding import NotFinite, parse_number, parse_whole_number
 from rig.model import calibration_board
 from rig.recording.frame_selection_and_content_hashes import parse_frame_ranges
@@ -87,7 +89,15 @@ def test_spaces_around_a_cell_are_left_out_and_frames_are_counted_in_ascii(tmp_p
 
 def test_poses_on_the_command_line():
     with pytest.raises(RigError, match="six figures"):
-        parse_pose("1_0,2,3,4,5,6")
+        parse_pose("1_0,2,3,4,5,6", SI)
+    found = parse_pose("10,-20,450,0,0,90", parse_length_and_angle_units("mm, deg"))
+    assert np.allclose(found.translation, [0.01, -0.02, 0.45]) and np.allclose(
+        found.rotation.as_euler("xyz")[2], np.pi / 2
+    )
+    with pytest.raises(RigError, match="90 rad is implausible"):
+        parse_pose("0.1,0,0.45,0,0,90", SI)
+    with pytest.raises(RigError, match="x,y,z \\(mm\\) and rx,ry,rz \\(deg\\)"):
+        parse_pose("1,2", parse_length_and_angle_units("mm, deg"))
 
 
 @pytest.mark.parametrize(

@@ -114,9 +114,9 @@ def test_what_is_read_of_each_joint_is_stated(tmp_path):
     found, _ = read(tmp_path, text, tip="d")
     assert found.lines == (
         "read joint mount: fixed, part of the geometry",
-        "read joint lift: prismatic, limits 0 .. 0.4 m",
-        "read joint spin: continuous, turns without end; limits assumed -6.28319 .. 6.28319 rad",
-        "read joint elbow: revolute, limits -3 .. 2 rad",
+        "read joint lift: prismatic, limits 0 .. 400 mm",
+        "read joint spin: continuous, turns without end; limits assumed -360 .. 360 deg",
+        "read joint elbow: revolute, limits -171.887 .. 114.592 deg",
         "ignored joint finger: it follows elbow (mimic) and is not between root and tip",
     )
     assert "# q3: elbow" in found.rig_toml()
@@ -196,7 +196,7 @@ def test_units_of_a_table_by_header_or_stated(tmp_path):
     found = read_arm_file(ArmFileOptions(dh=written(tmp_path, text, "dh.csv"), units="mm,deg"))
     np.testing.assert_allclose(found.arm.joints[:, :4], [[0, 0.1273, 0, HALF], [0, 0, -0.612, 0]], atol=1e-15)
     np.testing.assert_allclose(found.arm.limits, [[-np.pi, np.pi], [-HALF, HALF]])
-    assert found.lines[1] == "read joint elbow: revolute, limits -1.5708 .. 1.5708 rad"
+    assert found.lines[1] == "read joint elbow: revolute, limits -90 .. 90 deg"
     plain = written(tmp_path, "theta,d,a,alpha\n0,127.3,0,90\n0,0,-612,0\n", "plain.csv")
     stated = read_arm_file(ArmFileOptions(dh=plain, units="mm,deg")).arm
     np.testing.assert_array_equal(stated.joints, found.arm.joints)
@@ -237,7 +237,7 @@ def test_options_that_do_not_belong_together(tmp_path):
 def test_the_command_writes_a_rig_that_loads_and_names_joints(tmp_path):
     out = tmp_path / "rig.toml"
     done = run("new", "design", "--urdf", written(tmp_path, SIX), "--name", "mine", "--out", out)
-    assert "read joint j1: revolute, limits -3 .. 2 rad" in done.stderr
+    assert "read joint j1: revolute, limits -171.887 .. 114.592 deg" in done.stderr
     design = design_file.load_design(out)
     assert design.name == "mine" and design.mechanism.axes == ("q1", "q2", "q3") and design.instrument.base == "free"
 

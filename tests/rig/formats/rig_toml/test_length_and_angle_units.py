@@ -17,8 +17,10 @@ from rig.formats.length_and_angle_units import LengthAndAngleUnits, parse_length
 from rig.formats.rig_toml.arm_dynamics_entries import dynamics_of_table
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import camera_toml, replace_cameras, replace_target_markers
 from rig.formats.rig_toml.design_file import design_of_entries
+from rig.formats.rig_toml.text_in_stated_units import rig_toml_in_units
 from rig.model.design import Marker
 from rig.model.pose import pose
+from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, new_rig_toml
 from tests.gantry_and_hexapod import GANTRY
 
 DEG = 180 / np.pi
@@ -222,3 +224,38 @@ def test_derived_units_are_converted_or_refused():
     assert units.name("m/s^2") == "mm/s^2" and units.per_si("rad/s") == pytest.approx(DEG)
     with pytest.raises(ValueError, match="furlong"):
         units.per_si("furlong/s")
+
+
+LAYOUTS = [
+    LayoutOptions(radius=0.3, cameras=1, cubes=1, limbs=6),
+    LayoutOptions(mechanism="planar2", radius=0.2, cameras=1, cubes=1),
+    *(LayoutOptions(arm=name) for name in ("panda", "scara", "ur10")),
+    LayoutOptions(arm="ur10", seen="cubes", cameras=1, cubes=1),
+]
+
+
+@pytest.mark.parametrize("options", LAYOUTS, ids=lambda options: options.arm or options.mechanism or "hexapod")
+@pytest.mark.parametrize("units", ["mm, deg", "in, mrad"])
+def test_a_new_rig_in_the_owners_units_is_that_in_m_and_rad_by_the_docstrings_units(options, units):
+    stated = parse_length_and_angle_units(units)
+    plain = new_rig_toml(options)
+    text = new_rig_toml(replace(options, units=stated))
+    assert text.split("\n")[:2] == ['schema = "rig/1"', f'units = "{units}"']
+    assert text.count("\n") == plain.count("\n") + 1
+    one, other = flat(tomllib.loads(plain)), flat(tomllib.loads(text))
+    assert len(other) == len(one) + 2  # the key and what it states
+    if units == "mm, deg":  # by another way: the docstrings' units, not those that the reader asks for
+        dynamics = tomllib.loads(text).pop("dynamics", {})
+        expected = in_mm({key: value for key, value in tomllib.loads(plain).items() if key != "dynamics"})
+        for a, b in zip(flat(expected), flat({k: v for k, v in tomllib.loads(text).items() if k != "dynamics"})):
+            assert b == pytest.approx(a, rel=1e-8, abs=1e-12) if isinstance(a, float) else a == b
+        for row, was in zip(dynamics.get("links", []), tomllib.loads(plain).get("dynamics", {}).get("links", [])):
+            assert row == pytest.approx([was[0], *(1e3 * x for x in was[1:4]), *was[4:]], rel=1e-9)
+    for a, b in zip(*(flat(json_data(design_of_entries(toml_entries(t, Path("rig.toml"))))) for t in (plain, text))):
+        assert b == pytest.approx(a, rel=1e-8, abs=1e-12) if isinstance(a, float) else a == b
+    assert not re.search(r"#\s+(m|rad)\b|\((m|rad)\)", text)
+
+
+def test_a_text_that_states_units_or_a_board_is_not_rewritten():
+    with pytest.raises(ValueError, match="m and rad without boards"):
+        rig_toml_in_units(PAIR, parse_length_and_angle_units("cm, deg"))

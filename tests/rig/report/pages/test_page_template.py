@@ -12,6 +12,7 @@ from rig.report.pages.page_templates_and_elements import (
     Link,
     Page,
     capitalise,
+    captioned_html,
     inline_html,
     page_html,
     round_ticks,
@@ -59,12 +60,25 @@ def test_columns_of_text_begin_at_their_left_and_lengths_are_in_micrometres():
         inline_html("5 um and 3 urad, `--tolerance 5 um`") == "5 µm and 3 µrad, <code>--tolerance 5 um</code>"
         and inline_html("sum um/m") == "sum µm/m"
     )
+    assert inline_html("1 -> 2 +- 3 m/s^2 <= 4, `a -> b`, x-1, p->q") == (
+        "1 → 2 ± 3 m/s² ≤ 4, <code>a -&gt; b</code>, x-1, p-&gt;q"
+    )
     assert (
         capitalise("the rest") == "The rest"
         and capitalise("rx turns") == "Rx turns"
         and capitalise("3 of") == "3 of"
         and capitalise("cam0 is") == "cam0 is"
     )
+
+
+def test_the_headline_is_the_first_clause_and_doubts_follow_as_a_list():
+    why = "3 times better (mean 1; most 2) here: 2 -> 1 mm; the model omits <play>; and more"
+    page = page_html(Page("verify", "t", Verdict(State.CHECK, why), [captioned_html("<svg/>", "a um")]))
+    assert "</strong> 3 times better (mean 1; most 2) here: 2 → 1 mm.</p>" in page
+    assert "<ul><li>The model omits &lt;play&gt;</li><li>And more</li></ul>" in page
+    assert '<figure class="plots"><svg/><figcaption>a µm</figcaption></figure>' in page
+    alone = page_html(Page("verify", "t", Verdict(State.GOOD, "all is well"), []))
+    assert '<div class="doubts">' not in alone and "All is well.</p>" in alone
 
 
 def test_words_stay_within_their_figure():
