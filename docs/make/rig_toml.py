@@ -206,6 +206,8 @@ class Log(Entries):
 HANGS_ON_ANOTHER = {
     ("[[camera]]", "row_time"): "`0`; **required** of a rolling shutter",
     ("[controller]", "max_speed"): "`[actuator]` `max_speed`",
+    ("[controller]", "work"): "the platform at home",
+    ("[controller]", "tool"): "the platform itself",
     ("[[target.marker]]", "margin"): "an eighth of `side`",
     ("[[target]]", "board"): "a cube, or listed markers",
     ("[[target.marker]]", "pose"): "found from the recording",
@@ -260,14 +262,15 @@ def samples() -> list[dict[str, Any]]:
         "capture": {"gain": 1.0},
     }
     whole["environment"]["tilt"] = [{"channel": "elevation_deg", "axis": [0.0, 1.0, 0.0], "zero": 0.0}]
-    whole["controller"] = {"protocol": "grblhal", "port": "/dev/ttyACM0", "max_speed": 0.01}
+    stands = {"position": [0.0, 0.0, 0.0], "rotvec": [0.0, 0.0, 0.0]}
+    whole["controller"] = {"protocol": "gcs-hexapod", "port": "/dev/ttyACM0", "max_speed": 0.01}
+    whole["controller"] |= {"work": stands, "tool": stands}
     whole["sensors"] = {"port": "/dev/ttyUSB1", "channels": ["ambient_temperature_C"]}
     whole["experiment"] = {"may": ["payload", "wait"]}
     whole["instrument"] = {"base": "rig", "tool": "rig", "position_sigma": 1e-5, "rotation_sigma": 1e-4}
     whole["sensor"] = {name: getattr(Sensor(), name) for name in Sensor.__slots__}
     listed = tomllib.loads(hexapod_layout_and_camera_placement.two_strut_layout_rig_toml(0.3, cameras=1, cubes=1))
     marker = {"id": 90, "side": 0.03, "pose": {"position": [0.0, 0.0, 0.1], "rotvec": [0.0, 0.0, 0.0]}}
-    stands = {"position": [0.0, 0.0, 0.0], "rotvec": [0.0, 0.0, 0.0]}
     listed["target"].append(
         {"name": "board", "body": "base", "board": "aruco:2x2:0.03:0.01:DICT_6X6_250", "first": 200, "pose": stands}
     )

@@ -20,7 +20,7 @@ from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free
 class Controller:
     """What drives the axes.
 
-    protocol : "grblhal", "gcs", "linuxcnc", "struts", or a user's "file:NAME.py" or "package:NAME"
+    protocol : "grblhal", "gcs", "gcs-hexapod", "linuxcnc", "struts", or a user's "file:NAME.py" or "package:NAME"
     baudrate : bits per second; port : device, or URL socket://, rfc2217://, loop://
     usb : serial number or hardware id of the port, or ""; axes : the controller's names of them, () for usual ones
     homing : whether the controller can home; without, the position that it reads at the start is believed
@@ -31,6 +31,8 @@ class Controller:
     timeout, home_timeout : s, for an answer and for homing; watchdog : s of silence after which a controller stops
     kinematics : "joint" (an axis word is an axis) or "world" (the controller has the inverse kinematics, takes poses)
     password, enable_password : of linuxcncrsh; ini : path of LinuxCNC's .ini, whose limits are compared, or ""
+    work : T_base_work, the frame in which a hexapod's own controller takes poses, None for the platform at home
+    tool : T_platform_tool, of what these are the poses, None for the platform itself
     """
 
     protocol: str
@@ -53,6 +55,8 @@ class Controller:
     password: str
     enable_password: str
     ini: str = ""
+    work: RigidTransform | None = None
+    tool: RigidTransform | None = None
 
 
 DISTORTION_TERMS = (4, 5, 8, 12, 14)
