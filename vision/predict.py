@@ -146,6 +146,9 @@ class ObservedCorners(Protocol):
     def points(self) -> Floats:
         """(n, 3) m in the body's frame."""
 
+    def points_when_exposed(self, points: Floats) -> Floats:
+        """Body points (n, 3) m where they are when the corners' own rows are exposed."""
+
     @property
     def on_platform(self) -> Booleans:
         """(n,) bool."""
@@ -384,8 +387,8 @@ def iterate_observed_cameras(observations: ObservedCorners, state: State) -> Ite
 
 
 def observed_points_body(observations: ObservedCorners, state: State) -> Floats:
-    """Observed points (n, 3) m in their body's frame."""
-    return (
+    """Observed points (n, 3) m in their body's frame, as it stands at the frame's exposure."""
+    return observations.points_when_exposed(
         observations.points
         if state.markers is None
         else state.markers.corners[observations.marker, observations.corner]
