@@ -63,8 +63,12 @@ class Observations:
             motion=None if self.motion is None else self.motion[index],
         )
 
-    def points_when_exposed(self, points: Floats) -> Floats:
-        """Body points (n, 3) m where they are when the corners' own rows are exposed, in the body's frame."""
+    def body_points(self, markers: MarkerMap | None) -> Floats:
+        """(n, 3) m, where the corners are when their own rows are exposed, in their body's frame at the frame's time.
+
+        markers : MarkerMap that has their places, None for the places that are stated
+        """
+        points = self.points if markers is None else markers.corners[self.marker, self.corner]
         if self.motion is None:
             return points
         return (self.motion[:, :, :3] @ points[..., None])[..., 0] + self.motion[:, :, 3]

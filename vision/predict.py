@@ -142,12 +142,8 @@ class ObservedCorners(Protocol):
     def corner(self) -> Integers:
         """(n,) 0..3."""
 
-    @property
-    def points(self) -> Floats:
-        """(n, 3) m in the body's frame."""
-
-    def points_when_exposed(self, points: Floats) -> Floats:
-        """Body points (n, 3) m where they are when the corners' own rows are exposed."""
+    def body_points(self, markers: MarkerMap | None) -> Floats:
+        """(n, 3) m in the body's frame at the frame's time; markers : that have their places, None as stated"""
 
     @property
     def on_platform(self) -> Booleans:
@@ -388,11 +384,7 @@ def iterate_observed_cameras(observations: ObservedCorners, state: State) -> Ite
 
 def observed_points_body(observations: ObservedCorners, state: State) -> Floats:
     """Observed points (n, 3) m in their body's frame, as it stands at the frame's exposure."""
-    return observations.points_when_exposed(
-        observations.points
-        if state.markers is None
-        else state.markers.corners[observations.marker, observations.corner]
-    )
+    return observations.body_points(state.markers)
 
 
 def observed_points_base(observations: ObservedCorners, state: State) -> Floats:

@@ -31,8 +31,7 @@ class Controller:
     timeout, home_timeout : s, for an answer and for homing; watchdog : s of silence after which a controller stops
     kinematics : "joint" (an axis word is an axis) or "world" (the controller has the inverse kinematics, takes poses)
     password, enable_password : of linuxcncrsh; ini : path of LinuxCNC's .ini, whose limits are compared, or ""
-    work : T_base_work, the frame in which a hexapod's own controller takes poses, None for the platform at home
-    tool : T_platform_tool, of what these are the poses, None for the platform itself
+    work, tool : T_base_work, T_platform_tool where it takes poses, None for the platform at home, and for itself
     """
 
     protocol: str
@@ -180,8 +179,7 @@ class Camera:
     distortion : (4, 5, 8, 12 or 14,) OpenCV order; pose : T_base_camera, OpenCV axes
     shutter : "global" or "rolling"; row_time : s, from one row of the image to the next, for a rolling one
     mount : "fixed", "moving" (a pose in every frame) or "hand": the platform carries it, and pose is T_platform_camera
-    source : what a run opens it by, for example "uvc:0" or "file:cam.py", or None
-    capture : how it is set
+    source : what a run opens it by, for example "uvc:0" or "file:cam.py", or None; capture : how it is set
     """
 
     name: str
