@@ -33,6 +33,8 @@ class Observations:
         given
     correlation : (n, 2, 8) of each corner, whitened by its own covariance, with the four of its marker in that image,
     or None: a marker is fitted as a whole, so its corners' errors are not independent
+    motion : (n, 3, 4) of each corner's body, in its own frame, from the frame's exposure to that of the corner's row,
+        of a rolling shutter; None where all rows are exposed at once, or nothing moves
     """
 
     frames: Integers
@@ -46,6 +48,7 @@ class Observations:
     on_platform: Booleans
     stated: bool
     correlation: Floats | None = None
+    motion: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -53,7 +56,22 @@ class Observations:
     def take(self, index: Booleans | Integers) -> Observations:
         """The same recording with only the corners of an index or mask (n,)."""
         columns = {name: getattr(self, name)[index] for name in _COLUMNS}
-        return replace(self, **columns, correlation=None if self.correlation is None else self.correlation[index])
+        return replace(
+            self,
+            **columns,
+            correlation=None if self.correlation is None else self.correlation[index],
+            motion=None if self.motion is None else self.motion[index],
+        )
+
+    def body_points(self, markers: MarkerMap | None) -> Floats:
+        """(n, 3) m, where the corners are when their own rows are exposed, in their body's frame at the frame's time.
+
+        markers : MarkerMap that has their places, None for the places that are stated
+        """
+        points = self.points if markers is None else markers.corners[self.marker, self.corner]
+        if self.motion is None:
+            return points
+        return (self.motion[:, :, :3] @ points[..., None])[..., 0] + self.motion[:, :, 3]
 
     def with_points(self, points: Floats) -> Observations:
         """The same corners with other body points (n, 3) m."""

@@ -142,9 +142,8 @@ class ObservedCorners(Protocol):
     def corner(self) -> Integers:
         """(n,) 0..3."""
 
-    @property
-    def points(self) -> Floats:
-        """(n, 3) m in the body's frame."""
+    def body_points(self, markers: MarkerMap | None) -> Floats:
+        """(n, 3) m in the body's frame at the frame's time; markers : that have their places, None as stated"""
 
     @property
     def on_platform(self) -> Booleans:
@@ -384,12 +383,8 @@ def iterate_observed_cameras(observations: ObservedCorners, state: State) -> Ite
 
 
 def observed_points_body(observations: ObservedCorners, state: State) -> Floats:
-    """Observed points (n, 3) m in their body's frame."""
-    return (
-        observations.points
-        if state.markers is None
-        else state.markers.corners[observations.marker, observations.corner]
-    )
+    """Observed points (n, 3) m in their body's frame, as it stands at the frame's exposure."""
+    return observations.body_points(state.markers)
 
 
 def observed_points_base(observations: ObservedCorners, state: State) -> Floats:

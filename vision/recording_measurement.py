@@ -12,7 +12,7 @@ from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners
-from vision import recording_adjustment
+from vision import readout_motion, recording_adjustment
 from vision.bundle.bundle_adjustment import NoOptimum
 from vision.bundle.marker_displacements import (
     HALVED,
@@ -27,6 +27,7 @@ from vision.predict import MarkerMap, marker_map
 from vision.reading.corner_refit_with_adjusted_lenses import ROUNDS, SETTLED, largest_lens_difference, refit_corners
 from vision.reading.marker_identity_mistakes_found_against_rig_toml import LOOKED_AT, no_marker_reason
 from vision.reading.recording_corners import Collected, collect_corners, image_reader, search_missed_markers
+from vision.readout_motion import Rates
 from vision.recording_adjustment import (
     Measurement,
     has_hand_cameras,
@@ -62,11 +63,10 @@ def measure_recording(
     Raises NotEnoughData for a recording with neither corners nor images, and what reading and measuring raise
     """
     recording = recording_with_unstated_markers_placed(recording, read_images, progress)
+    options = (free, read_images, progress, places, check_corners)
     if not has_hand_cameras(recording.design):
-        return _measured(recording, free, read_images, progress, places, check_corners)
-    measured, collected = _measured(
-        recording_seen_from_hand(recording), free, read_images, progress, places, check_corners
-    )
+        return _measured(recording, *options, readout_motion.commanded_rates(recording))
+    measured, collected = _measured(recording_seen_from_hand(recording), *options, None)
     return invert_measured_poses(measured), collected
 
 
@@ -128,8 +128,11 @@ def _measured(
     progress: Callable[[str, int, int], None] | None,
     places: str,
     look: Callable[[Corners], None] | None,
+    rates: Rates | None,
 ) -> tuple[Measurement, Collected | None]:
-    """The same by cameras that stand still or go their own ways."""
+    """The same by cameras that stand still or go their own ways. rates : of bodies while
+    rows of a rolling shutter are exposed, or None
+    """
     design = recording.design
     if not design.cameras or not design.targets:
         raise NotEnoughData(
@@ -152,6 +155,12 @@ def _measured(
         if look:
             look(corners)
         observed = observations_from_corners(corners, frames, design, markers, correlation)
+        if rates is None or markers.stage.any():  # of a chain's stages only the last has rates
+            return adjusted(observed)
+        moved = readout_motion.observations_with_readout_motion(observed, design, rates)
+        return readout_motion.with_uncertainty_of_rates(adjusted(moved), rates)
+
+    def adjusted(observed: Observations) -> Measurement:
         loose = is_on_remounted_cube(observed, design, markers)
         if markers.stage.any():
             return measure_with_stated_or_free_places(observed.take(~loose), design, markers, free, progress, t, places)

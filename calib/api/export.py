@@ -13,6 +13,8 @@ from calib.correction.correction_as_c_source import correction_c_source
 from calib.correction.correction_tables_and_pose_space_map_json import axis_correction_tables, grid_correction_table
 from calib.correction.linuxcnc_kinematics_source import linuxcnc_kinematics_source
 from calib.files import calibration_file
+from calib.models.arm.arm_correction_as_c_source import arm_correction_c_source
+from calib.models.arm.correction import ArmCorrection
 from rig.errors import RigError
 from rig.formats.exporters import geometry_and_camera_files, recording_as_rerun_tum_parquet, urdf_and_sdf
 from rig.formats.output_files import write_bytes, write_text
@@ -91,8 +93,13 @@ def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -
     if kind in C_SOURCES:
         origin = f"rig {metadata.version('rig')} of {machine.name}, SHA-256 {sha256(machine.read_bytes()).hexdigest()}"
         calibration = calibration_file.load(machine)
-        given = (calibration.correction, calibration.physics, origin)
-        source = correction_c_source(*given) if kind == "c" else linuxcnc_kinematics_source(*given, options.units)
+        correction, physics = calibration.correction, calibration.physics
+        if kind == "linuxcnc-kins":
+            source = linuxcnc_kinematics_source(correction, physics, origin, options.units)
+        elif isinstance(correction, ArmCorrection):
+            source = arm_correction_c_source(correction, physics, origin)
+        else:
+            source = correction_c_source(correction, physics, origin)
         return ExportResult({"": source.text}, "; ".join(source.notes))
     if kind == LOOKUP:
         if options.poses is None:

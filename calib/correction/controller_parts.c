@@ -3,23 +3,24 @@
 
 enum {
     RIG_OK = 0,
-    RIG_BAD_POSE = 1,       /* a number of the pose is not finite */
-    RIG_OUT_OF_STROKE = 2,  /* a corrected length leaves its strut's range */
-    RIG_NOT_CONVERGED = 3,  /* no lengths were found within RIG_ITERATIONS */
+    RIG_BAD_POSE = 1,       /* a number of what is wanted is not finite */
+    RIG_OUT_OF_STROKE = 2,  /* a corrected command leaves its axis' range */
+    RIG_NOT_CONVERGED = 3,  /* no commands were found within RIG_ITERATIONS */
     RIG_SENSOR_MISSING = 4, /* channels are absent, or one is not finite */
-    RIG_NO_STATE = 5        /* no state, or not finite: the play of a strut depends on it */
+    RIG_NO_STATE = 5        /* no state, or not finite: the play of an axis depends on it */
 };
 enum { RIG_ITERATIONS = 100 };
 
-/* Where the struts were commanded to last (m), and where their plays stand (m). */
+/* Where the axes were commanded to last, and where their plays stand, m or rad. */
 struct rig_state {
-    double command[6], play[6];
+    double command[RIG_AXES], play[RIG_AXES];
 };
 
-int rig_start(struct rig_state *state, const double lengths[6]);
-int rig_correct(const double pose[6], const double *channels, struct rig_state *state, double lengths[6]);
+int rig_start(struct rig_state *state, const double commands[RIG_AXES]);
+int rig_correct(const double wanted[RIG_AXES], const double *channels, struct rig_state *state,
+                double commands[RIG_AXES]);
 
-#define RIG_TOLERANCE 1e-12 /* m, of the last step of an iteration */
+#define RIG_TOLERANCE 1e-12 /* m or rad, of the last step of an iteration */
 
 struct placed {
     double R[3][3]; /* T_base_platform */
@@ -27,23 +28,23 @@ struct placed {
 };
 
 /* part: no remainder */
-static int settle(const double goal[6], double effective[6])
+static int settle(const double goal[RIG_AXES], double effective[RIG_AXES])
 {
-    for (int i = 0; i < 6; i++)
+    for (int i = 0; i < RIG_AXES; i++)
         effective[i] = goal[i];
     return RIG_OK;
 }
 
 /* part: settle */
-/* Lengths with effective = goal + remainder(effective), m. */
-static int settle(const double goal[6], double effective[6])
+/* Commands with effective = goal + remainder(effective), m or rad. */
+static int settle(const double goal[RIG_AXES], double effective[RIG_AXES])
 {
-    for (int i = 0; i < 6; i++)
+    for (int i = 0; i < RIG_AXES; i++)
         effective[i] = goal[i];
     for (int n = 0; n < RIG_ITERATIONS; n++) {
-        double rest[6] = {0.0}, change = 0.0;
+        double rest[RIG_AXES] = {0.0}, change = 0.0;
         add_remainder(effective, rest);
-        for (int i = 0; i < 6; i++) {
+        for (int i = 0; i < RIG_AXES; i++) {
             const double next = goal[i] + rest[i];
             change = fmax(change, fabs(next - effective[i]));
             effective[i] = next;
@@ -68,7 +69,7 @@ static void rotation(const double v[3], double R[3][3])
             R[i][j] = a * cross[i][j] + b * v[i] * v[j] + (i == j ? 1.0 - b * square : 0.0);
 }
 
-/* part: pose maps */
+/* part: rotation vector */
 /* Rotation vector (rad) of a rotation matrix, by its unit quaternion. */
 static void rotation_vector(double R[3][3], double v[3])
 {
@@ -99,6 +100,7 @@ static void rotation_vector(double R[3][3], double v[3])
         v[i] = scale * sign * q[i] / norm;
 }
 
+/* part: pose maps */
 /* T exp(-xi), xi a tangent of translation (m) and rotation (rad) on the right. */
 static void moved_back(const struct placed *T, const double xi[6], struct placed *out)
 {
@@ -157,23 +159,23 @@ static int compensate(void (*add)(const double *, double, double *), const doubl
 }
 
 /* part: no effects */
-static int command(const double effective[6], const double tip[6][3], const double *channels,
-                   struct rig_state *state, double lengths[6])
+static int command(const double effective[RIG_AXES], const double tip[6][3], const double *channels,
+                   struct rig_state *state, double lengths[RIG_AXES])
 {
     (void)tip;
     (void)channels;
     (void)state;
-    for (int i = 0; i < 6; i++)
+    for (int i = 0; i < RIG_AXES; i++)
         lengths[i] = effective[i];
     return RIG_OK;
 }
 
 /* part: effects */
-/* Commands (m) that become effective lengths (m): effects undone, plays taken up from where they stand. */
-static int command(const double effective[6], const double tip[6][3], const double *channels,
-                   struct rig_state *state, double lengths[6])
+/* Commands that become effective ones, m or rad: effects undone, plays taken up from where they stand. */
+static int command(const double effective[RIG_AXES], const double tip[6][3], const double *channels,
+                   struct rig_state *state, double lengths[RIG_AXES])
 {
-    for (int i = 0; i < 6; i++) {
+    for (int i = 0; i < RIG_AXES; i++) {
         lengths[i] = effective[i];
         if (GAP[i] > 0.0 && (!state || !isfinite(state->play[i]) || !isfinite(state->command[i])))
             return RIG_NO_STATE;
@@ -182,13 +184,13 @@ static int command(const double effective[6], const double tip[6][3], const doub
         if (!channels || !isfinite(channels[k]))
             return RIG_SENSOR_MISSING;
     for (int n = 0; n < RIG_ITERATIONS; n++) {
-        double d[6] = {0.0}, change = 0.0;
+        double d[RIG_AXES] = {0.0}, change = 0.0;
         add_deviations(lengths, tip, channels, d);
-        for (int i = 0; i < 6; i++) {
+        for (int i = 0; i < RIG_AXES; i++) {
             double next = effective[i] - d[i];
             if (GAP[i] > 0.0) {
                 const double off = next - state->play[i];
-                if (fabs(off) < 1e-10) /* m, as `rig correct`: the strut stands where it is to stand */
+                if (fabs(off) < 1e-10) /* as `rig correct`: the axis stands where it is to stand */
                     next = state->command[i];
                 else
                     next += off > 0.0 ? 0.5 * GAP[i] : -0.5 * GAP[i];
@@ -200,6 +202,43 @@ static int command(const double effective[6], const double tip[6][3], const doub
             return RIG_OK;
     }
     return RIG_NOT_CONVERGED;
+}
+
+/* part: ranges */
+/* The number of the first axis that leaves its range, or is not finite; 0 for none. */
+static int axis_beyond_range(const double commands[RIG_AXES])
+{
+    for (int i = 0; i < RIG_AXES; i++)
+        if (!(commands[i] >= RANGE[i][0] && commands[i] <= RANGE[i][1]))
+            return i + 1;
+    return 0;
+}
+
+int rig_start(struct rig_state *state, const double commands[RIG_AXES])
+{
+    for (int i = 0; i < RIG_AXES; i++) {
+        if (!state)
+            return RIG_NO_STATE;
+        state->command[i] = state->play[i] = commands ? commands[i] : rig_home[i];
+        if (!isfinite(state->play[i]))
+            return RIG_NO_STATE;
+    }
+    return RIG_OK;
+}
+
+/* Hand out commands that were found, m or rad, and move the state on; beyond a range nothing is changed. */
+static int commanded(const double found[RIG_AXES], struct rig_state *state, double commands[RIG_AXES])
+{
+    if (axis_beyond_range(found))
+        return RIG_OUT_OF_STROKE;
+    for (int i = 0; i < RIG_AXES; i++) {
+        commands[i] = found[i];
+        if (state) {
+            state->play[i] = fmin(fmax(state->play[i], found[i] - 0.5 * GAP[i]), found[i] + 0.5 * GAP[i]);
+            state->command[i] = found[i];
+        }
+    }
+    return RIG_OK;
 }
 
 /* part: correct */
@@ -225,27 +264,6 @@ static int corrected(const struct placed *wanted, const double *channels, struct
     return status == RIG_OK ? command(effective, (const double(*)[3])tip, channels, state, found) : status;
 }
 
-/* The number of the first strut that leaves its range, or is not finite; 0 for none. */
-static int strut_beyond_range(const double lengths[6])
-{
-    for (int i = 0; i < 6; i++)
-        if (!(lengths[i] >= RANGE[i][0] && lengths[i] <= RANGE[i][1]))
-            return i + 1;
-    return 0;
-}
-
-int rig_start(struct rig_state *state, const double lengths[6])
-{
-    for (int i = 0; i < 6; i++) {
-        if (!state)
-            return RIG_NO_STATE;
-        state->command[i] = state->play[i] = lengths ? lengths[i] : rig_home[i];
-        if (!isfinite(state->play[i]))
-            return RIG_NO_STATE;
-    }
-    return RIG_OK;
-}
-
 int rig_correct(const double pose[6], const double *channels, struct rig_state *state, double lengths[6])
 {
     struct placed T;
@@ -257,16 +275,5 @@ int rig_correct(const double pose[6], const double *channels, struct rig_state *
         T.p[i] = pose[i];
     rotation(pose + 3, T.R);
     const int status = corrected(&T, channels, state, tip, found);
-    if (status != RIG_OK)
-        return status;
-    if (strut_beyond_range(found))
-        return RIG_OUT_OF_STROKE;
-    for (int i = 0; i < 6; i++) {
-        lengths[i] = found[i];
-        if (state) {
-            state->play[i] = fmin(fmax(state->play[i], found[i] - 0.5 * GAP[i]), found[i] + 0.5 * GAP[i]);
-            state->command[i] = found[i];
-        }
-    }
-    return RIG_OK;
+    return status == RIG_OK ? commanded(found, state, lengths) : status;
 }

@@ -4,42 +4,16 @@ Such a controller computes strut lengths from a pose by its nominal geometry, th
 is therefore the nominal forward kinematics of the corrected lengths, in its frames and about its pivot point.
 """
 
-from dataclasses import dataclass, field
-
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
+from rig.driving.protocols.gcs_hexapod import PoseFrames
 from rig.errors import NotConverged
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_hexapod
-from rig.model.pose import pose
 
 AGREED = 1e-9  # m, of the lengths that a commanded pose gives
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PoseFrames:
-    """Frames in which a controller takes poses. work : T_base_work; tool : T_platform_tool; pivot : (3,) m in the
-    tool's frame: the point that a turn leaves where it is (SPI); gcs : whether poses are written as MOV takes them
-    """
-
-    work: RigidTransform = field(default_factory=lambda: pose([0, 0, 0], [0, 0, 0]))
-    tool: RigidTransform = field(default_factory=lambda: pose([0, 0, 0], [0, 0, 0]))
-    pivot: Floats = field(default_factory=lambda: np.zeros(3))
-    gcs: bool = False
-
-    def command_of_pose(self, T_base_platform: RigidTransform) -> RigidTransform:
-        """What is commanded for poses (...): the pose of the tool in the work frame, its translation (m) that of the
-        pivot.
-        """
-        T = self.work.inv() * T_base_platform * self.tool
-        return RigidTransform.from_components(T.translation + T.rotation.apply(self.pivot) - self.pivot, T.rotation)
-
-    def pose_of_command(self, command: RigidTransform) -> RigidTransform:
-        """T_base_platform (...) that a commanded pose (...) means."""
-        shift = command.translation - command.rotation.apply(self.pivot) + self.pivot
-        return self.work * RigidTransform.from_components(shift, command.rotation) * self.tool.inv()
 
 
 def poses_to_command(nominal: Mechanism, lengths: Floats, wanted: RigidTransform, frames: PoseFrames) -> RigidTransform:

@@ -198,7 +198,7 @@ int kinematicsInverse(const EmcPose *world, double *joint, const KINEMATICS_INVE
     if (status == RIG_OK)
         status = corrected(&T, channels, 0, tip, lengths);
     if (status == RIG_OK) {
-        strut = strut_beyond_range(lengths);
+        strut = axis_beyond_range(lengths);
         jacobian(&T, (const double(*)[3])tip, J);
         status = strut ? RIG_OUT_OF_STROKE : is_regular(J) ? RIG_OK : RIG_SINGULAR;
     }

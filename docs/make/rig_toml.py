@@ -206,6 +206,8 @@ class Log(Entries):
 HANGS_ON_ANOTHER = {
     ("[[camera]]", "row_time"): "`0`; **required** of a rolling shutter",
     ("[controller]", "max_speed"): "`[actuator]` `max_speed`",
+    ("[controller]", "work"): "the platform at home",
+    ("[controller]", "tool"): "the platform itself",
     ("[[target.marker]]", "margin"): "an eighth of `side`",
     ("[[target]]", "board"): "a cube, or listed markers",
     ("[[target.marker]]", "pose"): "found from the recording",
@@ -219,6 +221,8 @@ KEYS_TOLD = {  # of keys that are not fields, or not those alone
     ("[[target]]", "pose"): "T_body_cube, of the cube's centre, or T_body_board, of the board's lower left corner: x "
     "right, y up, z out of the paper",
     ("[[target]]", "first"): FIRST,
+    ("[controller]", "work"): "T_base_work, the frame in which a hexapod's own controller (gcs-hexapod) takes poses",
+    ("[controller]", "tool"): "T_platform_tool, the frame whose poses these are",
     ("[[target]]", "legacy"): LEGACY,
 }
 KINDS_OF_GET = {
@@ -260,14 +264,15 @@ def samples() -> list[dict[str, Any]]:
         "capture": {"gain": 1.0},
     }
     whole["environment"]["tilt"] = [{"channel": "elevation_deg", "axis": [0.0, 1.0, 0.0], "zero": 0.0}]
-    whole["controller"] = {"protocol": "grblhal", "port": "/dev/ttyACM0", "max_speed": 0.01}
+    stands = {"position": [0.0, 0.0, 0.0], "rotvec": [0.0, 0.0, 0.0]}
+    whole["controller"] = {"protocol": "gcs-hexapod", "port": "/dev/ttyACM0", "max_speed": 0.01}
+    whole["controller"] |= {"work": stands, "tool": stands}
     whole["sensors"] = {"port": "/dev/ttyUSB1", "channels": ["ambient_temperature_C"]}
     whole["experiment"] = {"may": ["payload", "wait"]}
     whole["instrument"] = {"base": "rig", "tool": "rig", "position_sigma": 1e-5, "rotation_sigma": 1e-4}
     whole["sensor"] = {name: getattr(Sensor(), name) for name in Sensor.__slots__}
     listed = tomllib.loads(hexapod_layout_and_camera_placement.two_strut_layout_rig_toml(0.3, cameras=1, cubes=1))
     marker = {"id": 90, "side": 0.03, "pose": {"position": [0.0, 0.0, 0.1], "rotvec": [0.0, 0.0, 0.0]}}
-    stands = {"position": [0.0, 0.0, 0.0], "rotvec": [0.0, 0.0, 0.0]}
     listed["target"].append(
         {"name": "board", "body": "base", "board": "aruco:2x2:0.03:0.01:DICT_6X6_250", "first": 200, "pose": stands}
     )

@@ -30,7 +30,7 @@ def run(arguments: Namespace) -> None:
         from rig.driving.driver_opening_and_settled_status import address_of_controller, design_with_controller_port
 
         stated = design_with_controller_port(arguments.design, arguments.port)
-        address = address_of_controller(stated.driver(), len(stated.mechanism.axes))
+        address = address_of_controller(stated.driver(), stated.mechanism)
     other = stop_lock_holder(address.port, clock, PATIENCE, address.usb)
     if other is not None:
         print(f"process {other}, which drove them, was stopped")

@@ -18,6 +18,7 @@ from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_file
 from rig.model.controller_protocol_list_and_port_name_check import port_problem
 from rig.model.design import Controller, Design
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_struts
 
 
 def design_with_controller_port(path: Path, port: str | None) -> Design:
@@ -34,14 +35,14 @@ def design_with_controller_port(path: Path, port: str | None) -> Design:
     return replace(design, controller=replace(design.controller, port=port, usb="")) if port else design
 
 
-def address_of_controller(controller: Controller, axis_count: int) -> ControllerAddress:
+def address_of_controller(controller: Controller, mechanism: Mechanism) -> ControllerAddress:
     """Address of the Controller of a design, for a rig.toml that is no local file. Raises RigError for no port, and for
     a program of the user's own that cannot be used.
     """
     c = controller
     if not (c.port or c.usb):
         raise RigError("[controller] names no port")
-    stop = protocol_of_controller(c, axis_count).urgent_stop
+    stop = protocol_of_controller(c, require_struts(mechanism)).urgent_stop
     return ControllerAddress(c.protocol, c.port, c.usb, c.baudrate, c.password, c.enable_password, stop)
 
 

@@ -60,7 +60,7 @@ class Driver:
             raise RigError("[controller] names no port")
         self.design, self.controller, self.mechanism = design, c, require_struts(design.mechanism)
         self.clock = clock or SystemClock()
-        self._protocol = protocols.protocol_of_controller(c, len(design.mechanism.axes))
+        self._protocol = protocols.protocol_of_controller(c, self.mechanism)
         self.link = Link(
             self._protocol,
             opener or (lambda: SerialPort(find_usb_port(c.port, c.usb), c.baudrate, self.clock)),

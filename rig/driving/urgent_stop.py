@@ -16,7 +16,7 @@ from rig.errors import FileError
 from rig.formats.user_python_file import class_literal, read_user_text
 
 CLIENT = "rig 1.0"  # who greets linuxcncrsh
-STOPS = {"grblhal": b"!", "gcs": b"\x18", "linuxcnc": b"SET ABORT\r\n", "struts": b"!"}
+STOPS = {"grblhal": b"!", "gcs": b"\x18", "gcs-hexapod": b"\x18", "linuxcnc": b"SET ABORT\r\n", "struts": b"!"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """List of controller protocols, and check of a port's name; imports nothing that takes time."""
 
-PROTOCOLS = ("grblhal", "gcs", "linuxcnc", "struts")
+PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "linuxcnc", "struts")
 USER_PROGRAMS = ("file", "package")  # KIND:PLACE of a protocol or camera of the user's own
 SHOWN = 80  # characters of a port's name that a message repeats
 SCHEMES = (

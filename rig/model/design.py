@@ -20,7 +20,7 @@ from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free
 class Controller:
     """What drives the axes.
 
-    protocol : "grblhal", "gcs", "linuxcnc", "struts", or a user's "file:NAME.py" or "package:NAME"
+    protocol : "grblhal", "gcs", "gcs-hexapod", "linuxcnc", "struts", or a user's "file:NAME.py" or "package:NAME"
     baudrate : bits per second; port : device, or URL socket://, rfc2217://, loop://
     usb : serial number or hardware id of the port, or ""; axes : the controller's names of them, () for usual ones
     homing : whether the controller can home; without, the position that it reads at the start is believed
@@ -31,6 +31,7 @@ class Controller:
     timeout, home_timeout : s, for an answer and for homing; watchdog : s of silence after which a controller stops
     kinematics : "joint" (an axis word is an axis) or "world" (the controller has the inverse kinematics, takes poses)
     password, enable_password : of linuxcncrsh; ini : path of LinuxCNC's .ini, whose limits are compared, or ""
+    work, tool : T_base_work, T_platform_tool where it takes poses, None for the platform at home, and for itself
     """
 
     protocol: str
@@ -53,6 +54,8 @@ class Controller:
     password: str
     enable_password: str
     ini: str = ""
+    work: RigidTransform | None = None
+    tool: RigidTransform | None = None
 
 
 DISTORTION_TERMS = (4, 5, 8, 12, 14)
@@ -176,8 +179,7 @@ class Camera:
     distortion : (4, 5, 8, 12 or 14,) OpenCV order; pose : T_base_camera, OpenCV axes
     shutter : "global" or "rolling"; row_time : s, from one row of the image to the next, for a rolling one
     mount : "fixed", "moving" (a pose in every frame) or "hand": the platform carries it, and pose is T_platform_camera
-    source : what a run opens it by, for example "uvc:0" or "file:cam.py", or None
-    capture : how it is set
+    source : what a run opens it by, for example "uvc:0" or "file:cam.py", or None; capture : how it is set
     """
 
     name: str

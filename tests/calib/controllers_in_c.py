@@ -24,6 +24,8 @@ from calib.correction.interpolation_methods_and_correction_summand_fields import
     fit_field,
     home_pose,
 )
+from calib.models.arm.arm_correction_as_c_source import arm_correction_c_source
+from calib.models.arm.correction import ArmCorrection
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose, pose_to_vector
@@ -51,7 +53,7 @@ int poses(const double *pose, const double *channels, struct rig_state *state, d
 {
     int worst = 0;
     for (int i = 0; i < n; i++) {
-        status[i] = rig_correct(pose + 6 * i, channels, state, lengths + 6 * i);
+        status[i] = rig_correct(pose + RIG_AXES * i, channels, state, lengths + RIG_AXES * i);
         worst = status[i] > worst ? status[i] : worst;
     }
     return worst;
@@ -60,7 +62,7 @@ int poses(const double *pose, const double *channels, struct rig_state *state, d
 /* s, of the slowest pose and in the mean; of five calls each the fastest counts, as the machine runs other programs. */
 double slowest(const double *pose, const double *channels, struct rig_state *state, int n, double *mean)
 {
-    double most = 0.0, total = 0.0, lengths[6];
+    double most = 0.0, total = 0.0, lengths[RIG_AXES];
     for (int i = 0; i < n; i++) {
         const struct rig_state before = *state;
         double least = HUGE_VAL;
@@ -68,7 +70,7 @@ double slowest(const double *pose, const double *channels, struct rig_state *sta
             struct timespec begin, end;
             *state = before;
             clock_gettime(CLOCK_MONOTONIC, &begin);
-            rig_correct(pose + 6 * i, channels, state, lengths);
+            rig_correct(pose + RIG_AXES * i, channels, state, lengths);
             clock_gettime(CLOCK_MONOTONIC, &end);
             least = fmin(least, (double)(end.tv_sec - begin.tv_sec) + 1e-9 * (double)(end.tv_nsec - begin.tv_nsec));
         }
@@ -83,7 +85,9 @@ double slowest(const double *pose, const double *channels, struct rig_state *sta
 
 def c_text(calibration):
     """Text of the C file of a calibration."""
-    return correction_c_source(calibration.correction, calibration.physics, "rig 1.2.3").text
+    arm = isinstance(calibration.correction, ArmCorrection)
+    source = arm_correction_c_source if arm else correction_c_source
+    return source(calibration.correction, calibration.physics, "rig 1.2.3").text
 
 
 def compiled_library(folder, name, *sources, include=()):
@@ -112,25 +116,28 @@ class Controller:
         self.library = compiled_library(folder, "loop", "loop.c")
         self.library.slowest.restype = ctypes.c_double
         self.channels = re.findall(r"channels\[\d+\] (\w+)", self.text)
-        self.state = None if stateless else np.full(12, np.nan)
+        self.state = None if stateless else np.full(2 * len(calibration.correction.nominal.axes), np.nan)
         if not stateless:
             assert self.start(start) == OK
 
     def start(self, lengths=None):
-        """Status of standing at lengths (6,) m, or home."""
+        """Status of standing at lengths (axes,) m or rad, or home."""
         given = None if lengths is None else np.ascontiguousarray(lengths)
         return self.library.rig_start(pointer(self.state), pointer(given))
 
     def took(self, T):
-        """(slowest, mean) s a pose (n,)."""
+        """(slowest, mean) s a pose (n,), or joint values (n, axes)."""
         values, mean = np.array([WARM[name] for name in self.channels] or [0.0]), np.zeros(1)
-        vectors = np.ascontiguousarray(pose_to_vector(T))
+        vectors = np.ascontiguousarray(T if isinstance(T, np.ndarray) else pose_to_vector(T))
         most = self.library.slowest(*map(pointer, (vectors, values, self.state)), len(vectors), pointer(mean))
         return most, mean.item()
 
     def __call__(self, T, sensors=None):
-        """(lengths (n, 6) m, status (n,)) of poses (n,). sensors : {channel: value}, None to pass none"""
-        wanted = np.ascontiguousarray(pose_to_vector(T).reshape(-1, 6))
+        """(commands (n, axes) m or rad, status (n,)) of poses (n,), or of an arm's joint values (n, axes).
+
+        sensors : {channel: value}, None to pass none
+        """
+        wanted = np.ascontiguousarray(T if isinstance(T, np.ndarray) else pose_to_vector(T).reshape(-1, 6))
         values = None if sensors is None else np.array([sensors[name] for name in self.channels] or [0.0])
         lengths, status = np.full(wanted.shape, np.nan), np.zeros(len(wanted), np.int32)
         self.library.poses(*map(pointer, (wanted, values, self.state, lengths, status)), len(wanted))

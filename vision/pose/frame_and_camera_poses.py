@@ -60,7 +60,7 @@ class Views:
     def __init__(
         self, observations: Observations, cameras: Sequence[Camera], marker_map: MarkerMap, finest: float
     ) -> None:
-        self.observations = observations.with_points(marker_map.corners[observations.marker, observations.corner])
+        self.observations = observations.with_points(observations.body_points(marker_map))
         self.map, self.finest = marker_map, finest
         self.ideal, self.covariance = undistort_corners(
             observations.uv, observations.covariance, observations.camera, cameras

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock, SimulatedClock
@@ -16,6 +17,7 @@ from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults, parse_faults
 from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine, MovingAxes
 from rig.driving.emulators.gcs import GCS
+from rig.driving.emulators.gcs_hexapod import GCSHexapod
 from rig.driving.emulators.grblhal import GrblHAL
 from rig.driving.emulators.line_emulator import load_user_emulator
 from rig.driving.emulators.linuxcnc import LinuxCNC
@@ -94,8 +96,9 @@ def emulator_of_design(
         )
     acceleration = np.full(len(home), ACCELERATION) if c.max_acceleration is None else c.max_acceleration
     axes = MovingAxes(clock.now(), start_lengths, speed_factor * c.max_speed, speed_factor**2 * acceleration)
-    machine = EmulatedMachine(axes, c.zero, home, faults, known=not c.homing)
-    limits = m.strut_range - c.zero[:, None]
+    zero = home if c.protocol == "gcs-hexapod" else c.zero  # its poses count from home, whatever lengths are called 0
+    machine = EmulatedMachine(axes, zero, home, faults, known=not c.homing)
+    limits = m.strut_range - zero[:, None]
     if is_user_program(c.protocol):
         return load_user_emulator(c.protocol)(machine, faults, clock, limits)
     if c.protocol == "grblhal":
@@ -104,6 +107,9 @@ def emulator_of_design(
         )
     if c.protocol == "gcs":
         return GCS(machine, faults, clock, c.axes or tuple(str(i + 1) for i in range(len(home))), limits)
+    if c.protocol == "gcs-hexapod":
+        tool = RigidTransform.identity() if c.tool is None else c.tool
+        return GCSHexapod(machine, faults, clock, require_hexapod(m), limits, c.work, tool)
     if c.protocol == "struts":
         return Struts(machine, faults, clock, limits)
     if c.protocol == "linuxcnc":

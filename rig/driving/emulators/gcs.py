@@ -175,9 +175,12 @@ class GCS(Emulator):
         else:
             self._begin(target)
 
+    def seconds_of_move(self, target: Floats) -> float:
+        """s that a move to counters (n,) m takes at the velocities that are set."""
+        return float((np.abs(target - self.machine.counters(self.now)) / self.velocity).max())
+
     def _begin(self, target: Floats) -> None:
-        duration = (np.abs(target - self.machine.counters(self.now)) / self.velocity).max()
-        struck = self.start_move(target, duration)
+        struck = self.start_move(target, self.seconds_of_move(target))
         if "ok-after-error" in struck:
             self.say("24\n0\n")
             return

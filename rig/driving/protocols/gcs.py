@@ -2,15 +2,13 @@
 
 Answers carry no number. After a silence the line is brought in step by `*IDN?`, whose answer cannot be taken for
 another. Source: PI GCS 2.0 manuals (e.g. SM151E, MS204E): `#5`, `#7`, `#24` are single bytes; an answer of several
-lines has a blank before all line feeds but the last. Poses of a hexapod's controller: PI MS207E (H-820), 3.7.4.
+lines has a blank before all line feeds but the last.
 """
 
 import re
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.driving.controller_limits import ControllerLimits
@@ -92,7 +90,7 @@ class GCS:
 
     def state(self) -> Dialogue[State]:
         moving = yield from self._moving()
-        positions = (yield from self._values("POS?")) / self._unit
+        positions = yield from self._positions()
         error = yield from self._error()
         fault = "" if error == 0 else _reason(error)
         if moving:
@@ -173,6 +171,10 @@ class GCS:
     def event(self, line: str) -> str:
         return ""
 
+    def _positions(self) -> Dialogue[Floats]:
+        """(n,) m as it counts."""
+        return (yield from self._values("POS?")) / self._unit
+
     def _pairs(self, metres: Floats, which: Booleans) -> str:
         return " ".join(f"{axis} {value:.6f}" for axis, value, on in zip(self.axes, self._unit * metres, which) if on)
 
@@ -190,6 +192,7 @@ class GCS:
         if len(units) != 1 or not units <= set(UNITS):
             raise ControllerFault(
                 f"the axes count in {' '.join(sorted(units))}; they must all count in one of {' '.join(UNITS)}"
+                + ("; a hexapod's own controller is driven by protocol gcs-hexapod" if "DEG" in units else "")
             )
         self._unit = UNITS[units.pop()]
 
@@ -205,12 +208,20 @@ class GCS:
 
     def _values(self, question: str) -> Dialogue[Floats]:
         """(n,) what a question about axes is answered with. Raises NoAnswer where axes are missing in the answer."""
+        found = yield from self._readings(f"{question} {' '.join(self.axes)}", self.axes)
+        return np.array([float(found[axis]) for axis in self.axes])
+
+    def _readings(self, question: str, names: Sequence[str], pattern: str = _NUMBER) -> Dialogue[dict[str, str]]:
+        """{name: text} that a question is answered with. Raises NoAnswer where names are missing in the answer.
+
+        pattern : that a text fits
+        """
         for _ in range(TRIES):
-            lines = yield from self._ask(f"{question} {' '.join(self.axes)}\n".encode(), _whole(rf"{_AXIS}={_NUMBER}"))
-            pairs = [re.fullmatch(rf"({_AXIS})=({_NUMBER})", line.strip()) for line in lines]
-            found = {pair[1]: float(pair[2]) for pair in pairs if pair}
-            if set(found) == set(self.axes):
-                return np.array([found[axis] for axis in self.axes])
+            lines = yield from self._ask(f"{question}\n".encode(), _whole(rf"{_AXIS}={pattern}"))
+            pairs = [re.fullmatch(rf"({_AXIS})=({pattern})", line.strip()) for line in lines]
+            found = {pair[1]: pair[2] for pair in pairs if pair}
+            if set(found) == set(names):
+                return found
             yield from self._in_step()
         raise NoAnswer(f"{question} was answered by {lines!r}")
 
@@ -251,20 +262,3 @@ def _is_error(lines: Sequence[str]) -> bool:
 
 def _reason(error: int) -> str:
     return f"error {error} ({ERRORS.get(error, 'see its manual')})"
-
-
-HEXAPOD_AXES = ("X", "Y", "Z", "U", "V", "W")
-ORDER, MM = "XYZ", 1e3  # of SciPy: about axes that move along, in the order U, V, W; per m
-
-
-def gcs_values_of_pose(T: RigidTransform) -> Floats:
-    """(..., 6) X, Y, Z in mm and U, V, W in degrees of poses (...), as a hexapod's controller takes them."""
-    return np.concatenate([MM * T.translation, T.rotation.as_euler(ORDER, degrees=True)], axis=-1)
-
-
-def pose_of_gcs_values(values: ArrayLike) -> RigidTransform:
-    """Poses (...) of (..., 6) X, Y, Z in mm and U, V, W in degrees."""
-    values = np.asarray(values, float)
-    return RigidTransform.from_components(
-        values[..., :3] / MM, Rotation.from_euler(ORDER, values[..., 3:], degrees=True)
-    )

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import ParamSpec, cast
 
 from rig.driving.protocols.gcs import GCS
+from rig.driving.protocols.gcs_hexapod import GCSHexapod
 from rig.driving.protocols.grblhal import GrblHAL
 from rig.driving.protocols.line_protocol import LineProtocol, state_problem
 from rig.driving.protocols.linuxcnc import LinuxCNC
@@ -22,6 +23,8 @@ from rig.errors import ControllerFault, FileError
 from rig.formats.user_python_file import class_literal, read_user_text
 from rig.model.controller_protocol_list_and_port_name_check import is_user_program
 from rig.model.design import Controller
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts as StrutMechanism
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 
 P = ParamSpec("P")
 GROUP = "rig.protocols"  # of entry points
@@ -36,17 +39,21 @@ PLAIN = ("move_line", "encode", "decode", "event")  # methods that ask nothing
 TEXTS = ("name", "accepted", "refused", "stop_line")  # that a class must state
 
 
-def protocol_of_controller(controller: Controller, axis_count: int) -> Protocol:
-    """The Protocol of a controller that drives `axis_count` axes. A program of the user's own is run for it.
+def protocol_of_controller(controller: Controller, mechanism: StrutMechanism) -> Protocol:
+    """The Protocol of a controller that drives a mechanism's axes. A program of the user's own is run for it.
 
     Raises ValueError for a protocol that there is not, FileError and RigError for a program that cannot be used
     """
+    axis_count = len(mechanism.axes)
     if is_user_program(controller.protocol):
         return load_user_protocol(controller, axis_count)
     if controller.protocol == "grblhal":
         return GrblHAL(controller.axes or tuple("XYZABC"[:axis_count]))
     if controller.protocol == "gcs":
         return GCS(controller.axes, axis_count)
+    if controller.protocol == "gcs-hexapod":
+        hexapod = require_hexapod(mechanism, "gcs-hexapod drives a hexapod, not a mechanism of kind {kind!r}")
+        return GCSHexapod(hexapod, controller.zero, controller.work, controller.tool)
     if controller.protocol == "struts":
         return Struts(axis_count, controller.watchdog)
     if controller.protocol == "linuxcnc":

@@ -59,7 +59,9 @@ class ThermalExpansion(Effect):
             share[:, i] = self.coefficient * (warm - REFERENCE_TEMPERATURE)
         return motion.kind.axis_deviation_and_sway_by_member_growth(motion.T, motion.lengths, motion.mechanism, share)
 
-    def in_controller(self, motion: Motion) -> ControllerTerm:
+    def in_controller(self, motion: Motion) -> ControllerTerm | None:
+        if motion.kind.AXIS != "strut":  # a link that grows moves the hand, and no joint
+            return None
         sits = np.flatnonzero(self.axes(motion.places)).tolist()
         names = {i: _channels(motion.places[i])[0] for i in sits}
         return ControllerTerm(

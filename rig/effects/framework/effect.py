@@ -192,7 +192,7 @@ class Effect:
         return None
 
     def in_controller(self, motion: Motion) -> ControllerTerm | None:
-        """What a hexapod's controller computes of it, motion : of that machine; None where it has no such form."""
+        """What a controller computes of it at its axes, motion : of that machine; None where it has no such form."""
         return None
 
     def uncovered(self, motion: Motion) -> Floats:

@@ -31,12 +31,12 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class ControllerTerm:
-    """An effect as a hexapod's controller computes it, in C99.
+    """An effect as a machine's controller computes it, in C99.
 
-    statements : add metres to d[i], of commands c[6] (m), the joints BASE[6][3] and tip[6][3] (m, base frame) and
-        sensor channels, each named by `controller_channel`
-    gaps : (axes,) m, the play of each axis, () for none; channels : names of the sensor channels; lag : s, by which
-        what counts follows them, 0 for at once
+    statements : add m or rad to d[i], of commands c[axes] (m or rad), of a hexapod's joints BASE[6][3] and tip[6][3]
+        (m, base frame) and sensor channels, each named by `controller_channel`
+    gaps : (axes,) m or rad, the play of each axis, () for none; channels : names of the sensor channels; lag : s, by
+        which what counts follows them, 0 for at once
     """
 
     statements: tuple[str, ...] = ()

@@ -30,7 +30,8 @@ from rig.model.design import (
     SensorPort,
     Target,
 )
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_struts, target_bodies
+from rig.model.mechanisms.hexapod import home_values
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_struts, is_hexapod, target_bodies
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
@@ -145,8 +146,15 @@ def _controller(table: Entries, mechanism: Mechanism, actuator: Actuator) -> Con
     speed = table.each("max_speed", n, actuator.max_speed or REQUIRED, above=0, most=100, unit="m/s")
     step = table.number("max_step", None, above=0, most=LARGEST_RIG, unit="m")
     home = table.each("home", n, None, above=0, most=LARGEST_RIG, unit="m (joint centre to joint centre)")
+    protocol = _protocol(table)
+    if protocol == "gcs-hexapod":
+        if not is_hexapod(mechanism):
+            table.fail(f"protocol gcs-hexapod drives a hexapod, not a mechanism of kind {mechanism.kind!r}", "protocol")
+        home = home_values(mechanism) if home is None else home
+    elif {"work", "tool"} & set(table.tree):
+        table.fail("work and tool are frames of protocol gcs-hexapod", "work" if "work" in table.tree else "tool")
     return Controller(
-        _protocol(table),
+        protocol,
         _port(table, default=""),
         table.whole("baudrate", 1, default=115200),
         table.text("usb", default=""),
@@ -166,6 +174,8 @@ def _controller(table: Entries, mechanism: Mechanism, actuator: Actuator) -> Con
         table.text("password", default="EMC"),
         table.text("enable_password", default="EMCTOO"),
         table.text("ini", default=""),
+        table.pose("work") if "work" in table.tree else None,
+        table.pose("tool") if "tool" in table.tree else None,
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.correction.corrected_pose_commands_for_pose_taking_controllers import PoseFrames, poses_to_command
+from calib.correction.corrected_pose_commands_for_pose_taking_controllers import poses_to_command
 from calib.correction.correction import Correction
 from calib.files.calibration_file import save
 from rig.cli.command_line import main
@@ -15,8 +15,7 @@ from rig.driving.emulators.controller_emulator_opening_and_ports import home_len
 from rig.driving.emulators.controller_faults import Faults
 from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine, MovingAxes
 from rig.driving.emulators.gcs_hexapod import GCSHexapod
-from rig.driving.protocols.gcs import HEXAPOD_AXES as AXES
-from rig.driving.protocols.gcs import gcs_values_of_pose, pose_of_gcs_values
+from rig.driving.protocols.gcs_hexapod import AXES, PoseFrames, gcs_values_of_pose, pose_of_gcs_values
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.pose import pose, pose_difference

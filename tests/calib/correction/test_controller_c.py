@@ -28,6 +28,7 @@ from rig.cli.command_line import main
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import RigError
+from rig.model.mechanism_geometry_classes import Chain
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose, pose_difference
 from tests.calib.controllers_in_c import (
@@ -285,9 +286,10 @@ def test_two_plays_of_a_strut_and_unknown_ways_are_refused(design):
         c_text(calibration_of(replace(fitted(design), extension=field)))
 
 
-def test_an_arm_is_refused_by_kind():
-    with pytest.raises(RigError, match="holds a hexapod's calibration, not one of kind 'arm'"):
-        c_text(calibration_of(Correction(STANFORD, STANFORD, (None,) * len(STANFORD.axes))))
+def test_a_chain_is_refused_by_kind():
+    chain = Chain((STANFORD, STANFORD))
+    with pytest.raises(RigError, match="holds a hexapod's calibration, or with --format c an arm's.*of kind 'chain'"):
+        c_text(calibration_of(Correction(chain, chain, (None,) * len(chain.axes))))
 
 
 def test_the_command_writes_the_file_and_says_what_it_leaves(design, tmp_path, capsys, monkeypatch):

@@ -62,7 +62,7 @@ def test_what_is_sent_first_is_what_the_protocol_sends_to_stop(stated):
     design = design_file.load_design(path)
     address, c = controller_address_in_rig_toml(path, None), design.driver()
     assert (address.port, address.baudrate, address.password) == (c.port, c.baudrate, c.password)
-    assert address.urgent_stop().endswith(protocol_of_controller(c, 6).urgent_stop)
+    assert address.urgent_stop().endswith(protocol_of_controller(c, design.mechanism).urgent_stop)
     assert controller_address_in_rig_toml(path, "/dev/other").port == "/dev/other"
 
 

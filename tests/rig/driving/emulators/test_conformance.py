@@ -11,9 +11,11 @@ from rig.driving.emulators.driver_conformance_checks_against_emulator import che
 from rig.driving.sensor_reader import open_sensors
 from rig.model.design import SensorPort
 from tests.conftest import ROOT
+from tests.rig.conftest import EVERY_PROTOCOL
 from tests.rig.driving.cameras.test_cameras import camera
 from tests.rig.driving.protocols.test_user_protocol import TEMPLATE, written
 
+LONG = ("gcs-hexapod",)  # whose geometry is computed at every look at where it stands
 UNSAFE = {  # what stands in place of what, which check fails
     "its stop bytes do nothing": ('urgent_stop = b"!"', 'urgent_stop = b"?"', "stops while it moves"),
     "it hides an axis in error": ('"" if found[3] == "ok" else found[3]', '""', "done-in-error"),
@@ -44,6 +46,7 @@ def hexapod():
     return conformance_design(None)
 
 
+@pytest.mark.parametrize("protocol", [pytest.param(p, marks=[pytest.mark.slow] * (p in LONG)) for p in EVERY_PROTOCOL])
 def test_every_protocol_passes(hexapod, protocol):
     checks = list(check_conformance(hexapod, protocol, 100))
     assert len(checks) == 26 and [(check.name, check.problem) for check in checks if check.problem] == []

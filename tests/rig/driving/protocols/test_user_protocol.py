@@ -48,7 +48,7 @@ def written(folder, old="", new=""):
 def test_a_file_that_lacks_something_is_refused_with_its_line(tmp_path, driven_design, old, new, said):
     controller = replace(driven_design.controller, protocol=written(tmp_path, old, new))
     with pytest.raises(FileError, match=said):
-        protocol_of_controller(controller, 6)
+        protocol_of_controller(controller, driven_design.mechanism)
 
 
 @pytest.mark.parametrize("old, new, said", FAILS, ids=[row[2] for row in FAILS])
@@ -64,7 +64,7 @@ def test_a_protocol_that_fails_names_its_file_and_line(tmp_path, driven_design, 
 def test_a_file_that_is_not_there_or_behind_a_url_is_not_run(tmp_path, driven_design):
     for place, said in ((tmp_path / "none.py", "cannot be read"), ("https://host/mine.py", "behind a URL")):
         with pytest.raises(FileError, match=said):
-            protocol_of_controller(replace(driven_design.controller, protocol=f"file:{place}"), 6)
+            protocol_of_controller(replace(driven_design.controller, protocol=f"file:{place}"), driven_design.mechanism)
 
 
 def test_an_entry_point_of_a_package_is_a_protocol(tmp_path, driven_design, monkeypatch):
