@@ -17,6 +17,7 @@ from calib.diagnosis.engine.finding_confirmation_against_alternatives import (
     Finding,
     Scans,
     confirm_terms,
+    is_insignificant_beside_smooth_functions,
     is_significant,
     labelled_progress,
     may_become_significant_when_fitted,
@@ -384,7 +385,7 @@ def remove_findings_insignificant_with_smooth_functions(
         return selection
     fit, gone, after, findings = selection.fit, [], problem.residual(selection.fit), []
     for f in selection.findings:
-        if not problem.given.holds(f.score.candidate) and _is_insignificant(
+        if not problem.given.holds(f.score.candidate) and is_insignificant_beside_smooth_functions(
             problem, f, fit, after, unexplained, selection.asked
         ):
             without = problem.without_term(fit, f.number)
@@ -399,45 +400,3 @@ def remove_findings_insignificant_with_smooth_functions(
         fit = problem.remove_term(fit, number)
     findings = [replace(f, number=f.number - sum(g < f.number for g in gone)) for f in findings]
     return replace(selection, fit=fit, findings=findings)
-
-
-def _is_insignificant(
-    problem: Problem[Fit, Model, C],
-    finding: Finding[C],
-    fit: Fit,
-    after: Model,
-    unexplained: list[LackOfFit],
-    asked: int,
-) -> bool:
-    """Whether a Finding of a Fit is insignificant with smooth functions of what the unexplained residuals, or what is
-    left at its own place, depend on. after : the residuals with all findings"""
-    assert isinstance(problem, SmoothCover)
-    place, known = finding.score.candidate.site, {(u.place, u.depends_on) for u in unexplained}
-    if unexplained and not _stays(problem, finding, fit, unexplained, asked):
-        return True
-    doubts = [u for u in problem.lack_of_fit(after, place) if (u.place, u.depends_on) not in known]
-    if not doubts or _stays(problem, finding, fit, unexplained + doubts, asked):
-        return False
-    return any(problem.within(u, place) for u in problem.lack_of_fit(problem.without_term(fit, finding.number)))
-
-
-def _stays(problem: Problem[Fit, Model, C], finding: Finding[C], fit: Fit, left: list[LackOfFit], count: int) -> bool:
-    """Whether a Finding of a Fit explains more than what is left at its place, and stands beside smooth functions of
-    what all that is left depends on, of so many candidates asked; one of free form stands where little is left, and
-    one that its own scatter hides where those functions take little of it."""
-    assert isinstance(problem, SmoothCover)
-    score = finding.score
-    here = [u.delta_chi2 for u in left if u.depends_on and problem.within(u, score.candidate.site)]
-    most = max(here, default=0.0)
-    if most > score.delta_chi2:
-        return False
-    if score.candidate.free_form and most < problem.policy.form_left * score.delta_chi2:
-        return True
-    model, policy = problem.covered(fit, finding.number, left), problem.policy
-    covered = problem.rescored(model, fit, finding.number)
-    if is_significant(covered, count, problem.linear(model).size, policy):
-        return True
-    bare = problem.without_term(fit, finding.number)
-    alone = problem.rescored(bare, fit, finding.number)
-    hidden = not is_significant(alone, count, problem.linear(bare).size, policy)  # by the scatter that it makes itself
-    return hidden and covered.delta_chi2 > policy.cover_left * alone.delta_chi2

@@ -18,7 +18,6 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     COUNT,
     QUADRATURE,
     SEARCHED,
-    SIZES,
     Context,
     ControllerTerm,
     Covariate,
@@ -30,6 +29,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     draw_parameter,
     parameter_grid,
     parameter_values,
+    signed_size_nodes,
 )
 from rig.effects.framework.machine_motion_and_play import SOON, Motion, Path
 from rig.effects.framework.marker_table import Markers
@@ -266,9 +266,7 @@ class Effect:
         """
         linear = cls.linear(place)
         if cls.moving and linear and np.abs(context.moved().path.speed).max(initial=0.0) < AT_REST:
-            size = next(p for p in cls.parameters if p.name == linear[0].name)
-            sizes = np.geomspace(*size.usual, SIZES)
-            return [Candidate(cls, place, [{size.name: float(v)} for v in (*-sizes, *sizes)], [], "at rest", extra=1)]
+            return [Candidate(cls, place, signed_size_nodes(cls.parameters, linear[0].name), [], "at rest", extra=1)]
         searched = [p.at(place) for p in cls.parameters if p.tried or p.role in SEARCHED]
         late = {p.name for p in searched if p.role == "moment" and np.isinf(getattr(cls(place), p.name))}
         out = []

@@ -124,6 +124,16 @@ def parameter_grid(parameter: Parameter, t: Floats) -> list[float]:
     return ((t[EDGE - 1 : -EDGE] + t[EDGE : len(t) - EDGE + 1]) / 2).tolist()
 
 
+Node = dict[str, Any]  # {parameter: value} of the nonlinear ones: a number each, or several
+
+
+def signed_size_nodes(parameters: Sequence[Parameter], name: str) -> list[Node]:
+    """Nodes {parameter: value} of usual sizes of either sign of the parameter of a name."""
+    usual = next(p.usual for p in parameters if p.name == name)
+    sizes = np.geomspace(*usual, SIZES).tolist()
+    return [{name: sign * size} for sign in (-1, 1) for size in sizes]
+
+
 def derivative_step(parameter: Parameter) -> float:
     """Step of a parameter for its numerical derivative."""
     size = (
@@ -250,7 +260,6 @@ def temperature_covariate(values: Floats, part: str) -> Covariate:
 
 
 QUADRATURE = "_quadrature"  # the cosine beside the sine of a sinusoid: stands for its phase
-Node = dict[str, Any]  # {parameter: value} of the nonlinear ones: a number each, or several
 COUNT = "_count"  # in a node: how many numbers a vector of any length has
 
 

@@ -113,9 +113,7 @@ class Path:
 
     @property
     def from_motion(self) -> Floats:
-        """(n,) s between each exposure and the nearest motion before or after it; 0 in motion, infinite where there is
-        none.
-        """
+        """(n,) s between each exposure and the nearest motion; 0 in motion, infinite where there is none."""
         ends = np.flatnonzero(self.speeds.any(axis=1))  # motion lasts from the knot before to each of these
         if not len(ends):
             return np.full(len(self.at), np.inf)
