@@ -30,9 +30,9 @@ from calib.diagnosis.calibration_left_out_physics import calibration_with_left_o
 from calib.diagnosis.findings_refit import (
     Findings,
     findings_of_diagnosis,
-    findings_with_tube_flexure,
+    findings_with_measured_effects,
     load_findings,
-    samples_with_tube_flexure,
+    samples_with_measured_effects,
 )
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_provenance_and_used_frames import SEED, calibration_with_provenance
@@ -230,8 +230,20 @@ def calibrate(
             sampled = sample_by_limbs(recording, options.limbs, progress, notice)
         else:
             sampled = sample_recording(recording, progress=progress, on_corners=prepared.look)
+        _require_tilt_readings(recording.design, sampled.samples)
         sampled = replace(sampled, files=(*sampled.files, *(plugin.path for plugin in options.effects)))
         return _calibrated(recording, sampled, findings, kinds, options, call)
+
+
+def _require_tilt_readings(design: Design, samples: Samples) -> None:
+    """Raise RigError for tilt sensors that are stated and were not logged."""
+    read = () if samples.tilts is None else samples.tilts.sensors
+    for sensor in design.tilt_sensors:
+        if sensor not in read:
+            raise RigError(
+                f"rig.toml states the tilt sensor {sensor.name!r} ([[tilt_sensor]]), and sensors.csv has no "
+                f"tilt_{sensor.name}_x_rad and tilt_{sensor.name}_y_rad (or _deg): log both, or take the sensor out"
+            )
 
 
 def _calibrated(
@@ -249,11 +261,10 @@ def _calibrated(
         return _extended(recording, sampled, options, options.extend, rng, progress)
     pointing = sampled.samples.measured == "direction"
     if findings is None and (options.with_findings or pointing and not options.quick):
-        searched = samples_with_tube_flexure(recording, sampled) if pointing else sampled.samples
+        searched = samples_with_measured_effects(recording, sampled)
         asked = DiagnosisOptions(sampled=replace(sampled, samples=searched), kinds=tuple(kinds.values()))
         findings = findings_of_diagnosis(diagnose(recording, asked, progress))
-    if pointing and mechanism.link_rows is not None:
-        findings = findings_with_tube_flexure(findings, require_arm(mechanism))
+    findings = findings_with_measured_effects(findings, recording, sampled)
     known = None
     if mechanism.bodies:
         samples, done, claim = _fitted_chain(recording, sampled, rng, progress)

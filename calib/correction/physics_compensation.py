@@ -174,8 +174,23 @@ def samples_with_effects(
         return replace(
             samples, known=machine.effective_commands(design, commands, t, T, effects, sensors) - samples.commanded
         )
+    T = poses_with_predicted_rotations(design, samples)
     values, sway = machine.effective_commands_and_sway(design, commands, t, T, effects, sensors)
-    return replace(samples, known=values - samples.commanded, T_base_platform=T * exp(-sway) if sway.any() else T)
+    tilts = samples.tilts
+    if tilts is not None:
+        tilts = tilts.with_lean(machine.lean_of_base(design, commands, t, T, effects, sensors))
+    measured = samples.T_base_platform
+    moved = T * exp(-sway) if sway.any() else measured
+    return replace(samples, known=values - samples.commanded, T_base_platform=moved, tilts=tilts)
+
+
+def poses_with_predicted_rotations(design: Design, samples: Samples) -> RigidTransform:
+    """Poses (n,) of samples of an arm, their rotations as the arm has them where positions alone were measured."""
+    T = samples.T_base_platform
+    if samples.measured != "position":
+        return T
+    predicted = mechanisms.kinematics_of(design.mechanism).forward(samples.effective, design.mechanism)
+    return RigidTransform.from_components(T.translation, predicted.rotation)
 
 
 ITERATIONS = 300

@@ -31,6 +31,7 @@ from calib.models.arm.pointing_terms import tube_flexure
 from calib.models.platform.identification import Loops
 from calib.samples.pose_samples import Sampled, Samples, samples_of_freedoms
 from rig.array_and_json_types import Floats
+from rig.effects.catalogue.base_lean import base_lean_to_be_fitted
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
@@ -45,6 +46,7 @@ from rig.formats.output_files.atomic_file_and_manifest import load_manifest as m
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, require_arm, require_parallel
+from rig.model.motion_simulation import motion_of_commands
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
 
@@ -122,11 +124,15 @@ def findings_of_diagnosis(diagnosis: Diagnosis) -> Findings:
     return Findings(diagnosis.machine_effects, None, unexplained_findings(diagnosis.left))
 
 
-def findings_with_tube_flexure(findings: Findings | None, arm: Arm) -> Findings | None:
-    """Findings with the flexure of the tube of a mount, where they have no compliance of that joint already."""
+def findings_with_measured_effects(
+    findings: Findings | None, recording: Recording, sampled: Sampled
+) -> Findings | None:
+    """Findings with the effects that an arm's instruments show by themselves (`measured_effects`), where they have none
+    of that kind at that place already.
+    """
     known = Findings((), None, ()) if findings is None else findings
-    places = {effect.place for effect in known.effects if effect.form == "load"}
-    more = tuple(effect for effect in tube_flexure(arm) if effect.place not in places)
+    places = {(effect.form, effect.place) for effect in known.effects}
+    more = tuple(e for e in measured_effects(recording, sampled) if (e.form, e.place) not in places)
     if not more:
         return findings
     sigma = known.sigma
@@ -135,16 +141,33 @@ def findings_with_tube_flexure(findings: Findings | None, arm: Arm) -> Findings 
     return replace(known, effects=(*known.effects, *more), sigma=sigma)
 
 
-def samples_with_tube_flexure(recording: Recording, sampled: Sampled) -> Samples:
-    """Samples of a mount with what the flexure of its tube does to their commands, fitted with the geometry alone: all
-    else is searched for beside it. As they are where there is no such tube, or nothing was commanded.
+def measured_effects(recording: Recording, sampled: Sampled) -> tuple[Effect, ...]:
+    """Effects that are fitted with an arm's geometry since its instruments show them, small where the fit begins.
+
+    The flexure of a tube, of which directions were measured; the lean of a base on which a tilt sensor was read.
     """
-    samples, arm = sampled.samples, recording.design.mechanism
-    if not isinstance(arm, Arm) or recording.commands is None or not tube_flexure(arm):
+    arm, samples = recording.design.mechanism, sampled.samples
+    if not isinstance(arm, Arm) or recording.commands is None:
+        return ()
+    flexure = tube_flexure(arm) if samples.measured == "direction" else ()
+    readings = samples.tilts
+    if readings is None or samples.measured in UNPLACED or all(sensor.link for sensor in readings.sensors):
+        return flexure
+    motion = motion_of_commands(recording.design, recording.commands, samples.t, (), recording.sensors)
+    lean = base_lean_to_be_fitted(replace(motion, T=samples.T_base_platform))
+    return (*flexure, *([] if lean is None else [lean]))
+
+
+def samples_with_measured_effects(recording: Recording, sampled: Sampled) -> Samples:
+    """Samples of an arm with what its `measured_effects` do, fitted with the geometry alone: all else is searched for
+    beside it. As they are where there are none.
+    """
+    samples, arm, effects = sampled.samples, recording.design.mechanism, measured_effects(recording, sampled)
+    if not effects or recording.commands is None:
         return samples
     history = History(recording.design, recording.commands, smooth_temperatures(recording.sensors)[0])
-    start = start_arm_of_fit(sample_observations(samples), arm, sampled.instrument)
-    return fit_geometry_and_effects(samples, history, start, tube_flexure(arm)).samples
+    start = start_arm_of_fit(sample_observations(samples), require_arm(arm), sampled.instrument)
+    return fit_geometry_and_effects(samples, history, start, effects).samples
 
 
 def unexplained_findings(lacks_of_fit: Iterable[LackOfFit]) -> tuple[Unknown, ...]:

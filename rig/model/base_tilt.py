@@ -1,16 +1,92 @@
-"""Tilt of a machine's base by a sensor channel, and gravity in the base's frame as it turns with such tilts."""
+"""Tilt of a machine's base by a sensor channel, gravity in the base's frame as it turns, and tilt sensors on links."""
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rig.array_and_json_types import Floats
+from rig.array_and_json_types import Booleans, Floats, Integers
+from rig.errors import RigError
 
 GRAVITY = ("gravity_x_m_s2", "gravity_y_m_s2", "gravity_z_m_s2")  # channels of gravity in the base frame
 LARGEST_TURN = np.radians(1.0)  # of a tilting base between two rows, of which gravity is interpolated
 ANGLE_UNITS = {"_deg": np.pi / 180, "_rad": 1.0}  # by the end of a channel's name
+SENSOR_AXES = ("x", "y")  # of a tilt sensor, whose angles it shows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TiltSensor:
+    """A sensor on the base or a link of an arm that shows how far its x and y axes point above the horizontal, rad.
+
+    name : of its channels in sensors.csv, tilt_NAME_x_rad and tilt_NAME_y_rad, or both in _deg; link : that carries it,
+        by the joint that moves it, 0 for the base; sigma : rad, noise of each angle
+    mount : (3,) rad, the sensor's axes in the link's frame, as rotation vector; mount_sigma : rad, standard deviation
+        to which mount and the zeros of both angles are known
+    """
+
+    name: str
+    link: int
+    sigma: float
+    mount: Floats
+    mount_sigma: float = 0.02
+
+    @property
+    def place(self) -> str:
+        """Where it sits, in words."""
+        return f"link {self.link}" if self.link else "the base"
+
+    def channels(self, known: Collection[str]) -> tuple[str, str] | None:
+        """Names of its two channels among the names of those known, or None.
+
+        Raises RigError where one of the two is missing
+        """
+        for unit in ANGLE_UNITS:
+            x, y = (f"tilt_{self.name}_{axis}{unit}" for axis in SENSOR_AXES)
+            if x in known and y in known:
+                return x, y
+            if x in known or y in known:
+                raise RigError(
+                    f"sensors.csv has one of {x} and {y}: the angles of tilt sensor {self.name!r} belong together"
+                )
+        return None
+
+    def angles(self, known: Collection[str], channel: Callable[[str], Floats]) -> Floats | None:
+        """Both angles (n, 2) rad, or None where they were not logged. known : names of channels; channel : name ->
+        (n,) values
+        """
+        names = self.channels(known)
+        if names is None:
+            return None
+        return np.stack([channel(name) * ANGLE_UNITS[name[-4:]] for name in names], axis=1)
+
+    def shown(self, R_link: Floats, down: Floats) -> Floats:
+        """Angles (n, 2) rad that it shows at orientations (n, 3, 3) of its link under gravity along unit vectors
+        (n, 3).
+        """
+        axes = R_link @ Rotation.from_rotvec(self.mount).as_matrix()[:, :2]
+        return np.arcsin(np.clip(-np.einsum("nia,ni->na", axes, down), -1, 1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TiltReadings:
+    """What tilt sensors on an arm showed in n configurations.
+
+    sensors : TiltSensor, s of them; angles : (n, s, 2) rad; down : (n, 3) unit vectors of gravity in the frame of
+        poses, turned back by what the base is known to have leaned
+    """
+
+    sensors: tuple[TiltSensor, ...]
+    angles: Floats
+    down: Floats
+
+    def take(self, index: Booleans | Integers | slice) -> "TiltReadings":
+        """The readings of an index or mask (n,)."""
+        return TiltReadings(self.sensors, self.angles[index], self.down[index])
+
+    def with_lean(self, lean: Floats) -> "TiltReadings":
+        """The readings where the base is known to have leaned by rotation vectors (n, 3) rad, frame of poses."""
+        return replace(self, down=Rotation.from_rotvec(-lean).apply(self.down)) if lean.any() else self
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.model.base_tilt import BaseTilt
+from rig.model.base_tilt import BaseTilt, TiltSensor
 from rig.model.calibration_board import DICTIONARIES as DICTIONARIES
 from rig.model.calibration_board import Board
 from rig.model.controller_protocol_list_and_port_name_check import PROTOCOLS as PROTOCOLS
@@ -302,7 +302,8 @@ class Target:
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Design:
     """The whole rig.toml. name : of the rig; gravity : (3,) m/s^2 in the base frame; tilts : turns of the base by
-    which gravity turns in it; sensor : of its simulated cameras; controller : None where nothing is driven"""
+    which gravity turns in it; tilt_sensors : on an arm; sensor : of its simulated cameras; controller : None where
+    nothing is driven"""
 
     name: str
     gravity: Floats
@@ -318,6 +319,7 @@ class Design:
     sensors: SensorPort | None = None
     experiment: Permission = Permission()
     tilts: tuple[BaseTilt, ...] = ()
+    tilt_sensors: tuple[TiltSensor, ...] = ()
 
     def __repr__(self) -> str:
         counts = f"{len(self.cameras)} cameras, {len(self.targets)} targets"

@@ -11,6 +11,7 @@ from rig.array_and_json_types import Json
 from rig.effects.catalogue.axis_coupling import AxisCoupling
 from rig.effects.catalogue.backlash import Backlash
 from rig.effects.catalogue.base_expansion import BaseExpansion
+from rig.effects.catalogue.base_lean import BaseLean
 from rig.effects.catalogue.camera_bump import CameraBump
 from rig.effects.catalogue.camera_drift import CameraDrift
 from rig.effects.catalogue.camera_sag import CameraSag
@@ -85,6 +86,7 @@ ALL: tuple[type[Effect], ...] = (
     TravelHeating,
     MarkerFlatness,
     EncoderInterpolation,
+    BaseLean,
 )
 BY_NAME: dict[str, type[Effect]] = {effect.name: effect for effect in ALL}
 

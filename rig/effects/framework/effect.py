@@ -88,9 +88,8 @@ class Effect:
     form : what the model is a function of, if simple: own travel ("slope", "sinusoid", "profile"), "load" or "step"
     own_axis : depends on the axis' position alone, 1 for the simplest; once : a second at a place would be the first
     lasting : the machine does it again, so that commands can undo it; tolerance : within which it is no fault
-    fixed_mount : its camera stands still; cardans : kinds of joints at struts' ends, one of which it needs
-    whole_turns : it needs the travel of a turn; flat : markers stay flat, as drawn images have them
-    warps : takes in every smooth displacement fixed in an image
+    fixed_mount : its camera stands still; cardans : kinds of joints at struts' ends that it needs one of
+    whole_turns : it needs the travel of a turn; flat : markers stay flat, as drawn; warps : takes in all smooth ones
     view : how residuals in the image show it: "displacement", "map", "time", "scale", "outward", "markers" or "targets"
     """
 
@@ -155,6 +154,10 @@ class Effect:
         """(n, 6) tangent by which the platform is displaced, on the right (m, rad)."""
         return np.zeros((len(motion.t), 6))
 
+    def lean(self, motion: Motion) -> Floats:
+        """(n, 3) rad, rotation vectors of the base in the frame of poses, as tilt sensors on it and the links see."""
+        return np.zeros((len(motion.t), 3))
+
     def attach(self, markers: Markers) -> Markers:
         """Markers (id (m,), T_body_marker (m,), side (m,), target names) as the markers really sit."""
         return markers
@@ -164,8 +167,7 @@ class Effect:
         return camera
 
     def mount(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
-        """(n, 6) tangent by which a camera's mount has moved at t (n,) s, on the right; channel(name) -> (n,) sensor
-        values."""
+        """(n, 6) tangent, on the right, by which a camera's mount has moved at t (n,) s; channel(name) -> (n,)."""
         return np.zeros((len(t), 6))
 
     def focal(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
@@ -326,9 +328,7 @@ class Effect:
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
-        """One of a plausible size at a place. What starts at a moment only if need be (its default is that of no
-        moment) does so now and then.
-        """
+        """One of a plausible size at a place. What may start at a moment, and by default does not, seldom does."""
         values = {}
         for p in cls.parameters_at(place):
             default = getattr(cls(place), p.name)

@@ -1,0 +1,157 @@
+"""Tilt sensors on an arm as observations: their residuals and Jacobians, and how they are mounted as nuisances.
+
+A sensor on link k shows by how much two of its axes point above the horizontal. It observes the base's turn and all
+that joints 1 to k and their rows turn; what lies farther out it does not see. How each sensor is mounted (three small
+turns, of which two are the zeros of its angles) and where gravity points in the frame of poses are known to stated
+standard deviations; they are solved for with the rest and discarded.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.identify.least_squares_and_robust_fit import excess_scatter
+from rig.array_and_json_types import Booleans, Floats
+from rig.model.base_tilt import TiltReadings
+from rig.model.mechanism_geometry_classes import Arm
+from rig.model.mechanisms import arm as mechanism
+
+GRAVITY_SIGMA = 0.02  # rad, to which gravity's direction in the frame of poses is known
+STEEPEST = np.radians(70)  # of an angle that is used: near 90 degrees it says nothing, and its zero counts much
+ROUNDS = 5  # of solving for the mounting, whose turns are small
+GATE = 6.0  # standard deviations beyond which a reading is left out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TiltWeights:
+    """scatter : (s,) rad of each sensor beyond its own noise; used : (n, s) bool, readings that count."""
+
+    scatter: Floats
+    used: Booleans
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TiltRows:
+    """Readings of s sensors at n configurations q of an arm, linearised at their best mounting.
+
+    residuals : (n, s, 2) rad, read less predicted; turns : (n, s, 2, 3) change of the angles with the link's turn, rad
+        about the axes of the frame of poses; sensors : as of TiltReadings
+    mounting : (3 + 3 s,) rad found, of gravity, then of each sensor about its own axes; mounting_sigma : the same,
+        stated; mounting_columns : (n, s, 2, 3 + 3 s)
+    """
+
+    readings: TiltReadings
+    residuals: Floats
+    turns: Floats
+    mounting: Floats
+    mounting_sigma: Floats
+    mounting_columns: Floats
+
+    def weights(self, fitted_share: float) -> TiltWeights:
+        """TiltWeights by these residuals. fitted_share : of their squares, what the fit took away"""
+        n, s = self.residuals.shape[:2]
+        scatter, used = np.zeros(s), np.zeros((n, s), bool)
+        for k, sensor in enumerate(self.readings.sensors):
+            usable, left = self._usable[:, k], self.residuals[:, k]
+            if not usable.any():
+                continue
+            own = np.broadcast_to(sensor.sigma**2 * np.eye(2), (int(usable.sum()), 2, 2))
+            scatter[k] = excess_scatter(left[usable], own, min(fitted_share, 0.9))[0]
+            sigma = np.hypot(sensor.sigma, scatter[k])
+            scale = max(1.0, 1.4826 * float(np.median(np.abs(left[usable]) / sigma)))
+            used[:, k] = usable & (np.abs(left) < GATE * scale * sigma).all(axis=1)
+        return TiltWeights(scatter, used)
+
+    @property
+    def _usable(self) -> Booleans:
+        return (np.abs(self.readings.angles) < STEEPEST).all(axis=2)
+
+    def whitening(self, weights: TiltWeights) -> Floats:
+        """(n, s) 1/rad, 0 where a reading does not count."""
+        sigma = np.hypot([sensor.sigma for sensor in self.readings.sensors], weights.scatter)
+        return weights.used / sigma
+
+    def whitened_residuals(self, weights: TiltWeights) -> Floats:
+        """(r,) whitened residuals of all angles, then what the mounting found lacks of that stated."""
+        rows = (self.residuals * self.whitening(weights)[..., None]).ravel()
+        return np.concatenate([rows, -self.mounting / self.mounting_sigma])
+
+    def whitened_mounting(self, weights: TiltWeights) -> Floats:
+        """(r, 3 + 3 s) whitened columns of the mounting."""
+        rows = (self.mounting_columns * self.whitening(weights)[..., None, None]).reshape(-1, len(self.mounting))
+        return np.concatenate([rows, np.diag(1 / self.mounting_sigma)])
+
+    def whitened_columns(self, weights: TiltWeights, turned: Floats) -> Floats:
+        """(r, c) whitened columns of what turns the sensors' links by (n, s, 3, c) rad per unit, frame of poses."""
+        rows = (self.turns @ turned * self.whitening(weights)[..., None, None]).reshape(-1, turned.shape[3])
+        return np.pad(rows, ((0, len(self.mounting)), (0, 0)))
+
+
+def tilt_rows(readings: TiltReadings, q: Floats, arm: Arm) -> TiltRows:
+    """TiltRows of readings of an arm at joint values q (n, joints), at the mounting that explains them best."""
+    sensors = readings.sensors
+    links = mechanism.link_frames(q, arm)[:, [sensor.link for sensor in sensors], :3, :3]
+    stated = Rotation.from_rotvec([sensor.mount for sensor in sensors]).as_matrix()
+    sigma = np.concatenate([np.full(3, GRAVITY_SIGMA), *(np.full(3, sensor.mount_sigma) for sensor in sensors)])
+    usable = (np.abs(readings.angles) < STEEPEST).all(axis=2)[..., None] / np.array([[s.sigma] for s in sensors])
+    mounting = np.zeros(len(sigma))
+    for _ in range(ROUNDS):
+        residuals, turns, columns = _linearised(readings, links, stated, mounting)
+        A = np.concatenate([(columns * usable[..., None]).reshape(-1, len(sigma)), np.diag(1 / sigma)])
+        y = np.concatenate([(residuals * usable).ravel(), -mounting / sigma])
+        mounting = mounting + np.linalg.lstsq(A, y)[0]
+    residuals, turns, columns = _linearised(readings, links, stated, mounting)
+    return TiltRows(readings, residuals, turns, mounting, sigma, columns)
+
+
+def _linearised(
+    readings: TiltReadings, links: Floats, stated: Floats, mounting: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """(residuals (n, s, 2), turns (n, s, 2, 3), mounting columns (n, s, 2, 3 + 3 s)); links : (n, s, 3, 3) and
+    stated : (s, 3, 3) orientations of links in the frame of poses, of sensors in their links.
+    """
+    s = len(readings.sensors)
+    down = Rotation.from_rotvec(mounting[:3]).apply(readings.down)
+    axes = links @ stated @ Rotation.from_rotvec(mounting[3:].reshape(s, 3)).as_matrix()
+    sines = -np.einsum("nsia,ni->nsa", axes[..., :2], down)
+    residuals = readings.angles - np.arcsin(np.clip(sines, -1, 1))
+    cosines = np.sqrt(np.maximum(1 - sines**2, np.cos(STEEPEST) ** 4))
+    two = np.swapaxes(axes, 2, 3)[:, :, :2]  # (n, s, axis of the sensor, 3)
+    turns = -np.cross(two, down[:, None, None]) / cosines[..., None]
+    columns = np.zeros((*residuals.shape, len(mounting)))
+    columns[..., :3] = -turns
+    for k in range(s):
+        columns[:, k, :, 3 + 3 * k : 6 + 3 * k] = turns[:, k] @ axes[:, k]
+    return residuals, turns, columns
+
+
+def link_turns_by_parameters(readings: TiltReadings, q: Floats, arm: Arm, pose_jacobian: Floats) -> Floats:
+    """(n, s, 3, p) rad about the axes of the frame of poses, by which an arm's parameters turn the sensors' links.
+
+    pose_jacobian : (n, 6, p) of the target's pose with them: a link turns as the target does, by what lies before it
+    """
+    R = mechanism.forward(q, arm).rotation.as_matrix()
+    whole = R @ pose_jacobian[:, 3:]
+    number = np.arange(whole.shape[2])
+    return np.stack([whole * (number < 6 + 5 * sensor.link) for sensor in readings.sensors], axis=1)
+
+
+def link_turns_by_joints(readings: TiltReadings, q: Floats, arm: Arm) -> Floats:
+    """(n, s, 3, joints) rad per rad of each joint, by which joints turn the sensors' links."""
+    z = np.swapaxes(mechanism.link_frames(q, arm)[:, : len(arm.joints), :3, 2], 1, 2) * ~arm.slides
+    return np.stack([z * (np.arange(len(arm.joints)) < sensor.link) for sensor in readings.sensors], axis=1)
+
+
+def tilt_report(readings: TiltReadings | None, weights: TiltWeights | None) -> list[str]:
+    """Lines for a reader: which tilt sensors were used, and how far they scatter beyond the noise stated for them."""
+    lines = list[str]()
+    if readings is None or weights is None:
+        return lines
+    for sensor, scatter, used in zip(readings.sensors, weights.scatter, weights.used.T):
+        beyond = f", scatter by {scatter * 1e3:.3g} mrad beyond that" if scatter > 0 else ", explained by the fit"
+        lines.append(
+            f"tilt sensor {sensor.name} on {sensor.place}: {used.sum()} of {len(used)} readings used, noise "
+            f"{sensor.sigma * 1e3:.3g} mrad{beyond}"
+        )
+    return lines
