@@ -143,7 +143,7 @@ def _tilt_channels(
         world.true, plan.commands, plan.t, run.T_base_platform, world.effects, sensors
     )
     links = link_frames(state.lengths + run.deviation, arm)[..., :3, :3]
-    down = Rotation.from_rotvec(-lean).apply(state.gravity_in_base())
+    down = Rotation.from_rotvec(-lean).apply(np.array(state.gravity_in_base()))
     down /= np.linalg.norm(down, axis=1, keepdims=True)
     for sensor in world.true.tilt_sensors:
         off = Rotation.from_rotvec(sensor.mount_sigma * rng.normal(size=3))

@@ -32,8 +32,8 @@ from calib.diagnosis.findings_refit import (
     findings_of_diagnosis,
     findings_with_measured_effects,
     load_findings,
-    samples_with_measured_effects,
 )
+from calib.diagnosis.problems.arm.effects_shown_by_instruments import fit_of_measured_effects
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_provenance_and_used_frames import SEED, calibration_with_provenance
 from calib.models.arm import calibration_page as arm_page
@@ -261,8 +261,9 @@ def _calibrated(
         return _extended(recording, sampled, options, options.extend, rng, progress)
     pointing = sampled.samples.measured == "direction"
     if findings is None and (options.with_findings or pointing and not options.quick):
-        searched = samples_with_measured_effects(recording, sampled)
-        asked = DiagnosisOptions(sampled=replace(sampled, samples=searched), kinds=tuple(kinds.values()))
+        beside = fit_of_measured_effects(recording, sampled)
+        searched = sampled if beside is None else replace(sampled, samples=beside.samples)
+        asked = DiagnosisOptions(sampled=searched, kinds=tuple(kinds.values()))
         findings = findings_of_diagnosis(diagnose(recording, asked, progress))
     findings = findings_with_measured_effects(findings, recording, sampled)
     known = None

@@ -179,8 +179,7 @@ def samples_with_effects(
     tilts = samples.tilts
     if tilts is not None:
         tilts = tilts.with_lean(machine.lean_of_base(design, commands, t, T, effects, sensors))
-    measured = samples.T_base_platform
-    moved = T * exp(-sway) if sway.any() else measured
+    moved = T * exp(-sway) if sway.any() else samples.T_base_platform
     return replace(samples, known=values - samples.commanded, T_base_platform=moved, tilts=tilts)
 
 

@@ -13,6 +13,7 @@ from calib.correction.correction import AnyCorrection
 from calib.correction.physics_compensation import Physics, Unknown
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
+from calib.diagnosis.problems.arm.effects_shown_by_instruments import measured_effects
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     operating_point_of_recording,
@@ -27,11 +28,9 @@ from calib.diagnosis.unmodelled_curves import arm_fit_with_curves, refinement_wi
 from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm_of_fit
 from calib.models.arm.error_model_and_observations import parameter_names, sample_observations
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, JointFit, Prior, fit_geometry_and_effects
-from calib.models.arm.pointing_terms import tube_flexure
 from calib.models.platform.identification import Loops
 from calib.samples.pose_samples import Sampled, Samples, samples_of_freedoms
 from rig.array_and_json_types import Floats
-from rig.effects.catalogue.base_lean import base_lean_to_be_fitted
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
@@ -44,9 +43,7 @@ from rig.formats import json_toml_and_yaml_loading, machine_geometry_and_effects
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files.atomic_file_and_manifest import load_manifest as manifest
 from rig.model import mechanisms
-from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, require_arm, require_parallel
-from rig.model.motion_simulation import motion_of_commands
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
 
@@ -139,35 +136,6 @@ def findings_with_measured_effects(
     if sigma is not None:
         sigma = np.r_[sigma, np.full(len(coordinates_of_effects(more)), np.inf)]
     return replace(known, effects=(*known.effects, *more), sigma=sigma)
-
-
-def measured_effects(recording: Recording, sampled: Sampled) -> tuple[Effect, ...]:
-    """Effects that are fitted with an arm's geometry since its instruments show them, small where the fit begins.
-
-    The flexure of a tube, of which directions were measured; the lean of a base on which a tilt sensor was read.
-    """
-    arm, samples = recording.design.mechanism, sampled.samples
-    if not isinstance(arm, Arm) or recording.commands is None:
-        return ()
-    flexure = tube_flexure(arm) if samples.measured == "direction" else ()
-    readings = samples.tilts
-    if readings is None or samples.measured in UNPLACED or all(sensor.link for sensor in readings.sensors):
-        return flexure
-    motion = motion_of_commands(recording.design, recording.commands, samples.t, (), recording.sensors)
-    lean = base_lean_to_be_fitted(replace(motion, T=samples.T_base_platform))
-    return (*flexure, *([] if lean is None else [lean]))
-
-
-def samples_with_measured_effects(recording: Recording, sampled: Sampled) -> Samples:
-    """Samples of an arm with what its `measured_effects` do, fitted with the geometry alone: all else is searched for
-    beside it. As they are where there are none.
-    """
-    samples, arm, effects = sampled.samples, recording.design.mechanism, measured_effects(recording, sampled)
-    if not effects or recording.commands is None:
-        return samples
-    history = History(recording.design, recording.commands, smooth_temperatures(recording.sensors)[0])
-    start = start_arm_of_fit(sample_observations(samples), require_arm(arm), sampled.instrument)
-    return fit_geometry_and_effects(samples, history, start, effects).samples
 
 
 def unexplained_findings(lacks_of_fit: Iterable[LackOfFit]) -> tuple[Unknown, ...]:

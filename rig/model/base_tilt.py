@@ -86,7 +86,7 @@ class TiltReadings:
 
     def with_lean(self, lean: Floats) -> "TiltReadings":
         """The readings where the base is known to have leaned by rotation vectors (n, 3) rad, frame of poses."""
-        return replace(self, down=Rotation.from_rotvec(-lean).apply(self.down)) if lean.any() else self
+        return replace(self, down=Rotation.from_rotvec(-lean).apply(np.array(self.down))) if lean.any() else self
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,6 +19,7 @@ from calib.models.arm.error_model_and_observations import (
 )
 from calib.models.arm.identification_and_joint_profiles import identify_arm
 from calib.models.arm.tilt_observations import link_turns_by_joints, link_turns_by_parameters, tilt_rows
+from calib.models.base_and_tool_displacement_since_reference_recording import samples_without_displacement
 from calib.samples.pose_samples import sample_recording
 from rig.errors import FileError, RigError
 from rig.model.base_tilt import TiltReadings, TiltSensor
@@ -87,6 +88,10 @@ def errors_without_and_with_sensors(seed: int, tmp_path) -> tuple[list[float], l
         folder = tmp_path / f"{seed} {len(sensors)}"
         made = calib.calibrate(recorded(case, column, q, rng, folder, sensors), CalibrateOptions(quick=True))
         found.append(error_when_driven(column, made.calibration, goal))
+    again = recorded(case, column, new, rng, tmp_path / f"{seed} again")
+    placed = samples_without_displacement(made.calibration, again, sample_recording(again).samples).samples
+    left = made.calibration.correction.predict(placed.effective).translation - placed.T_base_platform.translation
+    assert np.sqrt((left**2).mean()) < 1.6 * POSITION  # what the base leans is taken off once, not twice
     return found, [least_position_error(column, q, new, POSITION, noise, 0.02) for noise in (0.0, TILT)]
 
 

@@ -1,0 +1,35 @@
+"""The section on tilt sensors: its tables are read, and its commands run."""
+
+import json
+import re
+
+import pytest
+
+from tests.cli import run
+from tests.conftest import ROOT
+
+PAGE = (ROOT / "docs" / "arms.md").read_text()
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_section_run(tmp_path, monkeypatch):
+    section = PAGE[PAGE.index("## Tilt sensors") : PAGE.index("## Instruments that measure")]
+    monkeypatch.chdir(tmp_path)
+    run("new", "design", "--arm", "ur10", "--out", "rig.toml")
+    text = (tmp_path / "rig.toml").read_text()
+    text = text.replace('base = "free"', 'base = "rig"').replace('tool = "free"', 'tool = "rig"')
+    tables = re.search("```toml\n(.*?)```", section, re.DOTALL)
+    (tmp_path / "rig.toml").write_text(text + "\n" + tables[1])
+    said = {}
+    for line in section.splitlines():
+        if line.startswith("    rig "):
+            words = line.split()[1:]
+            done = run(*words)
+            said[words[0]] = done.stdout + done.stderr
+    assert "effects compensated by commands: base lean at rig" in said["calibrate"]
+    assert "tilt sensor column on the base: 60 of 60 readings used" in said["calibrate"]
+    assert said["verify"].startswith("good") and "base_lean at rig: rms" in said["diagnose"]
+    found = json.loads((tmp_path / "found" / "diagnosis.json").read_text())["findings"]
+    assert [one["effect"] for one in found] == ["base_lean"]
+    (tmp_path / "rig.toml").write_text(text + "\n" + tables[1].replace("sigma = 2e-4 # rad", "sigmas = 2e-4 # rad"))
+    assert "is 'sigma' meant?" in run("simulate", "rig.toml", "--out", "no", ok=False).stderr
