@@ -168,19 +168,24 @@ class Physics:
 def samples_with_effects(
     design: Design, samples: Samples, commands: Commands, effects: Sequence[Effect], sensors: Sensors | None
 ) -> Samples:
-    """Samples with effects applied to their commands, or taken off an arm's poses beyond its joints."""
+    """Samples with effects applied to their commands, or taken off an arm's poses beyond its joints, in place of those
+    that were before.
+    """
     t, T = samples.t, samples.T_base_platform
     if is_parallel(design.mechanism):
         return replace(
             samples, known=machine.effective_commands(design, commands, t, T, effects, sensors) - samples.commanded
         )
     T = poses_with_predicted_rotations(design, samples)
+    if samples.sway is not None:
+        T = T * exp(samples.sway)
     values, sway = machine.effective_commands_and_sway(design, commands, t, T, effects, sensors)
     tilts = samples.tilts
     if tilts is not None:
         tilts = tilts.with_lean(machine.lean_of_base(design, commands, t, T, effects, sensors))
-    moved = T * exp(-sway) if sway.any() else samples.T_base_platform
-    return replace(samples, known=values - samples.commanded, T_base_platform=moved, tilts=tilts)
+    if samples.sway is None and not sway.any():
+        return replace(samples, known=values - samples.commanded, tilts=tilts)
+    return replace(samples, known=values - samples.commanded, T_base_platform=T * exp(-sway), tilts=tilts, sway=sway)
 
 
 def poses_with_predicted_rotations(design: Design, samples: Samples) -> RigidTransform:

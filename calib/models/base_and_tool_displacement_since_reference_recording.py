@@ -300,12 +300,7 @@ def samples_without_displacement(calibration: Calibration, recording: Recording,
     """
     known = calibration.with_physics(recording, samples)
     placed = _without_displacement(calibration, known, recording.design.instrument)
-    T, removed = placed.samples.T_base_platform, known.T_base_platform
-    if samples.measured == "position":  # what physics moved the hand by is in the frame of poses, of the hand as fitted
-        T = RigidTransform.from_translation(T.translation + samples.T_base_platform.translation - removed.translation)
-    else:
-        T = T * (removed.inv() * samples.T_base_platform)
-    return replace(placed, samples=calibration.with_physics(recording, replace(placed.samples, T_base_platform=T)))
+    return replace(placed, samples=calibration.with_physics(recording, placed.samples))
 
 
 def _without_displacement(calibration: Calibration, samples: Samples, instrument: Instrument | None) -> PlacedSamples:

@@ -150,6 +150,7 @@ class Samples:
     below : (Below, ..) of a chain, what else was measured
     conditions : Conditions under which they were measured, None where no recording says
     tilts : TiltReadings, None without tilt sensors
+    sway : (n, 6) tangent, on the right, that physics beyond its joints has, taken off the poses of an arm; None for none
     """
 
     frame: Integers
@@ -162,6 +163,7 @@ class Samples:
     below: tuple[Below, ...] = ()
     conditions: Conditions | None = None
     tilts: TiltReadings | None = None
+    sway: Floats | None = None
 
     def __post_init__(self) -> None:
         if not len(self.frame):
@@ -195,6 +197,7 @@ class Samples:
             tuple(one.take(index) for one in self.below),
             None if self.conditions is None else self.conditions.take(index),
             None if self.tilts is None else self.tilts.take(index),
+            None if self.sway is None else self.sway[index],
         )
 
     @property

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
@@ -43,6 +44,8 @@ class BaseLean(Effect):
     on_pose: ClassVar = True
 
     def needs(self, motion: Motion) -> str | None:
+        if motion.kind.AXIS != "strut" and not has_links(motion.mechanism):
+            return "takes an arm, or struts on a base plate"
         if self.moments:
             count = motion.links().shape[2]
             return None if len(self.moments) == count else f"takes {count} moments, not {len(self.moments)}"
@@ -54,14 +57,31 @@ class BaseLean(Effect):
             out = out + self.compliance * motion.base_moment()
         return out + motion.link_base_moments() @ np.array(self.moments) if self.moments else out
 
+    def deviation(self, motion: Motion) -> Floats:
+        """Of struts, as what each one's length seems to lack at the pose."""
+        ends = motion.kind.strut_ends(motion.posed(), motion.mechanism) if motion.kind.AXIS == "strut" else None
+        if ends is None:
+            return np.zeros(motion.lengths.shape)
+        base, tips = ends
+        turn, pivot = self._turn_and_pivot(motion)
+        about = pivot[:, None]
+        moved = np.swapaxes(turn.as_matrix() @ np.swapaxes(base - about, 1, 2), 1, 2) + about
+        return np.linalg.norm(tips - base, axis=2) - np.linalg.norm(tips - moved, axis=2)
+
     def sway(self, motion: Motion) -> Floats:
+        if motion.kind.AXIS == "strut":
+            return np.zeros((len(motion.t), 6))
+        turn, pivot = self._turn_and_pivot(motion)
+        shift = turn.apply(motion.posed().translation - pivot) + pivot - motion.posed().translation
+        return motion.tangents(np.concatenate([shift, turn.as_rotvec()], axis=1))
+
+    def _turn_and_pivot(self, motion: Motion) -> tuple[Rotation, Floats]:
+        """(turn (n,) of the base, (n, 3) m about which), in the frame of poses."""
         reason = self.needs(motion)
         if reason:
             raise RigError(f"{self.name} {reason}")
-        turn, below = self.lean(motion), self.depth * motion.gravity_in_base()
-        pivot = motion.base_origin + below / np.linalg.norm(motion.gravity_in_base(), axis=1, keepdims=True)
-        shift = np.cross(turn, motion.posed().translation - pivot)
-        return motion.tangents(np.concatenate([shift, turn], axis=1))
+        down = motion.gravity_in_base() / np.linalg.norm(motion.gravity_in_base(), axis=1, keepdims=True)
+        return Rotation.from_rotvec(self.lean(motion)), motion.base_origin + self.depth * down
 
     def covariate(self, motion: Motion) -> Covariate:
         return Covariate(np.linalg.norm(self.lean(motion), axis=1) * 1e3, "lean of the base, mrad")
