@@ -150,7 +150,7 @@ class Samples:
     below : (Below, ..) of a chain, what else was measured
     conditions : Conditions under which they were measured, None where no recording says
     tilts : TiltReadings, None without tilt sensors
-    sway : (n, 6) tangent, on the right, that physics beyond its joints has, taken off the poses of an arm; None for none
+    sway : (n, 6) tangent, on the right, that physics beyond its joints has, taken off an arm's poses; None for none
     """
 
     frame: Integers

@@ -29,7 +29,7 @@ def test_the_commands_of_the_section_run(tmp_path, monkeypatch):
     assert "effects compensated by commands: base lean at rig" in said["calibrate"]
     assert "tilt sensor column on the base: 60 of 60 readings used" in said["calibrate"]
     assert said["verify"].startswith("good") and "base_lean at rig: rms" in said["diagnose"]
-    assert "NOT kept" not in run("certify", "calibration.json", "NEW", "--out", "certificate.json").stdout
+    assert "NOT kept" not in run("certify", "calibration.json", "NEW", "--coverage", "0.9", "--out", "c.json").stdout
     found = json.loads((tmp_path / "found" / "diagnosis.json").read_text())["findings"]
     assert [one["effect"] for one in found] == ["base_lean"]
     (tmp_path / "rig.toml").write_text(text + "\n" + tables[1].replace("sigma = 2e-4 # rad", "sigmas = 2e-4 # rad"))
