@@ -26,6 +26,7 @@ def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
         "calibrate",
         "simulate",
         "verify",
+        "certify",
         "correct",
         "diagnose",
     ]
@@ -41,8 +42,9 @@ def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
     assert "times better" in said["verify"] and "RuntimeWarning" not in "".join(said.values())
     assert "3 of 3 poses written" in said["correct"] and "uncertainty of the directions: 0.0" in said["correct"]
     assert json.loads((tmp_path / "found" / "diagnosis.json").read_text())["fit"]["unit"] == "rad"
-    refused = run("certify", "calibration.json", "NEW", "--out", "c.json", ok=False)
-    assert "the direction alone was measured" in refused.stderr
+    assert "95 % of directions in this part of the sky lie within" in said["certify"]
+    refused = run("certify", "calibration.json", "NEW", "--out", "c.xml", ok=False)
+    assert "a certificate of directions is written as .json or .html" in refused.stderr
     rows = np.genfromtxt("commands.csv", delimiter=",", names=True)
     assert np.abs(rows["q1"] - [0.6, 2.0, 5.0]).max() < 0.02
     first = (tmp_path / "NEW" / "poses.csv").read_text().replace("\n0,", "\n0,1", 1)
