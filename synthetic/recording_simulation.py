@@ -18,7 +18,7 @@ from rig.model.base_tilt import SENSOR_AXES
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import rig_toml_with_turns
 from rig.model.mechanisms.arm import link_frames
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm, require_axes
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
 from rig.planning.plan import sensors_with_payload
 from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
@@ -136,14 +136,15 @@ def _with_readings(log: Sensors, t: Floats, readings: dict[str, Floats]) -> Sens
 def _tilt_channels(
     world: worlds.World, plan: Plan, run: motion_simulation.MachineRun, sensors: Sensors, rng: np.random.Generator
 ) -> dict[str, Floats]:
-    """{channel: (n,) rad} that an arm's tilt sensors show at the exposures, mounted to within what is stated."""
-    arm, out = require_arm(world.true.mechanism), dict[str, Floats]()
+    """{channel: (n,) rad} that tilt sensors show at the exposures, mounted to within what is stated."""
+    m, out = world.true.mechanism, dict[str, Floats]()
     state = motion_simulation.motion_of_commands(world.true, plan.commands, plan.t, world.effects, sensors)
     lean = motion_simulation.lean_of_base(
         world.true, plan.commands, plan.t, run.T_base_platform, world.effects, sensors
     )
-    links = link_frames(state.lengths + run.deviation, arm)[..., :3, :3]
-    down = Rotation.from_rotvec(-lean).apply(np.array(state.gravity_in_base()))
+    platform = run.T_base_platform.rotation.as_matrix()
+    links = link_frames(state.lengths + run.deviation, m)[..., :3, :3] if has_links(m) else np.stack([platform] * 2, 1)
+    down = Rotation.from_rotvec(-lean * has_links(m)).apply(np.array(state.gravity_in_base()))
     down /= np.linalg.norm(down, axis=1, keepdims=True)
     for sensor in world.true.tilt_sensors:
         off = Rotation.from_rotvec(sensor.mount_sigma * rng.normal(size=3))

@@ -230,16 +230,16 @@ def calibrate(
             sampled = sample_by_limbs(recording, options.limbs, progress, notice)
         else:
             sampled = sample_recording(recording, progress=progress, on_corners=prepared.look)
-        _require_tilt_readings(recording.design, sampled.samples)
+        _require_tilt_readings(recording)
         sampled = replace(sampled, files=(*sampled.files, *(plugin.path for plugin in options.effects)))
         return _calibrated(recording, sampled, findings, kinds, options, call)
 
 
-def _require_tilt_readings(design: Design, samples: Samples) -> None:
+def _require_tilt_readings(recording: Recording) -> None:
     """Raise RigError for tilt sensors that are stated and were not logged."""
-    read = () if samples.tilts is None else samples.tilts.sensors
-    for sensor in design.tilt_sensors:
-        if sensor not in read:
+    known = () if recording.sensors is None else tuple(recording.sensors.channels)
+    for sensor in recording.design.tilt_sensors:
+        if sensor.channels(known) is None:
             raise RigError(
                 f"rig.toml states the tilt sensor {sensor.name!r} ([[tilt_sensor]]), and sensors.csv has no "
                 f"tilt_{sensor.name}_x_rad and tilt_{sensor.name}_y_rad (or _deg): log both, or take the sensor out"

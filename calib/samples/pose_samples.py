@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.samples.platform_tilts import poses_with_platform_tilts
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.base_tilt import TiltReadings, has_gravity, logged_gravity
@@ -259,11 +260,15 @@ def add_stage_measurements(
 
 
 def samples_of_freedoms(samples: Samples, mechanism: Mechanism) -> Samples:
-    """Samples of a mechanism of fewer freedoms than six: only those of its platform's coordinates count as measured.
+    """Samples of a mechanism, with what tilt sensors on its platform add to its poses; of fewer freedoms than six, only
+    those of its platform's coordinates count as measured.
 
     The other coordinates are as at home and their covariance is 0: no axis moves them, and what is seen of them says
     how the target sits on the platform.
     """
+    if samples.tilts is not None and samples.measured == "pose" and not has_links(mechanism):
+        fused = poses_with_platform_tilts(samples.tilts, samples.T_base_platform, samples.covariance, samples.common)
+        samples = replace(samples, T_base_platform=fused[0], covariance=fused[1], common=fused[2], tilts=None)
     some = list(mechanism.pose_coordinates)
     if len(some) == 6:
         return samples

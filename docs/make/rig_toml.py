@@ -98,7 +98,10 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
         Instrument,
         "Only where poses.csv comes from an outside instrument (a laser tracker, a coordinate measuring machine).",
     ),
-    "[[tilt_sensor]]": (TiltSensor, "One for each tilt sensor on an arm; [arms](arms.md#tilt-sensors) say more."),
+    "[[tilt_sensor]]": (
+        TiltSensor,
+        "One for each; [arms](arms.md#tilt-sensors) and [measuring](measuring.md#tilt-sensors-on-a-platform) say more.",
+    ),
     "[controller]": (
         Controller,
         "Only where `rig run` and the like drive the machine; [controllers](controllers.md) say more.",

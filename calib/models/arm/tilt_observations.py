@@ -9,16 +9,13 @@ standard deviations; they are solved for with the rest and discarded.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from calib.identify.least_squares_and_robust_fit import excess_scatter
 from rig.array_and_json_types import Booleans, Floats
-from rig.model.base_tilt import TiltReadings
+from rig.model.base_tilt import TiltReadings, linearised_tilts
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 
-GRAVITY_SIGMA = 0.02  # rad, to which gravity's direction in the frame of poses is known
-STEEPEST = np.radians(70)  # of an angle that is used: near 90 degrees it says nothing, and its zero counts much
 ROUNDS = 5  # of solving for the mounting, whose turns are small
 GATE = 6.0  # standard deviations beyond which a reading is left out
 
@@ -65,7 +62,7 @@ class TiltRows:
 
     @property
     def _usable(self) -> Booleans:
-        return (np.abs(self.readings.angles) < STEEPEST).all(axis=2)
+        return self.readings.usable
 
     def whitening(self, weights: TiltWeights) -> Floats:
         """(n, s) 1/rad, 0 where a reading does not count."""
@@ -92,38 +89,16 @@ def tilt_rows(readings: TiltReadings, q: Floats, arm: Arm) -> TiltRows:
     """TiltRows of readings of an arm at joint values q (n, joints), at the mounting that explains them best."""
     sensors = readings.sensors
     links = mechanism.link_frames(q, arm)[:, [sensor.link for sensor in sensors], :3, :3]
-    stated = Rotation.from_rotvec([sensor.mount for sensor in sensors]).as_matrix()
-    sigma = np.concatenate([np.full(3, GRAVITY_SIGMA), *(np.full(3, sensor.mount_sigma) for sensor in sensors)])
-    usable = (np.abs(readings.angles) < STEEPEST).all(axis=2)[..., None] / np.array([[s.sigma] for s in sensors])
+    sigma = readings.mounting_sigma
+    usable = readings.usable[..., None] / np.array([[s.sigma] for s in sensors])
     mounting = np.zeros(len(sigma))
     for _ in range(ROUNDS):
-        residuals, turns, columns = _linearised(readings, links, stated, mounting)
+        residuals, turns, columns = linearised_tilts(readings, links, mounting)
         A = np.concatenate([(columns * usable[..., None]).reshape(-1, len(sigma)), np.diag(1 / sigma)])
         y = np.concatenate([(residuals * usable).ravel(), -mounting / sigma])
         mounting = mounting + np.linalg.lstsq(A, y)[0]
-    residuals, turns, columns = _linearised(readings, links, stated, mounting)
+    residuals, turns, columns = linearised_tilts(readings, links, mounting)
     return TiltRows(readings, residuals, turns, mounting, sigma, columns)
-
-
-def _linearised(
-    readings: TiltReadings, links: Floats, stated: Floats, mounting: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """(residuals (n, s, 2), turns (n, s, 2, 3), mounting columns (n, s, 2, 3 + 3 s)); links : (n, s, 3, 3) and
-    stated : (s, 3, 3) orientations of links in the frame of poses, of sensors in their links.
-    """
-    s = len(readings.sensors)
-    down = Rotation.from_rotvec(mounting[:3]).apply(readings.down)
-    axes = links @ stated @ Rotation.from_rotvec(mounting[3:].reshape(s, 3)).as_matrix()
-    sines = -np.einsum("nsia,ni->nsa", axes[..., :2], down)
-    residuals = readings.angles - np.arcsin(np.clip(sines, -1, 1))
-    cosines = np.sqrt(np.maximum(1 - sines**2, np.cos(STEEPEST) ** 4))
-    two = np.swapaxes(axes, 2, 3)[:, :, :2]  # (n, s, axis of the sensor, 3)
-    turns = -np.cross(two, down[:, None, None]) / cosines[..., None]
-    columns = np.zeros((*residuals.shape, len(mounting)))
-    columns[..., :3] = -turns
-    for k in range(s):
-        columns[:, k, :, 3 + 3 * k : 6 + 3 * k] = turns[:, k] @ axes[:, k]
-    return residuals, turns, columns
 
 
 def link_turns_by_parameters(readings: TiltReadings, q: Floats, arm: Arm, pose_jacobian: Floats) -> Floats:

@@ -42,6 +42,7 @@ class BaseLean(Effect):
     experiment: ClassVar = "the same poses with another payload, a tilt sensor on the base"
     action: ClassVar = "Brace what the machine stands on, or correct poses by the load that it carries."
     on_pose: ClassVar = True
+    instrumented: ClassVar = True
 
     def needs(self, motion: Motion) -> str | None:
         if motion.kind.AXIS != "strut" and not has_links(motion.mechanism):

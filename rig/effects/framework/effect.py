@@ -37,7 +37,7 @@ from rig.model.design import Camera
 from rig.model.effect_places_and_part_tolerances import AXES, Place, Tolerance, axis_mask
 
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
-MOTION_STAGES = ("command", "struts", "structure")
+MOTION_STAGES, LINEAR = ("command", "struts", "structure"), ("linear", "inverse")  # stages; roles of parameters
 AT_REST = 1e-9  # m/s or rad/s
 SELDOM = 0.25  # share of draws in which an effect that may start at a moment does so
 
@@ -88,6 +88,7 @@ class Effect:
     form : what the model is a function of, if simple: own travel ("slope", "sinusoid", "profile"), "load" or "step"
     own_axis : depends on the axis' position alone, 1 for the simplest; once : a second at a place would be the first
     lasting : the machine does it again, so that commands can undo it; tolerance : within which it is no fault
+    instrumented : an instrument of its own shows it, so that it is fitted, and neither searched for nor drawn
     fixed_mount : its camera stands still; cardans : kinds of joints at struts' ends that it needs one of
     whole_turns : it needs the travel of a turn; flat : markers stay flat, as drawn; warps : takes in all smooth ones
     view : how residuals in the image show it: "displacement", "map", "time", "scale", "outward", "markers" or "targets"
@@ -110,6 +111,7 @@ class Effect:
     own_axis: ClassVar[int] = 0
     once: ClassVar[bool] = False
     lasting: ClassVar[bool] = True
+    instrumented: ClassVar[bool] = False
     tolerance: ClassVar[Tolerance | tuple[float, float] | None] = None
     cardans: ClassVar[tuple[str, ...]] = ()
     whole_turns: ClassVar[bool] = False
@@ -155,7 +157,7 @@ class Effect:
         return np.zeros((len(motion.t), 6))
 
     def lean(self, motion: Motion) -> Floats:
-        """(n, 3) rad, rotation vectors of the base in the frame of poses, as tilt sensors on it and the links see."""
+        """(n, 3) rad, rotation vectors of the base in the frame of poses, as tilt sensors see."""
         return np.zeros((len(motion.t), 3))
 
     def attach(self, markers: Markers) -> Markers:
@@ -276,12 +278,8 @@ class Effect:
     def linear(cls, place: str) -> list[Linear]:
         """The columns of the model at a place: its linear and inverse parameters, and the quadrature of a phase."""
         parameters = [p.at(place) for p in cls.parameters]
-        columns = [
-            Linear(p.name, None if p.size == 1 else j, derivative_step(p))
-            for p in parameters
-            if p.role in ("linear", "inverse")
-            for j in range(p.size)
-        ]
+        own = [(p, None if p.size == 1 else j) for p in parameters if p.role in LINEAR for j in range(p.size)]
+        columns = [Linear(p.name, index, derivative_step(p)) for p, index in own]
         return columns + [
             Linear(QUADRATURE, None, derivative_step(next(q for q in parameters if q.role == "linear")))
             for p in parameters

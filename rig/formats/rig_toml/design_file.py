@@ -202,18 +202,18 @@ def base_tilt_of_table(table: Entries) -> BaseTilt:
 
 
 def _tilt_sensors(tables: list[Entries], mechanism: Mechanism) -> tuple[TiltSensor, ...]:
-    """Tilt sensors on an arm. Raises FileError for another machine, a link that it lacks and a name given twice."""
-    out = list[TiltSensor]()
+    """Tilt sensors. Raises FileError for a link that a machine lacks and a name given twice."""
+    out, arm = list[TiltSensor](), has_links(mechanism)
+    least, most = (0, len(mechanism.axes)) if arm else (1, 1)
     for table in tables:
         table.refuse_misspelt([field.name for field in fields(TiltSensor)])
-        if not has_links(mechanism):
-            table.fail(f"[[tilt_sensor]] sits on the base or a link of an arm; a {mechanism.kind!r} has no links")
         name = table.identifier("name")
         if name in [sensor.name for sensor in out]:
             table.fail(f"tilt sensor {name!r} is listed twice", "name", value=name)
         link = table.whole("link", 0)
-        if link > len(mechanism.axes):
-            table.fail(f"{table.name('link')} is 0, the base, to {len(mechanism.axes)}, not {link}", "link", value=link)
+        if not least <= link <= most:
+            known = f"is 0, the base, to {most}" if arm else "of a machine that is no arm is 1, its platform"
+            table.fail(f"{table.name('link')} {known}, not {link}", "link", value=link)
         out.append(
             TiltSensor(
                 name,

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.problems.platform.vibration_frequency import rank_one_direction_and_phase_fit
-from rig.effects.catalogue.base_lean import BaseLean
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Context
 from rig.effects.framework.effect_parameters_and_covariates import Drawing
@@ -102,7 +101,7 @@ def test_zero_changes_nothing_and_a_drawn_one_something(there, kind):
 
 def _sites(kind, context):
     """Places at which an effect can sit; of what is fitted by an instrument of its own, and so not searched, too."""
-    return kind.places if kind is BaseLean else kind.sites(context)
+    return kind.places if kind.instrumented else kind.sites(context)
 
 
 def _other(effect, context):
