@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.identify.least_squares_and_robust_fit import excess_scatter
 from rig.array_and_json_types import Booleans, Floats
-from rig.model.base_tilt import TiltReadings, linearised_tilts
+from rig.model.base_tilt import TiltReadings, TiltSensor, linearised_tilts
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 
@@ -116,6 +116,24 @@ def link_turns_by_joints(readings: TiltReadings, q: Floats, arm: Arm) -> Floats:
     """(n, s, 3, joints) rad per rad of each joint, by which joints turn the sensors' links."""
     z = np.swapaxes(mechanism.link_frames(q, arm)[:, : len(arm.joints), :3, 2], 1, 2) * ~arm.slides
     return np.stack([z * (np.arange(len(arm.joints)) < sensor.link) for sensor in readings.sensors], axis=1)
+
+
+def planned_tilt_columns(
+    sensors: tuple[TiltSensor, ...], gravity: Floats, q: Floats, arm: Arm, pose_jacobian: Floats
+) -> Floats:
+    """(n, 2 s, p + 3 + 3 s) change of the angles that sensors would show at joint values q (n, joints), with an arm's
+    parameters and with how the sensors are mounted; 0 where an angle would not be used.
+
+    gravity : (3,) in the frame of poses; pose_jacobian : (n, 6, p) of the target's pose with the parameters
+    """
+    down = np.tile(gravity / np.linalg.norm(gravity), (len(q), 1))
+    links = mechanism.link_frames(q, arm)[:, [sensor.link for sensor in sensors], :3, :3]
+    angles = np.stack([sensor.shown(links[:, k], down) for k, sensor in enumerate(sensors)], axis=1)
+    readings = TiltReadings(sensors, angles, down)
+    _, turns, mounting = linearised_tilts(readings, links, np.zeros(3 + 3 * len(sensors)))
+    turned = turns @ link_turns_by_parameters(readings, q, arm, pose_jacobian)
+    columns = np.concatenate([turned, mounting], axis=3) * readings.usable[..., None, None]
+    return columns.reshape(len(q), 2 * len(sensors), -1)
 
 
 def tilt_report(readings: TiltReadings | None, weights: TiltWeights | None) -> list[str]:
