@@ -11,6 +11,7 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Context, Covariate, Parameter
 from rig.effects.framework.machine_motion_and_play import Motion, independent_load_columns
 from rig.errors import RigError
+from rig.model.mechanisms.arm import link_weight_base_moments
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
 
 START = 1e-7  # rad/(N m) and rad per m/s^2, from which it is fitted
@@ -55,8 +56,8 @@ class BaseLean(Effect):
     def lean(self, motion: Motion) -> Floats:
         out = np.zeros((len(motion.t), 3))
         if self.compliance:
-            out = out + self.compliance * motion.base_moment()
-        return out + motion.link_base_moments() @ np.array(self.moments) if self.moments else out
+            out = out + self.compliance * _base_moment(motion)
+        return out + _link_base_moments(motion) @ np.array(self.moments) if self.moments else out
 
     def deviation(self, motion: Motion) -> Floats:
         """Of struts, as what each one's length seems to lack at the pose."""
@@ -82,7 +83,7 @@ class BaseLean(Effect):
         if reason:
             raise RigError(f"{self.name} {reason}")
         down = motion.gravity_in_base() / np.linalg.norm(motion.gravity_in_base(), axis=1, keepdims=True)
-        return Rotation.from_rotvec(self.lean(motion)), motion.base_origin + self.depth * down
+        return Rotation.from_rotvec(self.lean(motion)), _base_origin(motion) + self.depth * down
 
     def covariate(self, motion: Motion) -> Covariate:
         return Covariate(np.linalg.norm(self.lean(motion), axis=1) * 1e3, "lean of the base, mrad")
@@ -103,10 +104,11 @@ def base_lean_to_be_fitted(motion: Motion) -> BaseLean | None:
     """Base lean of an arm with the terms that a recording's postures and payloads tell apart; None without any.
 
     The links' moments stand for all that the arm weighs; the compliance is a term of its own where a payload varies.
+    Raises RigError for a machine that is no arm
     """
     if not has_links(motion.mechanism):
         raise RigError("base_lean is fitted for arms")
-    table = motion.link_base_moments()
+    table = _link_base_moments(motion)
     kept = independent_load_columns((table - table.mean(axis=0)).reshape(-1, table.shape[2]))
     varies = motion.no_loads() is None and np.ptp(motion.payload()) > 0
     if not len(kept) and not varies:
@@ -114,3 +116,31 @@ def base_lean_to_be_fitted(motion: Motion) -> BaseLean | None:
     moments = np.zeros(table.shape[2])
     moments[kept] = START
     return BaseLean("rig", START if varies else 0.0, tuple(moments.tolist()), START_DEPTH)
+
+
+def _base_origin(motion: Motion) -> Floats:
+    """(3,) m, where an arm's base stands in the frame of poses; its origin for other machines."""
+    return motion.mechanism.base.translation if has_links(motion.mechanism) else np.zeros(3)
+
+
+def _base_moment(motion: Motion) -> Floats:
+    """(n, 3) N m of the weight of the platform and its payload about the base's origin, in the frame of poses.
+
+    Raises RigError where the platform's mass or centre is not stated
+    """
+    reason = motion.no_loads()
+    if reason:
+        raise RigError(f"the model {reason}")
+    R, wrench = motion.posed().rotation.as_matrix(), motion.platform_wrench().reshape(-1, 2, 3)
+    force, moment = np.einsum("nij,nkj->kni", R, wrench)
+    return np.cross(motion.posed().translation - _base_origin(motion), force) + moment
+
+
+def _link_base_moments(motion: Motion) -> Floats:
+    """(n, 3, c) N m of the weight of an arm's links about its base's origin, per kg and kg m of each, worked out once;
+    c = 0 for other machines.
+    """
+    m = motion.mechanism
+    if not has_links(m):
+        return np.zeros((len(motion.t), 3, 0))
+    return motion.once(("base moments",), lambda: link_weight_base_moments(motion.lengths, m, motion.gravity_in_base()))

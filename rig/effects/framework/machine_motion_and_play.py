@@ -13,8 +13,7 @@ from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.base_tilt import has_gravity, logged_gravity
 from rig.model.design import Actuator, Platform
-from rig.model.mechanisms.arm import link_weight_base_moments
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, MechanismKinematics, has_links
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, MechanismKinematics
 from rig.recording.recording_folder import PAYLOAD, Sensors
 
 SOON = 1e-6  # s; knots that lie closer together are one
@@ -292,9 +291,9 @@ class Motion:
         return None
 
     def _loads(self) -> Floats:
-        return self.kind.axis_loads(self.T, self.lengths, self.mechanism, self._wrench())
+        return self.kind.axis_loads(self.T, self.lengths, self.mechanism, self.platform_wrench())
 
-    def _wrench(self) -> Floats:
+    def platform_wrench(self) -> Floats:
         """(n, 6) N and N m of the weight of the platform and its payload, in the platform's frame."""
         platform, payload = self.platform, self.payload()
         R = self.posed().rotation.as_matrix()
@@ -304,32 +303,6 @@ class Motion:
             weight = payload[:, None] * down
             wrench += np.concatenate([weight, _moment(platform.payload_centre_of_mass, weight)], axis=1)
         return wrench
-
-    @property
-    def base_origin(self) -> Floats:
-        """(3,) m, where an arm's base stands in the frame of poses; its origin for other machines."""
-        return self.mechanism.base.translation if has_links(self.mechanism) else np.zeros(3)
-
-    def base_moment(self) -> Floats:
-        """(n, 3) N m of the weight of the platform and its payload about the base's origin, in the frame of poses.
-
-        Raises RigError where the platform's mass or centre is not stated
-        """
-        reason = self.no_loads()
-        if reason:
-            raise RigError(f"the model {reason}")
-        R, wrench = self.posed().rotation.as_matrix(), self._wrench().reshape(-1, 2, 3)
-        force, moment = np.moveaxis(np.einsum("nij,nkj->kni", R, wrench), 0, 0)
-        return np.cross(self.posed().translation - self.base_origin, force) + moment
-
-    def link_base_moments(self) -> Floats:
-        """(n, 3, c) N m of the weight of an arm's links about its base's origin, per kg and kg m of each, worked out
-        once; c = 0 for other machines.
-        """
-        m = self.mechanism
-        if not has_links(m):
-            return np.zeros((len(self.t), 3, 0))
-        return self.once(("base moments",), lambda: link_weight_base_moments(self.lengths, m, self.gravity_in_base()))
 
     def links(self) -> Floats:
         """(n, axes, c) load of the axes per kg and kg m of the machine's own members, worked out once: see

@@ -108,19 +108,19 @@ def read_pointing_data(path: str | Path) -> PointingData:
     if weather is None:
         raise FileError(
             path,
-            "right ascensions are without refraction, which takes the weather: state temperature (C), pressure (hPa), "
-            "height (m), humidity (0 to 1) and wavelength (um) after latitude and date",
+            "right ascensions are of places as without air, whose bending takes the weather: state temperature (C), "
+            "pressure (hPa), height (m), humidity (0 to 1) and wavelength (um) after latitude and date",
             number,
         )
     star, telescope = _sexagesimal(path, records)
     height = np.pi / 2 - zenith_distances(star, latitude)
     if height.min() < LOWEST:
-        low = f"a star stands {np.degrees(height.min()):.1f} degrees high, where refraction is uncertain"
+        low = f"a star stands {np.degrees(height.min()):.1f} degrees high, where the bending by the air is uncertain"
         raise FileError(path, low, records[int(height.argmin())][0])
     star = refracted(star, latitude, weather)
     said = (
-        "right ascensions and declinations of stars are apparent ones, of the date and without refraction, which was "
-        f"added for {weather.temperature:g} C and {weather.pressure:g} hPa",
+        "right ascensions and declinations of stars are apparent ones, of the date and as without air; how it bends "
+        f"light was added for {weather.temperature:g} C and {weather.pressure:g} hPa",
     )
     return PointingData(lines[0][1], "equatorial", latitude, star, telescope, said)
 

@@ -12,7 +12,7 @@ from calib.models.arm.error_model_and_observations import sample_observations
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, JointFit, fit_geometry_and_effects
 from calib.models.arm.pointing_terms import tube_flexure
 from calib.samples.pose_samples import Sampled
-from rig.effects.catalogue.base_lean import base_lean_to_be_fitted
+from rig.effects.catalogue.effect_list import lean_under_link_weight
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import coordinates_of_effects
 from rig.model.mechanism_geometry_classes import Arm
@@ -34,7 +34,7 @@ def measured_effects(recording: Recording, sampled: Sampled) -> tuple[Effect, ..
     if readings is None or samples.measured in UNPLACED or all(sensor.link for sensor in readings.sensors):
         return flexure
     motion = motion_of_commands(recording.design, recording.commands, samples.t, (), recording.sensors)
-    lean = base_lean_to_be_fitted(replace(motion, T=samples.T_base_platform))
+    lean = lean_under_link_weight(replace(motion, T=samples.T_base_platform))
     return (*flexure, *([] if lean is None else [lean]))
 
 
