@@ -97,9 +97,10 @@ def draw_case(
 
     Raises RigError where nothing that the rig survives comes up in TRIES draws.
     """
-    catalogue = [e for e in ALL if e.name in effects] or list(ALL)
+    every = [e for e in ALL if not e.instrumented]
+    catalogue = [e for e in every if e.name in effects] or every
     catalogue = (
-        (blind_image_settings.renderable_effects(catalogue) or blind_image_settings.renderable_effects(list(ALL)))
+        (blind_image_settings.renderable_effects(catalogue) or blind_image_settings.renderable_effects(every))
         if images
         else catalogue
     )

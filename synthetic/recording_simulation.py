@@ -14,9 +14,11 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model import motion_simulation
+from rig.model.base_tilt import SENSOR_AXES
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import rig_toml_with_turns
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
+from rig.model.mechanisms.arm import link_frames
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
 from rig.planning.plan import sensors_with_payload
 from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
@@ -112,6 +114,8 @@ def simulate_world(
     )
     if world.true.insitu is not None:
         log = _with_limbs(log, plan.t, run.T_base_platform, world.true.insitu, rng)
+    if world.true.tilt_sensors:
+        log = _with_readings(log, plan.t, _tilt_channels(world, plan, run, sensors, rng))
     return Simulation(world, plan, sensors, log, run)
 
 
@@ -119,9 +123,35 @@ def _with_limbs(log: Sensors, t: Floats, T: RigidTransform, limbs: MeasuringLimb
     """The log with the measuring limbs' readings at exposures t (n,) s, a row for each."""
     legs = transform_points(T, limbs.platform_joints) - limbs.base_joints
     read = np.linalg.norm(legs, axis=-1) - limbs.zeros + limbs.length_sigma * rng.normal(size=legs.shape[:2])
+    return _with_readings(log, t, dict(zip(limbs.channels, read.T)))
+
+
+def _with_readings(log: Sensors, t: Floats, readings: dict[str, Floats]) -> Sensors:
+    """The log with readings {channel: (n,)} at exposures t (n,) s, a row for each."""
     rows = np.union1d(log.t, t)
     channels = {name: np.interp(rows, log.t, values) for name, values in log.channels.items()}
-    return Sensors(rows, channels | {name: np.interp(rows, t, own) for name, own in zip(limbs.channels, read.T)})
+    return Sensors(rows, channels | {name: np.interp(rows, t, own) for name, own in readings.items()})
+
+
+def _tilt_channels(
+    world: worlds.World, plan: Plan, run: motion_simulation.MachineRun, sensors: Sensors, rng: np.random.Generator
+) -> dict[str, Floats]:
+    """{channel: (n,) rad} that tilt sensors show at the exposures, mounted to within what is stated."""
+    m, out = world.true.mechanism, dict[str, Floats]()
+    state = motion_simulation.motion_of_commands(world.true, plan.commands, plan.t, world.effects, sensors)
+    lean = motion_simulation.lean_of_base(
+        world.true, plan.commands, plan.t, run.T_base_platform, world.effects, sensors
+    )
+    platform = run.T_base_platform.rotation.as_matrix()
+    links = link_frames(state.lengths + run.deviation, m)[..., :3, :3] if has_links(m) else np.stack([platform] * 2, 1)
+    down = Rotation.from_rotvec(-lean * has_links(m)).apply(np.array(state.gravity_in_base()))
+    down /= np.linalg.norm(down, axis=1, keepdims=True)
+    for sensor in world.true.tilt_sensors:
+        off = Rotation.from_rotvec(sensor.mount_sigma * rng.normal(size=3))
+        real = replace(sensor, mount=(Rotation.from_rotvec(sensor.mount) * off).as_rotvec())
+        read = real.shown(links[:, sensor.link], down) + sensor.sigma * rng.normal(size=(len(plan.t), 2))
+        out |= {f"tilt_{sensor.name}_{axis}_rad": own for axis, own in zip(SENSOR_AXES, read.T)}
+    return out
 
 
 def visible_marker_sightings_and_corners(
@@ -264,7 +294,7 @@ def write_recording(
     )
     log = simulation.log
     if log.channels:
-        digits = {name: 8 if LIMB.fullmatch(name) else 3 for name in log.channels}
+        digits = {name: 8 if LIMB.fullmatch(name) or name.endswith("_rad") else 3 for name in log.channels}
         write_table(
             out / "sensors.csv",
             ("t", *log.channels),

@@ -30,10 +30,10 @@ from calib.diagnosis.calibration_left_out_physics import calibration_with_left_o
 from calib.diagnosis.findings_refit import (
     Findings,
     findings_of_diagnosis,
-    findings_with_tube_flexure,
+    findings_with_measured_effects,
     load_findings,
-    samples_with_tube_flexure,
 )
+from calib.diagnosis.problems.arm.effects_shown_by_instruments import fit_of_measured_effects
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_provenance_and_used_frames import SEED, calibration_with_provenance
 from calib.models.arm import calibration_page as arm_page
@@ -230,8 +230,20 @@ def calibrate(
             sampled = sample_by_limbs(recording, options.limbs, progress, notice)
         else:
             sampled = sample_recording(recording, progress=progress, on_corners=prepared.look)
+        _require_tilt_readings(recording)
         sampled = replace(sampled, files=(*sampled.files, *(plugin.path for plugin in options.effects)))
         return _calibrated(recording, sampled, findings, kinds, options, call)
+
+
+def _require_tilt_readings(recording: Recording) -> None:
+    """Raise RigError for tilt sensors that are stated and were not logged."""
+    known = () if recording.sensors is None else tuple(recording.sensors.channels)
+    for sensor in recording.design.tilt_sensors:
+        if sensor.channels(known) is None:
+            raise RigError(
+                f"rig.toml states the tilt sensor {sensor.name!r} ([[tilt_sensor]]), and sensors.csv has no "
+                f"tilt_{sensor.name}_x_rad and tilt_{sensor.name}_y_rad (or _deg): log both, or take the sensor out"
+            )
 
 
 def _calibrated(
@@ -249,11 +261,11 @@ def _calibrated(
         return _extended(recording, sampled, options, options.extend, rng, progress)
     pointing = sampled.samples.measured == "direction"
     if findings is None and (options.with_findings or pointing and not options.quick):
-        searched = samples_with_tube_flexure(recording, sampled) if pointing else sampled.samples
-        asked = DiagnosisOptions(sampled=replace(sampled, samples=searched), kinds=tuple(kinds.values()))
+        beside = fit_of_measured_effects(recording, sampled)
+        searched = sampled if beside is None else replace(sampled, samples=beside.samples)
+        asked = DiagnosisOptions(sampled=searched, kinds=tuple(kinds.values()))
         findings = findings_of_diagnosis(diagnose(recording, asked, progress))
-    if pointing and mechanism.link_rows is not None:
-        findings = findings_with_tube_flexure(findings, require_arm(mechanism))
+    findings = findings_with_measured_effects(findings, recording, sampled)
     known = None
     if mechanism.bodies:
         samples, done, claim = _fitted_chain(recording, sampled, rng, progress)

@@ -10,6 +10,7 @@ from calib.certificate import (
     certificate_json_and_digital_si_xml,
     certificate_page,
     certificate_pdf,
+    certificate_sentences,
     digital_certificate_xml,
 )
 from calib.certificate.certificate_computation_verdict_and_provenance import (
@@ -19,6 +20,7 @@ from calib.certificate.certificate_computation_verdict_and_provenance import (
 )
 from calib.certificate.certificate_contents import CertifyOptions
 from calib.certificate.digital_certificate_xml import Issuer
+from calib.certificate.pointing_certificate import PointingCertificate, pointing_certificate
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration, refutation_sentence
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
     AgainstClaim,
@@ -44,11 +46,11 @@ from rig.recording.frame_selection_and_content_hashes import (
 )
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import Link
-from rig.report.result_in_console_and_notebook import OneLineRepr
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations_by_later_recordings import Evidence, Refutation, Verdict
 
 UNSTATED, STANDARD = Issuer(), CertifyOptions()  # nobody is named; 95 % of poses with 95 %
-KINDS = (".json", ".html", ".pdf", ".xml")
+KINDS, POINTING_KINDS = (".json", ".html", ".pdf", ".xml"), (".json", ".html")
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -57,39 +59,67 @@ class CertificationResult(OneLineRepr):
     (recording's name, sentence) of each that refutes the calibration's claim
     """
 
-    certificate: Certificate
+    certificate: Certificate | PointingCertificate
     held_out: tuple[tuple[Recording, Sampled], ...]
     refutations: tuple[tuple[str, str], ...]
 
     @property
     def verdict(self) -> Verdict:
         """The verdict on the calibration."""
-        return certificate_verdict(self.certificate)
+        made = self.certificate
+        return made.verdict() if isinstance(made, PointingCertificate) else certificate_verdict(made)
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Suffixes of the files in which it can be written."""
+        return POINTING_KINDS if isinstance(self.certificate, PointingCertificate) else KINDS
+
+    def lines(self) -> list[str]:
+        """Sentences of the certificate."""
+        made = self.certificate
+        if isinstance(made, PointingCertificate):
+            return made.lines()
+        return [
+            certificate_sentences.length_scale_line(made),
+            certificate_sentences.promise_line(made),
+            certificate_sentences.measured_volume_line(made),
+            *certificate_sentences.basis_lines(made),
+            *certificate_sentences.conformity_lines(made),
+        ]
 
     def __str__(self) -> str:
         return self.verdict.line
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
-        return self.certificate._repr_html_()
+        made = self.certificate
+        if isinstance(made, PointingCertificate):
+            return result_html(made.promise_line(), made.lines()[1:])
+        return made._repr_html_()
 
     def tree(self) -> Json:
         """What certificate.json holds."""
-        return certificate_json_and_digital_si_xml.certificate_dict(self.certificate)
+        made = self.certificate
+        if isinstance(made, PointingCertificate):
+            return made.tree()
+        return certificate_json_and_digital_si_xml.certificate_dict(made)
 
     def write(self, path: Path, links: Sequence[Link] = (), issuer: Issuer = UNSTATED) -> None:
         """Write the certificate, in the form that the path's suffix names, one of KINDS.
 
         links : of the page; issuer : of the digital calibration certificate
         """
-        if path.suffix == ".html":
-            certificate_page.write_certificate_page(path, self.certificate, links)
+        made = self.certificate
+        if isinstance(made, PointingCertificate):
+            made.write(path, links)
+        elif path.suffix == ".html":
+            certificate_page.write_certificate_page(path, made, links)
         elif path.suffix == ".pdf":
-            certificate_pdf.write_certificate_pdf(path, self.certificate)
+            certificate_pdf.write_certificate_pdf(path, made)
         elif path.suffix == ".xml":
-            write_text(path, digital_certificate_xml.digital_certificate_xml(self.certificate, issuer))
+            write_text(path, digital_certificate_xml.digital_certificate_xml(made, issuer))
         else:
-            write_text(path, certificate_json_and_digital_si_xml.certificate_text(self.certificate))
+            write_text(path, certificate_json_and_digital_si_xml.certificate_text(made))
 
 
 def certify(
@@ -121,7 +151,11 @@ def certify(
         "seed": SEED,
         "recordings": [recording.name for recording in every],
     }
-    found = calibration_certificate(calibration, held, options, source, np.random.default_rng(SEED))
+    found: Certificate | PointingCertificate
+    if all(sampled.samples.measured == "direction" for _, sampled in held):
+        found = pointing_certificate(calibration, held, options, source)
+    else:
+        found = calibration_certificate(calibration, held, options, source, np.random.default_rng(SEED))
     known, claims = _against_claim(calibration, held, refutations)
     for recording_name, ends in unexpected:
         known = evidence_with_displaced_ends(known, ends, recording_name)

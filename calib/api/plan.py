@@ -23,7 +23,9 @@ from calib.certification.platform_certification import Progress, silent_progress
 from calib.correction.correction import indices_and_poses_of_solvable_commands
 from calib.diagnosis.effect_signal_and_separation import Separation, effect_separation
 from calib.models.arm.error_model_and_observations import PLAUSIBLE as PLAUSIBLE_ERRORS
+from calib.models.arm.error_model_and_observations import parameter_jacobian, parameter_names
 from calib.models.arm.pointing_terms import term_jacobian
+from calib.models.arm.tilt_observations import planned_tilt_columns
 from calib.models.machine_models import IndependentParameters, independent_parameter_names_units_sizes_and_jacobian
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     PLAUSIBLE,
@@ -44,9 +46,10 @@ from rig.effects.texts.effect_text_parsing import parse_effect, require_existing
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model import mechanisms
+from rig.model.base_tilt import GRAVITY_SIGMA
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, has_axes, is_hexapod, require_arm
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, has_axes, has_links, is_hexapod, require_arm
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan, sensors_with_payload
 from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
@@ -85,6 +88,7 @@ def informative_configurations(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
     asked: IndependentParameters | None = None,
+    row_sigmas: Floats | None = None,
 ) -> InformativeConfigurations:
     """Most informative configurations for a mechanism's parameters, `count` of them.
 
@@ -92,7 +96,8 @@ def informative_configurations(
     visible_marker_count : how many markers of what moves are seen at poses (n,), or None where an instrument sees it
         anywhere;
         progress : called with (done, of)
-    asked : the parameters, by default those that whole poses tell
+    asked : the parameters, by default those that whole poses tell; row_sigmas : of each row of its Jacobian, by default
+        sigmas of a pose's six
     Raises RigError for too few configurations to hold the parameters, or where too few candidates close on a pose or
         are seen
     """
@@ -108,7 +113,8 @@ def informative_configurations(
             f"in none of {len(values)} configurations within the limits {FEWEST} markers are fully visible: "
             "turn the cameras"
         )
-    rows = asked.jacobian(values[seen]) / np.repeat(sigmas, 3)[:, None] * size
+    noise = np.repeat(sigmas, 3) if row_sigmas is None else row_sigmas
+    rows = asked.jacobian(values[seen]) / noise[:, None] * size
     told = int(rows.any(axis=2).any(axis=0).sum())  # numbers of a pose that the parameters move at all
     if told * count <= len(size):
         raise RigError(
@@ -221,8 +227,13 @@ def _plan_of_any(design: Design, mechanism: Commanded, options: PlanOptions, pro
         if sigma == FOR_PARAMETERS.sigma:
             sigma = (sigma[0], cast(float, design.instrument.rotation_sigma))
         said.append(f"standard errors are the Cramer-Rao bound for directions of {sigma[1] * 1e6:.4g} urad per axis")
+    noise = None
+    if design.tilt_sensors and has_links(mechanism) and asked is None:
+        asked, noise = _parameters_seen_by_tilt_sensors(design, mechanism), np.repeat(sigma, 3)
+        noise = np.r_[noise, np.repeat([sensor.sigma for sensor in design.tilt_sensors], 2)]
+        said.append(f"{len(design.tilt_sensors)} tilt sensors are counted, and how they are mounted is determined too")
     found = informative_configurations(
-        mechanism, options.count, sigma, looked, SEED, lambda done, of: progress("choosing", done, of), asked
+        mechanism, options.count, sigma, looked, SEED, lambda done, of: progress("choosing", done, of), asked, noise
     )
     if looked is not None:
         said.append(
@@ -245,6 +256,24 @@ def _plan_of_any(design: Design, mechanism: Commanded, options: PlanOptions, pro
     ]
     why = f"{options.count} configurations for {len(found.names)} parameters"
     return PlanResult(design, found.values, True, why, ["", *said])
+
+
+def _parameters_seen_by_tilt_sensors(design: Design, arm: Arm) -> IndependentParameters:
+    """An arm's parameters, then how its tilt sensors are mounted, by poses and what the sensors show beside them."""
+    plain, sensors = independent_parameter_names_units_sizes_and_jacobian(arm), design.tilt_sensors
+    kept = [parameter_names(arm).index(name) for name in plain.names]
+    places = ["gravity", *(f"tilt sensor {sensor.name}" for sensor in sensors)]
+    more = [f"{place} {axis}" for place in places for axis in ("rx", "ry", "rz")]
+    sizes = np.r_[plain.size, np.full(3, GRAVITY_SIGMA), np.repeat([sensor.mount_sigma for sensor in sensors], 3)]
+
+    def jacobian(q: Floats) -> Floats:
+        whole = parameter_jacobian(q, arm)
+        tilted = planned_tilt_columns(sensors, design.gravity, q, arm, whole)
+        tilted = np.concatenate([tilted[..., : whole.shape[2]][..., kept], tilted[..., whole.shape[2] :]], axis=2)
+        posed = np.pad(whole[..., kept], ((0, 0), (0, 0), (0, len(more))))
+        return np.concatenate([posed, tilted], axis=1)
+
+    return IndependentParameters((*plain.names, *more), (*plain.units, *["rad"] * len(more)), sizes, jacobian, True)
 
 
 def _pointing_parameters(arm: Arm) -> IndependentParameters:

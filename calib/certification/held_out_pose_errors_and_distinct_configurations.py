@@ -135,8 +135,10 @@ class HeldPoses:
         return bool(np.isfinite(self.errors[:, 3:]).all())
 
     def sigma(self, part: slice) -> Floats:
-        """(n,) m or rad, standard deviation of each pose's own noise in one direction, of positions or rotations."""
-        return np.sqrt(np.trace(self.own[:, part, part], axis1=1, axis2=2) / 3)
+        """(n,) m or rad, standard deviation of each pose's own noise in one direction, of positions or rotations; of
+        directions slice(3, 5).
+        """
+        return np.sqrt(np.trace(self.own[:, part, part], axis1=1, axis2=2) / (part.stop - part.start))
 
 
 def _is_at_rest(commands: Commands, t: Floats) -> Booleans:
@@ -172,11 +174,15 @@ def held_out_poses(
 
     recordings : (Samples, Commands, plain poses (n, 6), errors (n, 6) m and rad) of each
 
-    Raises NotEnoughData where the machine never stood still, RigError where positions were not measured
+    Raises NotEnoughData where the machine never stood still, RigError where neither positions nor directions were
+    measured, or positions of some recordings and directions of others
     """
-    for samples, *_ in recordings:
-        if samples.measured in ("orientation", "distance", "direction"):
-            raise RigError(f"a certificate speaks for poses, and of these the {samples.measured} alone was measured")
+    measured = {samples.measured for samples, *_ in recordings}
+    for one in ("orientation", "distance"):
+        if one in measured:
+            raise RigError(f"a certificate speaks for poses, and of these the {one} alone was measured")
+    if "direction" in measured and len(measured) > 1:
+        raise RigError("directions were measured in some recordings and poses in others: certify with either alone")
     kept = [np.flatnonzero(_is_at_rest(commands, samples.t)) for samples, commands, _, _ in recordings]
     moving = sum(len(samples) - len(k) for k, (samples, *_) in zip(kept, recordings))
     if not sum(map(len, kept)):

@@ -25,7 +25,7 @@ from typing import NamedTuple, cast
 
 import numpy as np
 import scipy
-from scipy.special import betainc, xlogy
+from scipy.special import betainc, i0e, xlogy
 
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotEnoughData
@@ -133,7 +133,7 @@ GAP = 0.02  # of the log likelihood, by which a maximum may be missed
 ROUNDS = 200
 FRESH = 8  # parts of the grid, each of which may add one point to a maximum in a round
 TIGHT = 1e3  # weight of the shares in a round's least squares
-DIMENSIONS = 3  # of a position, of a rotation
+DIMENSIONS = 3  # of a position, of a rotation; a direction's error has 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +241,7 @@ def _held(at: Integers, weights: Floats | Integers, groups: list[tuple[slice, fl
     return out
 
 
-def _fit_depth_mixture(lengths: Floats, sigma: Floats) -> Mixture | None:
+def _fit_depth_mixture(lengths: Floats, sigma: Floats, dimensions: int) -> Mixture | None:
     """Mixture of measured lengths (n, d) with noise sigma (n, d) per direction; None where all noise is too small to
     matter.
 
@@ -256,30 +256,35 @@ def _fit_depth_mixture(lengths: Floats, sigma: Floats) -> Mixture | None:
     depth, likelihood = np.zeros(1), np.ones((len(lengths), 1))
     for r, s, top, count in zip(lengths.T, sigma.T, tops, counts):
         rho = np.linspace(0, top, int(np.clip(count, 8, finest)))
-        one = _likelihood(r, np.maximum(s, 1e-300) if count <= finest else np.maximum(s, STEPS_PER_SIGMA * rho[1]), rho)
+        noise = np.maximum(s, 1e-300) if count <= finest else np.maximum(s, STEPS_PER_SIGMA * rho[1])
+        one = _likelihood(r, noise, rho, dimensions)
         depth = np.maximum(depth[:, None], rho).ravel()
         likelihood = (likelihood[:, :, None] * one[:, None]).reshape(len(lengths), -1)
     order = np.argsort(depth, kind="stable")
     return Mixture(depth[order], likelihood[:, order])
 
 
-def _likelihood(lengths: Floats, sigma: Floats, rho: Floats) -> Floats:
-    """(n, m) of measured lengths (n,) with noise (n,) given true ones (m,), each row's greatest 1."""
+def _likelihood(lengths: Floats, sigma: Floats, rho: Floats, dimensions: int) -> Floats:
+    """(n, m) of measured lengths (n,) with noise (n,) given true ones (m,), each row's greatest 1.
+
+    A length in three dimensions is that of Maxwell's distribution off its centre, in two that of Rice's.
+    """
     s2 = sigma[:, None] ** 2
     kappa = np.maximum(lengths[:, None] * rho / s2, 1e-12)
     exponent = -((lengths[:, None] - rho) ** 2) / (2 * s2)
-    likelihood = np.exp(exponent - exponent.max(axis=1, keepdims=True)) * -np.expm1(-2 * kappa) / (2 * kappa)
+    shape = i0e(kappa) if dimensions == 2 else -np.expm1(-2 * kappa) / (2 * kappa)
+    likelihood = np.exp(exponent - exponent.max(axis=1, keepdims=True)) * shape
     return likelihood / likelihood.max(axis=1, keepdims=True)
 
 
 def tolerance_limits_of_true_errors(
-    lengths: Floats, sigma: Floats, coverage: float = 0.95, confidence: float = 0.95
+    lengths: Floats, sigma: Floats, coverage: float = 0.95, confidence: float = 0.95, dimensions: int = DIMENSIONS
 ) -> Limits:
     """Tolerance limits of true error lengths, estimated from lengths measured with noise.
 
     Of d limits the greatest.
     lengths : (n,) or (n, d) measured, in units of each; sigma : alike, standard deviation of their noise in each
-    direction.
+    direction; dimensions : of the errors whose lengths these are, 3 or 2
 
     Raises NotEnoughData for fewer than `least_sample_size`
     """
@@ -291,9 +296,9 @@ def tolerance_limits_of_true_errors(
         upper_tolerance_limit(measured, coverage, confidence),
     )
     most = np.sqrt(
-        (lengths**2).sum(axis=0) / np.maximum(DIMENSIONS * (sigma**2).sum(axis=0), 1e-300)
+        (lengths**2).sum(axis=0) / np.maximum(dimensions * (sigma**2).sum(axis=0), 1e-300)
     )  # beyond which noise is all there is
-    found = _fit_depth_mixture(lengths, sigma * np.minimum(1.0, most))
+    found = _fit_depth_mixture(lengths, sigma * np.minimum(1.0, most), dimensions)
     if found is None:
         return Limits(float(np.quantile(measured, coverage)), *plain)
     free = found.best()

@@ -168,14 +168,33 @@ class Physics:
 def samples_with_effects(
     design: Design, samples: Samples, commands: Commands, effects: Sequence[Effect], sensors: Sensors | None
 ) -> Samples:
-    """Samples with effects applied to their commands, or taken off an arm's poses beyond its joints."""
+    """Samples with effects applied to their commands, or taken off an arm's poses beyond its joints, in place of those
+    that were before.
+    """
     t, T = samples.t, samples.T_base_platform
     if is_parallel(design.mechanism):
         return replace(
             samples, known=machine.effective_commands(design, commands, t, T, effects, sensors) - samples.commanded
         )
+    T = poses_with_predicted_rotations(design, samples)
+    if samples.sway is not None:
+        T = T * exp(samples.sway)
     values, sway = machine.effective_commands_and_sway(design, commands, t, T, effects, sensors)
-    return replace(samples, known=values - samples.commanded, T_base_platform=T * exp(-sway) if sway.any() else T)
+    tilts = samples.tilts
+    if tilts is not None:
+        tilts = tilts.with_lean(machine.lean_of_base(design, commands, t, T, effects, sensors))
+    if samples.sway is None and not sway.any():
+        return replace(samples, known=values - samples.commanded, tilts=tilts)
+    return replace(samples, known=values - samples.commanded, T_base_platform=T * exp(-sway), tilts=tilts, sway=sway)
+
+
+def poses_with_predicted_rotations(design: Design, samples: Samples) -> RigidTransform:
+    """Poses (n,) of samples of an arm, their rotations as the arm has them where positions alone were measured."""
+    T = samples.T_base_platform
+    if samples.measured != "position":
+        return T
+    predicted = mechanisms.kinematics_of(design.mechanism).forward(samples.effective, design.mechanism)
+    return RigidTransform.from_components(T.translation, predicted.rotation)
 
 
 ITERATIONS = 300

@@ -13,6 +13,7 @@ from calib.correction.correction import AnyCorrection
 from calib.correction.physics_compensation import Physics, Unknown
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
+from calib.diagnosis.problems.arm.effects_shown_by_instruments import measured_effects
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     operating_point_of_recording,
@@ -27,7 +28,6 @@ from calib.diagnosis.unmodelled_curves import arm_fit_with_curves, refinement_wi
 from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm_of_fit
 from calib.models.arm.error_model_and_observations import parameter_names, sample_observations
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, JointFit, Prior, fit_geometry_and_effects
-from calib.models.arm.pointing_terms import tube_flexure
 from calib.models.platform.identification import Loops
 from calib.samples.pose_samples import Sampled, Samples, samples_of_freedoms
 from rig.array_and_json_types import Floats
@@ -43,7 +43,6 @@ from rig.formats import json_toml_and_yaml_loading, machine_geometry_and_effects
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files.atomic_file_and_manifest import load_manifest as manifest
 from rig.model import mechanisms
-from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, require_arm, require_parallel
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
@@ -122,29 +121,21 @@ def findings_of_diagnosis(diagnosis: Diagnosis) -> Findings:
     return Findings(diagnosis.machine_effects, None, unexplained_findings(diagnosis.left))
 
 
-def findings_with_tube_flexure(findings: Findings | None, arm: Arm) -> Findings | None:
-    """Findings with the flexure of the tube of a mount, where they have no compliance of that joint already."""
+def findings_with_measured_effects(
+    findings: Findings | None, recording: Recording, sampled: Sampled
+) -> Findings | None:
+    """Findings with the effects that an arm's instruments show by themselves (`measured_effects`), where they have none
+    of that kind at that place already.
+    """
     known = Findings((), None, ()) if findings is None else findings
-    places = {effect.place for effect in known.effects if effect.form == "load"}
-    more = tuple(effect for effect in tube_flexure(arm) if effect.place not in places)
+    places = {(effect.form, effect.place) for effect in known.effects}
+    more = tuple(e for e in measured_effects(recording, sampled) if (e.form, e.place) not in places)
     if not more:
         return findings
     sigma = known.sigma
     if sigma is not None:
         sigma = np.r_[sigma, np.full(len(coordinates_of_effects(more)), np.inf)]
     return replace(known, effects=(*known.effects, *more), sigma=sigma)
-
-
-def samples_with_tube_flexure(recording: Recording, sampled: Sampled) -> Samples:
-    """Samples of a mount with what the flexure of its tube does to their commands, fitted with the geometry alone: all
-    else is searched for beside it. As they are where there is no such tube, or nothing was commanded.
-    """
-    samples, arm = sampled.samples, recording.design.mechanism
-    if not isinstance(arm, Arm) or recording.commands is None or not tube_flexure(arm):
-        return samples
-    history = History(recording.design, recording.commands, smooth_temperatures(recording.sensors)[0])
-    start = start_arm_of_fit(sample_observations(samples), arm, sampled.instrument)
-    return fit_geometry_and_effects(samples, history, start, tube_flexure(arm)).samples
 
 
 def unexplained_findings(lacks_of_fit: Iterable[LackOfFit]) -> tuple[Unknown, ...]:

@@ -365,7 +365,7 @@ def _hand_rows(fit: JointFit, seen: WhitenedSamples, moved: Sequence[Floats]) ->
         left[inside],
         basis[inside],
         rows,
-        [seen.whitened(Columns(part, np.zeros((len(part), 6, part.shape[2]))))[inside] for part in moved],
+        [seen.whitened(Columns.of_joints(part))[inside] for part in moved],
         gram,
         right,
         (basis[known].T @ basis[known], basis[known].T @ left[known]),

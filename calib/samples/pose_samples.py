@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.samples.platform_tilts import poses_with_platform_tilts
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
-from rig.model.base_tilt import has_gravity
+from rig.model.base_tilt import TiltReadings, has_gravity, logged_gravity
 from rig.model.design import Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, nearest_reachable_poses
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording
@@ -116,6 +117,25 @@ class Below:
         return Below(self.stage, self.T_base_stage[index], self.covariance[index], self.common[index], self.seen[index])
 
 
+def tilt_readings(recording: Recording, t: Floats) -> TiltReadings | None:
+    """TiltReadings of those sensors of a recording that were logged, at times t (n,) s; None without any."""
+    design, log = recording.design, recording.sensors
+    if log is None or not design.gravity.any():
+        return None
+    logged = log
+    read = [(one, one.angles(log.channels, lambda name: logged.at(t, name))) for one in design.tilt_sensors]
+    shown = [(sensor, angles) for sensor, angles in read if angles is not None]
+    if not shown:
+        return None
+    gravity = (
+        logged_gravity(lambda name: logged.at(t, name))
+        if has_gravity(log.channels)
+        else np.broadcast_to(design.gravity, (len(t), 3))
+    )
+    down = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
+    return TiltReadings(tuple(sensor for sensor, _ in shown), np.stack([angles for _, angles in shown], axis=1), down)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
     """n visited configurations.
@@ -130,6 +150,8 @@ class Samples:
         for none
     below : (Below, ..) of a chain, what else was measured
     conditions : Conditions under which they were measured, None where no recording says
+    tilts : TiltReadings, None without tilt sensors
+    sway : (n, 6) tangent, on the right, that physics beyond its joints has, taken off an arm's poses; None for none
     """
 
     frame: Integers
@@ -141,6 +163,8 @@ class Samples:
     known: Floats | None = None
     below: tuple[Below, ...] = ()
     conditions: Conditions | None = None
+    tilts: TiltReadings | None = None
+    sway: Floats | None = None
 
     def __post_init__(self) -> None:
         if not len(self.frame):
@@ -173,6 +197,8 @@ class Samples:
             None if self.known is None else self.known[index],
             tuple(one.take(index) for one in self.below),
             None if self.conditions is None else self.conditions.take(index),
+            None if self.tilts is None else self.tilts.take(index),
+            None if self.sway is None else self.sway[index],
         )
 
     @property
@@ -208,6 +234,7 @@ def pair_samples(
         covariance,
         common,
         conditions=conditions_of_exposures(recording, t[at]),
+        tilts=tilt_readings(recording, t[at]),
     )
 
 
@@ -233,11 +260,15 @@ def add_stage_measurements(
 
 
 def samples_of_freedoms(samples: Samples, mechanism: Mechanism) -> Samples:
-    """Samples of a mechanism of fewer freedoms than six: only those of its platform's coordinates count as measured.
+    """Samples of a mechanism, with what tilt sensors on its platform add to its poses; of fewer freedoms than six, only
+    those of its platform's coordinates count as measured.
 
     The other coordinates are as at home and their covariance is 0: no axis moves them, and what is seen of them says
     how the target sits on the platform.
     """
+    if samples.tilts is not None and samples.measured == "pose" and not has_links(mechanism):
+        fused = poses_with_platform_tilts(samples.tilts, samples.T_base_platform, samples.covariance, samples.common)
+        samples = replace(samples, T_base_platform=fused[0], covariance=fused[1], common=fused[2], tilts=None)
     some = list(mechanism.pose_coordinates)
     if len(some) == 6:
         return samples

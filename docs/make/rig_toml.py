@@ -18,7 +18,7 @@ from rig.formats.length_and_angle_units import UnitNames
 from rig.formats.rig_toml import arm_dynamics_entries, design_file
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
 from rig.formats.rig_toml.mechanism_entries import Joint
-from rig.model.base_tilt import BaseTilt
+from rig.model.base_tilt import BaseTilt, TiltSensor
 from rig.model.design import (
     Actuator,
     Arm,
@@ -97,6 +97,10 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
     "[instrument]": (
         Instrument,
         "Only where poses.csv comes from an outside instrument (a laser tracker, a coordinate measuring machine).",
+    ),
+    "[[tilt_sensor]]": (
+        TiltSensor,
+        "One for each; [arms](arms.md#tilt-sensors) and [measuring](measuring.md#tilt-sensors-on-a-platform) say more.",
     ),
     "[controller]": (
         Controller,
@@ -283,7 +287,14 @@ def samples() -> list[dict[str, Any]]:
     ]
     joint = {"joint": "prismatic", "theta": 0.0, "d": 0.0, "a": 0.0, "alpha": 0.0, "limits": [0.0, 0.2]}
     stands = {"position": [0.0, 0.0, 0.1], "rotvec": [0.0, 0.0, 0.0]}
-    arms.append({"schema": "rig/1", "mechanism": {"kind": "arm", "joints": [joint], "base": stands, "tool": stands}})
+    leans = {"name": "column", "link": 0, "sigma": 2e-4, "mount": [0.0, 0.0, 0.0], "mount_sigma": 0.02}
+    arms.append(
+        {
+            "schema": "rig/1",
+            "mechanism": {"kind": "arm", "joints": [joint], "base": stands, "tool": stands},
+            "tilt_sensor": [leans],
+        }
+    )
     return [whole, listed, *arms, {**whole, "mechanism": {"kind": "free"}, "controller": None}]
 
 
@@ -317,6 +328,7 @@ TABLE_KEYS = (
     "experiment",
     "turned",
     "sensor",
+    "tilt_sensor",
     "dynamics",
     "faces",
     "position",

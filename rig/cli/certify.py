@@ -153,7 +153,10 @@ def run(arguments: Namespace) -> int:
     for name, sentence in result.refutations:
         input_options_and_output_display.write_refutation(arguments, arguments.calibration, name, sentence)
     left_out = missing_matplotlib_reason() if suffix == "" else None
-    kinds = [kind for kind in KINDS if kind != ".pdf" or not left_out]
+    if suffix and suffix not in result.kinds:
+        raise RigError(f"{arguments.out}: a certificate of directions is written as {' or '.join(result.kinds)}")
+    left_out = left_out if ".pdf" in result.kinds else None
+    kinds = [kind for kind in result.kinds if kind != ".pdf" or not left_out]
     for place in [whole / f"certificate{kind}" for kind in kinds] if suffix == "" else [whole]:
         shown = arguments.out if suffix else arguments.out / place.name
         result.write(place, page_links(arguments, shown), _issuer(arguments))
@@ -203,20 +206,6 @@ def _issuer(arguments: Namespace) -> Issuer:
 
 def _print_certificate(result: CertificationResult) -> None:
     """Print what is certified, the verdict first."""
-    from calib.certificate import certificate_sentences as words
-
-    made = result.certificate
-    print(
-        "\n".join(
-            [
-                result.verdict.line,
-                words.length_scale_line(made),
-                words.promise_line(made),
-                words.measured_volume_line(made),
-                *words.basis_lines(made),
-                *words.conformity_lines(made),
-            ]
-        )
-    )
+    print("\n".join([result.verdict.line, *result.lines()]))
     for _, sampled in result.held_out:
         print_frames_without_pose(sampled.measurement)

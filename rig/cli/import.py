@@ -5,7 +5,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.array_and_json_types import Json
-from rig.cli.shared.argument_parser_and_common_options import add_json_result_option, add_overwrite_option
+from rig.cli.shared.argument_parser_and_common_options import (
+    add_json_result_option,
+    add_overwrite_option,
+    parse_tolerance,
+)
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -48,6 +52,18 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "temperatures by the topics' types (bag.topics.commands=/joint_states states one)",
     )
     parser.add_argument(
+        "--tpoint",
+        metavar="FILE",
+        type=Path,
+        help="pointing data of TPOINT: a recording of directions of a telescope's mount, with its rig.toml",
+    )
+    parser.add_argument(
+        "--sigma",
+        metavar="ANGLE",
+        type=parse_tolerance,
+        help="noise of a star's direction along each of two axes, for --tpoint, as 3arcsec",
+    )
+    parser.add_argument(
         "--set",
         dest="settings",
         metavar="KEY=VALUE",
@@ -75,6 +91,9 @@ def run(arguments: argparse.Namespace) -> None:
     from rig.formats.output_files import write_text
 
     given = {name: getattr(arguments, name) for name in TABLES}
+    if arguments.tpoint is not None or arguments.sigma is not None:
+        _pointing(arguments)
+        return
     if arguments.recipe is not None and (
         arguments.images or arguments.rig or arguments.cameras or arguments.bag or any(given.values())
     ):
@@ -110,6 +129,36 @@ def run(arguments: argparse.Namespace) -> None:
         + (f"; {kept} repeats it (rig import --recipe)" if arguments.recipe is None else "")
         + f"; `rig check {arguments.out}` checks it in detail"
     )
+
+
+def _pointing(arguments: argparse.Namespace) -> None:
+    """Write a recording of directions of TPOINT's pointing data. Raises RigError where anything else is named too"""
+    from rig.formats.importers.tpoint_pointing_data import read_pointing_data, write_pointing_recording
+
+    others = [name for name in (*TABLES, "images", "rig", "cameras", "bag", "recipe", "settings", "skip_unreadable")]
+    named = [name for name in others if getattr(arguments, name)]
+    if arguments.tpoint is None or named:
+        raise RigError("--tpoint FILE stands with --sigma and --out alone: the file has the mount and all directions")
+    if arguments.sigma is None or arguments.sigma[0] != "rotation":
+        raise RigError("--tpoint takes --sigma, the noise of a star's direction, as --sigma 3arcsec: no file states it")
+    arguments.outputs.inputs.append(arguments.tpoint)
+    data = read_pointing_data(arguments.tpoint)
+    write_pointing_recording(data, arguments.sigma[1], arguments.outputs.folder(arguments.out))
+    said = (*data.said, "no times are stated, so a star is assumed every 10 s, in the order of the file")
+    arguments.result = {
+        "schema": "imported/1",
+        "frames": len(data.star),
+        "images": 0,
+        "commands": len(data.star),
+        "poses": len(data.star),
+        "sensors": [],
+        "assumed": list(said),
+        "remarks": [],
+        "recipe": "",
+    }
+    print(f"imported: {len(data.star)} stars of an {data.mount} mount, {data.caption}")
+    _say_assumed(said)
+    print(f"written: {arguments.out}")
 
 
 def _print_camera_places(folder: Path) -> None:

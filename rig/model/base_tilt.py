@@ -1,16 +1,127 @@
-"""Tilt of a machine's base by a sensor channel, and gravity in the base's frame as it turns with such tilts."""
+"""Tilt of a machine's base by a sensor channel, gravity in the base's frame as it turns, and tilt sensors on links."""
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rig.array_and_json_types import Floats
+from rig.array_and_json_types import Booleans, Floats, Integers
+from rig.errors import RigError
 
 GRAVITY = ("gravity_x_m_s2", "gravity_y_m_s2", "gravity_z_m_s2")  # channels of gravity in the base frame
 LARGEST_TURN = np.radians(1.0)  # of a tilting base between two rows, of which gravity is interpolated
 ANGLE_UNITS = {"_deg": np.pi / 180, "_rad": 1.0}  # by the end of a channel's name
+GRAVITY_SIGMA = 0.02  # rad, to which gravity's direction in the frame of poses is known
+STEEPEST = np.radians(70)  # of a sensor's angle that is used: near 90 degrees it says little, and its zero counts much
+SENSOR_AXES = ("x", "y")  # of a tilt sensor, whose angles it shows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TiltSensor:
+    """A tilt sensor, which shows how far its x and y axes point above the horizontal, rad.
+
+    name : of its channels in sensors.csv, tilt_NAME_x_rad and tilt_NAME_y_rad, or both in _deg; link : of an arm, by
+        the joint that moves it, 0 for the base; 1 for the platform of other machines; sigma : rad, noise of each angle
+    mount : (3,) rad, the sensor's axes in the link's frame, as rotation vector; mount_sigma : rad, standard deviation
+        to which mount and the zeros of both angles are known
+    """
+
+    name: str
+    link: int
+    sigma: float
+    mount: Floats
+    mount_sigma: float = 0.02
+
+    @property
+    def place(self) -> str:
+        """Where it sits, in words."""
+        return f"link {self.link}" if self.link else "the base"
+
+    def channels(self, known: Collection[str]) -> tuple[str, str] | None:
+        """Names of its two channels among the names of those known, or None.
+
+        Raises RigError where one of the two is missing
+        """
+        for unit in ANGLE_UNITS:
+            x, y = (f"tilt_{self.name}_{axis}{unit}" for axis in SENSOR_AXES)
+            if x in known and y in known:
+                return x, y
+            if x in known or y in known:
+                raise RigError(
+                    f"sensors.csv has one of {x} and {y}: the angles of tilt sensor {self.name!r} belong together"
+                )
+        return None
+
+    def angles(self, known: Collection[str], channel: Callable[[str], Floats]) -> Floats | None:
+        """Both angles (n, 2) rad, or None where they were not logged. known : names of channels; channel : name ->
+        (n,) values
+        """
+        names = self.channels(known)
+        if names is None:
+            return None
+        return np.stack([channel(name) * ANGLE_UNITS[name[-4:]] for name in names], axis=1)
+
+    def shown(self, R_link: Floats, down: Floats) -> Floats:
+        """Angles (n, 2) rad that it shows at orientations (n, 3, 3) of its link under gravity along unit vectors
+        (n, 3).
+        """
+        axes = R_link @ Rotation.from_rotvec(self.mount).as_matrix()[:, :2]
+        return np.arcsin(np.clip(-np.einsum("nia,ni->na", axes, down), -1, 1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TiltReadings:
+    """What tilt sensors on an arm showed in n configurations.
+
+    sensors : TiltSensor, s of them; angles : (n, s, 2) rad; down : (n, 3) unit vectors of gravity in the frame of
+        poses, turned back by what the base is known to have leaned
+    """
+
+    sensors: tuple[TiltSensor, ...]
+    angles: Floats
+    down: Floats
+
+    @property
+    def usable(self) -> Booleans:
+        """(n, s) whether both angles of a reading are below STEEPEST."""
+        return np.asarray((np.abs(self.angles) < STEEPEST).all(axis=2))
+
+    @property
+    def mounting_sigma(self) -> Floats:
+        """(3 + 3 s,) rad, to which gravity's direction in the frame of poses and each sensor's mounting are known."""
+        return np.concatenate([np.full(3, GRAVITY_SIGMA), *(np.full(3, one.mount_sigma) for one in self.sensors)])
+
+    def take(self, index: Booleans | Integers | slice) -> "TiltReadings":
+        """The readings of an index or mask (n,)."""
+        return TiltReadings(self.sensors, self.angles[index], self.down[index])
+
+    def with_lean(self, lean: Floats) -> "TiltReadings":
+        """The readings where the base is known to have leaned by rotation vectors (n, 3) rad, frame of poses."""
+        return replace(self, down=Rotation.from_rotvec(-lean).apply(np.array(self.down))) if lean.any() else self
+
+
+def linearised_tilts(readings: TiltReadings, links: Floats, mounting: Floats) -> tuple[Floats, Floats, Floats]:
+    """(residuals (n, s, 2) rad, read less predicted; turns (n, s, 2, 3), change of the angles with a link's turn about
+    the axes of the frame of poses; mounting columns (n, s, 2, 3 + 3 s)) of readings.
+
+    links : (n, s, 3, 3) orientations of the sensors' links in the frame of poses; mounting : (3 + 3 s,) rad, small
+        turns of gravity in that frame, then of each sensor about its own axes
+    """
+    s = len(readings.sensors)
+    stated = Rotation.from_rotvec([sensor.mount for sensor in readings.sensors]).as_matrix()
+    down = Rotation.from_rotvec(mounting[:3]).apply(readings.down)
+    axes = links @ stated @ Rotation.from_rotvec(mounting[3:].reshape(s, 3)).as_matrix()
+    sines = -np.einsum("nsia,ni->nsa", axes[..., :2], down)
+    residuals = readings.angles - np.arcsin(np.clip(sines, -1, 1))
+    cosines = np.sqrt(np.maximum(1 - sines**2, np.cos(STEEPEST) ** 4))
+    two = np.swapaxes(axes, 2, 3)[:, :, :2]  # (n, s, axis of the sensor, 3)
+    turns = -np.cross(two, down[:, None, None]) / cosines[..., None]
+    columns = np.zeros((*residuals.shape, len(mounting)))
+    columns[..., :3] = -turns
+    for k in range(s):
+        columns[:, k, :, 3 + 3 * k : 6 + 3 * k] = turns[:, k] @ axes[:, k]
+    return residuals, turns, columns
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.model.base_tilt import BaseTilt
+from rig.model.base_tilt import BaseTilt, TiltSensor
 from rig.model.calibration_board import DICTIONARIES as DICTIONARIES
 from rig.model.calibration_board import Board
 from rig.model.controller_protocol_list_and_port_name_check import PROTOCOLS as PROTOCOLS
@@ -25,10 +25,10 @@ class Controller:
     usb : serial number or hardware id of the port, or ""; axes : the controller's names of them, () for usual ones
     homing : whether the controller can home; without, the position that it reads at the start is believed
     zero : (n,) m, an axis's length where the controller reads 0; home : (n,) m, lengths after homing, or None
-    max_speed : (n,) m/s; max_acceleration : (n,) m/s^2, None for what the controller itself allows
-    tolerance : m, of a read-back; max_step : m, largest change of one axis in a move, None for any
-    margin : smallest share that the Jacobian's least singular value may have of its value at home
-    timeout, home_timeout : s, for an answer and for homing; watchdog : s of silence after which a controller stops
+    max_speed : (n,) m/s; max_acceleration : (n,) m/s^2, None for what the controller itself allows; tolerance : m, of a
+    read-back; max_step : m, largest change of one axis in a move, None for any; margin : smallest share that the
+    Jacobian's least singular value may have of its value at home; timeout, home_timeout : s, for an answer and for
+    homing; watchdog : s of silence after which a controller stops
     kinematics : "joint" (an axis word is an axis) or "world" (the controller has the inverse kinematics, takes poses)
     password, enable_password : of linuxcncrsh; ini : path of LinuxCNC's .ini, whose limits are compared, or ""
     work, tool : T_base_work, T_platform_tool where it takes poses, None for the platform at home, and for itself
@@ -80,8 +80,7 @@ class Instrument:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuringLimbs:
-    """Limbs next to the driving struts that measure their own length (sensors.csv, m1..mn, m) and carry nothing: six
-    tell a pose, more check it.
+    """Limbs beside the driving struts that measure their own length (sensors.csv, m1..mn, m) and carry nothing.
 
     base_joints : (n, 3) m, base frame; platform_joints : (n, 3) m, platform frame; length_sigma : m, of one reading
     zeros : (n,) m, what a limb is longer than it reads, 0 where they are left out
@@ -304,7 +303,8 @@ class Target:
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Design:
     """The whole rig.toml. name : of the rig; gravity : (3,) m/s^2 in the base frame; tilts : turns of the base by
-    which gravity turns in it; sensor : of its simulated cameras; controller : None where nothing is driven"""
+    which gravity turns in it; tilt_sensors : on an arm; sensor : of its simulated cameras; controller : None where
+    nothing is driven"""
 
     name: str
     gravity: Floats
@@ -320,6 +320,7 @@ class Design:
     sensors: SensorPort | None = None
     experiment: Permission = Permission()
     tilts: tuple[BaseTilt, ...] = ()
+    tilt_sensors: tuple[TiltSensor, ...] = ()
 
     def __repr__(self) -> str:
         counts = f"{len(self.cameras)} cameras, {len(self.targets)} targets"
@@ -380,8 +381,7 @@ _OUT = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+
 
 
 def markers_of_target(target: Target) -> tuple[Marker, ...]:
-    """Markers of a target: its listed ones, or those on a cube's faces.
-    On faces they are centred, top to +z on the sides and to +y on +z and -z.
+    """Markers of a target: its listed ones, or those on a cube's faces, top to +z on the sides and to +y on +z and -z.
 
     Raises ValueError for a target that lists neither faces nor markers.
     """

@@ -147,6 +147,22 @@ def effective_commands_and_sway(
     return out, sum((e.sway(state) for e in effects), np.zeros((len(state.t), 6)))
 
 
+def lean_of_base(
+    design: Design,
+    commands: Commands,
+    t: Floats,
+    T: RigidTransform,
+    effects: Sequence[Effect] = (),
+    sensors: Sensors | None = None,
+) -> Floats:
+    """Rotation vectors (n, 3) rad by which effects turn the base in the frame of poses, at poses T (n,)."""
+    turning = [effect for effect in effects if type(effect).lean is not Effect.lean]
+    if not turning:
+        return np.zeros((len(t), 3))
+    state = replace(motion_of_commands(design, commands, t, effects, sensors), T=T)
+    return np.sum([effect.lean(state) for effect in turning], axis=0)
+
+
 def strut_elongations_of_platform_sway(design: Design, T: RigidTransform, sway: Floats) -> Floats:
     """Strut elongations (n, axes) m that a platform at T (n,), displaced by sway (n, 6), appears to have."""
     m = require_parallel(design.mechanism, "a mechanism of kind {kind!r} is not parallel")

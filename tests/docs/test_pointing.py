@@ -17,6 +17,7 @@ def test_the_page_shows_the_example():
 
 def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
     shutil.copy(EXAMPLE, tmp_path)
+    shutil.copy(EXAMPLE.with_name("stars.dat"), tmp_path)
     (tmp_path / "wanted.csv").write_text("frame,azimuth,elevation\n0,0.6,0.5\n1,2.0,1.3\n2,5.0,0.9\n")
     monkeypatch.chdir(tmp_path)
     lines = [line.split()[1:] for line in PAGE.read_text().splitlines() if line.startswith("    rig ")]
@@ -26,23 +27,28 @@ def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
         "calibrate",
         "simulate",
         "verify",
+        "certify",
         "correct",
         "diagnose",
+        "import",
+        "calibrate",
     ]
     said = {}
     for words in lines:
         done = run(*words)
-        said[words[0]] = done.stdout + done.stderr
+        said[words[0]] = said.get(words[0], "") + done.stdout + done.stderr
     assert "Cramer-Rao bound" in said["plan"] and " TF" in said["plan"]
     assert (
         "pointing terms of an altazimuth mount" in said["calibrate"]
         and "TF cannot be distinguished" in said["calibrate"]
     )
+    assert "30 stars of an altazimuth mount" in said["import"] and said["calibrate"].count("pointing terms of an") == 2
     assert "times better" in said["verify"] and "RuntimeWarning" not in "".join(said.values())
     assert "3 of 3 poses written" in said["correct"] and "uncertainty of the directions: 0.0" in said["correct"]
     assert json.loads((tmp_path / "found" / "diagnosis.json").read_text())["fit"]["unit"] == "rad"
-    refused = run("certify", "calibration.json", "NEW", "--out", "c.json", ok=False)
-    assert "the direction alone was measured" in refused.stderr
+    assert "95 % of directions in this part of the sky lie within" in said["certify"]
+    refused = run("certify", "calibration.json", "NEW", "--out", "c.xml", ok=False)
+    assert "a certificate of directions is written as .json or .html" in refused.stderr
     rows = np.genfromtxt("commands.csv", delimiter=",", names=True)
     assert np.abs(rows["q1"] - [0.6, 2.0, 5.0]).max() < 0.02
     first = (tmp_path / "NEW" / "poses.csv").read_text().replace("\n0,", "\n0,1", 1)

@@ -66,6 +66,7 @@ EFFECTS = [
     "travel_heating:strut3:per_metre=5e-5,time_constant=600",
     "marker_flatness:8:height=5e-4,corner=2",
     "encoder_interpolation:strut3:amplitude=4e-6,periods=3003",
+    "base_lean:rig:compliance=2e-5,depth=0.4",
 ]
 PARALLEL = 0.99  # cosine from which signatures count as the same
 SEEN = 0.02  # share of the raw effect that calibration must leave for it to be visible at all

@@ -80,10 +80,11 @@ class ArmView:
 
     def plot(self, finding: FindingEntry) -> str | None:
         """Residuals of all poses turned back into the joint against what gives the finding away; None where it acts on
-        the whole arm.
+        the whole arm, or was found before all else.
         """
-        d = self.diagnosis
-        number = d.findings[next(i for i, entry in enumerate(self.entries) if entry is finding)].number
+        number = next((f.number for f, e in zip(self.diagnosis.findings, self.entries) if e is finding), None)
+        if number is None:
+            return None
         fit = self.fit
         term = fit.terms[number]
         joint = term.candidate.joint

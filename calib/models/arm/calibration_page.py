@@ -9,6 +9,7 @@ from calib.certification.calibration_dataclass_and_accuracy_claim_sentences impo
 from calib.certification.held_out_errors import Figures, errors_before_and_after_correction
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import CertifiedArm
+from calib.models.arm.tilt_observations import tilt_report
 from calib.report.platform_and_lens_calibration_pages import evidence_html, view_3d_html, write_page_of_calibration
 from calib.report.pose_and_effect_figures import FITTED, correction_error_figures, pose_coverage_figures
 from calib.samples.pose_samples import Samples
@@ -55,6 +56,7 @@ def write_arm_calibration_page(
         *workspace_section_html(calibration.workspace, "rad"),
         heading_html("Parameters"),
         *(paragraph_html(f"{line}.") for line in certified.found.rank.report()),
+        *(paragraph_html(f"{line}.") for line in tilt_report(samples.tilts, certified.found.tilts)),
         folding_section_html("Every parameter's change", _arm_parameters(calibration)),
     ]
     write_page_of_calibration(path, recording, calibration, parts, links)

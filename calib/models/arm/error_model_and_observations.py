@@ -21,6 +21,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
+from rig.model.base_tilt import TiltReadings
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import direction_difference, exp, pose, pose_difference, skew
@@ -135,6 +136,7 @@ class Observations:
         orientations: on the
     right), 2 (about x and y, on the right) or 1, m and rad
     common : (m, k, j) factor of errors that all share (error = common z + own, z ~ N(0, I)); j = 0 where there are none
+    tilts : TiltReadings beside them, None without tilt sensors
     """
 
     kind: str
@@ -142,6 +144,7 @@ class Observations:
     value: RigidTransform | Floats
     covariance: Floats
     common: Floats
+    tilts: TiltReadings | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -158,7 +161,10 @@ class Observations:
 
     def take(self, index: Integers | slice) -> "Observations":
         """The observations of an index or mask (m,)."""
-        return Observations(self.kind, self.q[index], self.value[index], self.covariance[index], self.common[index])
+        tilts = None if self.tilts is None else self.tilts.take(index)
+        return Observations(
+            self.kind, self.q[index], self.value[index], self.covariance[index], self.common[index], tilts
+        )
 
     def residuals(self, arm: Arm) -> Floats:
         """(m, k): observed less predicted."""
@@ -198,7 +204,11 @@ def observation_jacobian(kind: str, pose_jacobian: Floats, q: Floats, arm: Arm) 
 
 
 def sample_observations(samples: Samples) -> Observations:
-    """Observations of Samples: whole poses, or the part of them that was measured."""
+    """Observations of Samples: whole poses, or the part of them that was measured, with what tilt sensors showed."""
+    return replace(_instrument_observations(samples), tilts=samples.tilts)
+
+
+def _instrument_observations(samples: Samples) -> Observations:
     if samples.measured == "pose":
         return pose_observations(samples)
     if samples.measured == "orientation":

@@ -24,6 +24,7 @@ from calib.identify.least_squares_and_robust_fit import excess_scatter
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.error_model_and_observations import Observations, Rank
 from calib.models.arm.error_model_and_observations import parameter_rank as independent
+from calib.models.arm.tilt_observations import TiltRows, TiltWeights, link_turns_by_parameters, tilt_rows
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.mechanism_geometry_classes import Arm
@@ -46,6 +47,7 @@ class Identified:
     rank : Rank, which columns depend and were held; shared : (j,) draw of the common errors
     residuals : (m, k) what is left, common errors taken out; scatter : (k,) m and rad beyond the instrument's own, per
     component (one figure for positions, one for rotations); inliers : (m,) bool; iterations : steps taken in all
+    tilts : TiltWeights of the tilt sensors' readings, None without
     """
 
     arm: Arm
@@ -57,6 +59,7 @@ class Identified:
     scatter: Floats
     inliers: Booleans
     iterations: int
+    tilts: TiltWeights | None = None
 
 
 def independent_arm_parameters(arm: Arm, kind: str) -> Booleans:
@@ -113,9 +116,11 @@ def identify_arm(
     scatter = _scatter(
         observations.residuals(nominal), observations, inliers, 0
     )  # cautious weights first, the instrument's when earned
+    tilts = _tilt_weights(observations, arm, 0)
     for _ in range(ROUNDS):
-        arm, rank, fit, iterations = _settle(observations, arm, free, inliers, scatter)
+        arm, rank, fit, iterations = _settle(observations, arm, free, inliers, scatter, tilts)
         total += iterations
+        tilts = _tilt_weights(observations, arm, int(rank.free.sum()))
         new_scatter = _scatter(fit.left, observations, inliers, rank.free.sum())
         new_inliers = _inliers(fit.left, observations, new_scatter)
         if k * new_inliers.sum() <= free.sum():
@@ -125,7 +130,27 @@ def identify_arm(
         inliers, scatter = new_inliers, new_scatter
     covariance = np.zeros((len(free), len(free)))
     covariance[np.ix_(rank.free, rank.free)] = fit.covariance
-    return Identified(arm, covariance, rank.free, rank, fit.shared, fit.left, scatter, inliers, total)
+    return Identified(arm, covariance, rank.free, rank, fit.shared, fit.left, scatter, inliers, total, tilts)
+
+
+def _tilt_weights(observations: Observations, arm: Arm, fitted: int) -> TiltWeights | None:
+    """TiltWeights of tilt sensors' readings by what an arm leaves of them, `fitted` numbers fitted to all; or None."""
+    if observations.tilts is None:
+        return None
+    rows = tilt_rows(observations.tilts, observations.q, arm)
+    numbers = rows.residuals.size + observations.covariance.shape[1] * len(observations)
+    return rows.weights((fitted + len(rows.mounting)) / numbers)
+
+
+def whitened_tilt_rows_and_columns(
+    observations: Observations, arm: Arm, weights: TiltWeights
+) -> tuple[TiltRows, Floats]:
+    """(TiltRows, whitened columns (r, p) of the arm's parameters) of the tilt sensors beside observations."""
+    assert observations.tilts is not None
+    rows = tilt_rows(observations.tilts, observations.q, arm)
+    J = error_model_and_observations.parameter_jacobian(observations.q, arm)
+    turned = link_turns_by_parameters(observations.tilts, observations.q, arm, J)
+    return rows, rows.whitened_columns(weights, turned)
 
 
 def require_enough_observations(count: int, numbers_each: int, parameter_count: int) -> None:
@@ -156,20 +181,29 @@ class _Settled(NamedTuple):
     iterations: int
 
 
-def _settle(observations: Observations, arm: Arm, free: Booleans, inliers: Booleans, scatter: Floats) -> _Settled:
+def _settle(
+    observations: Observations, arm: Arm, free: Booleans, inliers: Booleans, scatter: Floats, tilts: TiltWeights | None
+) -> _Settled:
     """Gauss-Newton for given weights."""
     W = np.linalg.inv(np.linalg.cholesky(observations.covariance + np.diag(scatter**2)))[inliers]
     J = observations.jacobian(arm)
     B = W @ J[inliers]
+    beside = None if tilts is None else whitened_tilt_rows_and_columns(observations, arm, tilts)
     rank = independent(
-        B.reshape(-1, B.shape[-1]),
+        _with_tilt_columns(B.reshape(-1, B.shape[-1]), beside, tilts),
         free,
         error_model_and_observations.parameter_names(arm),
         error_model_and_observations.parameter_units(arm),
     )
     for iteration in range(MAX_ITERATIONS):
-        J = observations.jacobian(arm) if iteration else J
-        fit = _solve(observations.residuals(arm), J[..., rank.free], observations.common, W, inliers)
+        if iteration:
+            J = observations.jacobian(arm)
+            beside = None if tilts is None else whitened_tilt_rows_and_columns(observations, arm, tilts)
+        below = None
+        if beside is not None and tilts is not None:
+            rows, columns = beside
+            below = (columns[:, rank.free], rows.whitened_mounting(tilts), rows.whitened_residuals(tilts))
+        fit = _solve(observations.residuals(arm), J[..., rank.free], observations.common, W, inliers, below)
         step = np.zeros(len(free))
         step[rank.free] = fit.step / max(1.0, np.abs(fit.step).max() / LONGEST_STEP)
         arm = error_model_and_observations.arm_with_parameter_step(arm, step)
@@ -181,19 +215,42 @@ def _settle(observations: Observations, arm: Arm, free: Booleans, inliers: Boole
     )
 
 
-def _solve(r: Floats, J: Floats, common: Floats, W: Floats, inliers: Booleans) -> _Fit:
-    """One weighted least squares, the common errors solved for with the parameters."""
+def _with_tilt_columns(B: Floats, beside: tuple[TiltRows, Floats] | None, tilts: TiltWeights | None) -> Floats:
+    """Whitened columns (rows, p) of the parameters with those that tilt sensors add, their mounting projected out."""
+    if beside is None or tilts is None:
+        return B
+    Q = np.linalg.qr(beside[0].whitened_mounting(tilts))[0]
+    return np.concatenate([B, beside[1] - Q @ (Q.T @ beside[1])])
+
+
+def _solve(
+    r: Floats,
+    J: Floats,
+    common: Floats,
+    W: Floats,
+    inliers: Booleans,
+    below: tuple[Floats, Floats, Floats] | None = None,
+) -> _Fit:
+    """One weighted least squares, the common errors solved for with the parameters.
+
+    below : (columns (r, p), nuisances (r, c), residuals (r,)), whitened, of what else was observed, or None
+    """
     count = common.shape[2]
     M = (W @ np.concatenate([J, common], axis=2)[inliers]).reshape(-1, J.shape[2] + count)
     prior = np.zeros((count, J.shape[2] + count))
     prior[:, J.shape[2] :] = np.eye(count)
     right = np.concatenate([(W @ r[inliers][..., None]).ravel(), np.zeros(count)])
     stacked = np.concatenate([M, prior])
+    if below is not None:
+        columns, nuisances, more = below
+        lower = np.concatenate([columns, np.zeros((len(more), count)), nuisances], axis=1)
+        stacked = np.concatenate([np.pad(stacked, ((0, 0), (0, nuisances.shape[1]))), lower])
+        right = np.concatenate([right, more])
     scale = np.linalg.norm(stacked, axis=0)
     Q, R = np.linalg.qr(stacked / scale)
     solution = np.linalg.solve(R, Q.T @ right) / scale
     half = np.linalg.inv(R) / scale[:, None]
-    shared = solution[J.shape[2] :]
+    shared = solution[J.shape[2] : J.shape[2] + count]
     left = r - np.einsum("mki,i->mk", J, solution[: J.shape[2]]) - np.einsum("mkj,j->mk", common, shared)
     return _Fit(solution[: J.shape[2]], shared, (half @ half.T)[: J.shape[2], : J.shape[2]], left)
 

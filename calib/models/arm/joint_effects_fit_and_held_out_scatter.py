@@ -15,12 +15,18 @@ from calib.certification.held_out_errors import (
     mean_square_held_out_pose_errors_by_parameters,
     residuals_corrected_for_noise_absorbed_by_fit,
 )
-from calib.correction.physics_compensation import samples_with_effects
+from calib.correction.physics_compensation import poses_with_predicted_rotations, samples_with_effects
 from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import observation_jacobian, sample_observations
-from calib.models.arm.identification_and_joint_profiles import Identified, identify_arm, independent_arm_parameters
+from calib.models.arm.identification_and_joint_profiles import (
+    Identified,
+    identify_arm,
+    independent_arm_parameters,
+    whitened_tilt_rows_and_columns,
+)
+from calib.models.arm.tilt_observations import TiltWeights, link_turns_by_joints, tilt_rows
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
@@ -31,6 +37,7 @@ from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates
     effects_with_coordinates,
 )
 from rig.model import motion_simulation
+from rig.model.base_tilt import TiltReadings
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
@@ -64,16 +71,13 @@ class History:
             observations, start, independent_arm_parameters(require_arm(self.design.mechanism), observations.kind)
         )
 
-    def moved(self, samples: Samples, effects: tuple[Effect, ...], arm: Arm) -> tuple[Floats, Floats]:
-        """(joints (n, joints), hand (n, 6)) that commands become under effects, as `machine.reached`."""
-        return motion_simulation.effective_commands_and_sway(
-            replace(self.design, mechanism=arm),
-            self.commands,
-            samples.t,
-            samples.T_base_platform,
-            effects,
-            self.sensors,
-        )
+    def moved(self, samples: Samples, effects: tuple[Effect, ...], arm: Arm) -> tuple[Floats, Floats, Floats]:
+        """(joints (n, joints), hand (n, 6), lean (n, 3)) that commands become under effects, as `machine.reached`, and
+        by which the base turns.
+        """
+        design = replace(self.design, mechanism=arm)
+        run = (design, self.commands, samples.t, poses_with_predicted_rotations(design, samples), effects, self.sensors)
+        return *motion_simulation.effective_commands_and_sway(*run), motion_simulation.lean_of_base(*run)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,15 +91,22 @@ class Prior:
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
     """What effects' c coordinates do at n samples: joints (n, joints, c) rad or m, hand (n, 6, c) m and rad beyond
-    these.
+    these, lean (n, 3, c) rad of the base.
     """
 
     joints: Floats
     hand: Floats
+    lean: Floats
+
+    @staticmethod
+    def of_joints(joints: Floats) -> "Columns":
+        """Columns of what moves joints alone, (n, joints, c)."""
+        n, c = len(joints), joints.shape[2]
+        return Columns(joints, np.zeros((n, 6, c)), np.zeros((n, 3, c)))
 
     def take(self, index: Booleans) -> "Columns":
         """Of an index or mask (n,)."""
-        return Columns(self.joints[index], self.hand[index])
+        return Columns(self.joints[index], self.hand[index], self.lean[index])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,9 +164,9 @@ def fit_geometry_and_effects(
 @dataclass(frozen=True, slots=True, eq=False)
 class WhitenedSamples:
     """How samples see an arm. W : (m, k, k) weights of those that agree; inliers : (n,) bool; q : (n, joints);
-    kind : of Observations; arm : Arm
-    nuisances : (m k + j, p + j) whitened columns of the free parameters and of the j shared draws; basis : orthonormal,
-        of the same span."""
+    kind : of Observations; arm : Arm; tilts : TiltWeights of r rows of tilt sensors, None without
+    nuisances : (m k + j + r, p + j + ..) whitened columns of the free parameters, of the j shared draws and of how tilt
+        sensors are mounted; basis : orthonormal, of the same span."""
 
     W: Floats
     inliers: Booleans
@@ -164,6 +175,7 @@ class WhitenedSamples:
     arm: Arm
     nuisances: Floats
     basis: Floats
+    tilts: tuple[TiltReadings, TiltWeights] | None = None
 
     @staticmethod
     def of(samples: Samples, found: Identified) -> "WhitenedSamples":
@@ -173,6 +185,13 @@ class WhitenedSamples:
         W = np.linalg.inv(np.linalg.cholesky(o.covariance + np.diag(scatter**2)))[found.inliers]
         J = np.concatenate([o.jacobian(found.arm)[..., found.free], o.common], axis=2)[found.inliers]
         stacked = np.concatenate([(W @ J).reshape(-1, J.shape[2]), np.eye(J.shape[2])[J.shape[2] - shared :]])
+        known = None if o.tilts is None or found.tilts is None else (o.tilts, found.tilts)
+        if known is not None:
+            rows, columns = whitened_tilt_rows_and_columns(o, found.arm, known[1])
+            mounting = rows.whitened_mounting(known[1])
+            own = np.pad(columns[:, found.free], ((0, 0), (0, shared)))
+            lower = np.concatenate([own, mounting], axis=1)
+            stacked = np.concatenate([np.pad(stacked, ((0, 0), (0, mounting.shape[1]))), lower])
         return WhitenedSamples(
             W,
             found.inliers,
@@ -181,23 +200,35 @@ class WhitenedSamples:
             found.arm,
             stacked,
             np.linalg.qr(stacked / np.linalg.norm(stacked, axis=0))[0],
+            known,
         )
 
     def whitened(self, columns: Columns) -> Floats:
         """(m k + j, c) of Columns (n, ..)."""
         moved = error_model_and_observations.joint_jacobian(self.q, self.arm) @ columns.joints + columns.hand
         seen = self.W @ observation_jacobian(self.kind, moved, self.q, self.arm)[self.inliers]
-        return self._padded(seen.reshape(seen.shape[0] * seen.shape[1], seen.shape[2]))
+        seen = seen.reshape(seen.shape[0] * seen.shape[1], seen.shape[2])
+        if self.tilts is None:
+            return self._padded(seen)
+        readings, weights = self.tilts
+        turned = link_turns_by_joints(readings, self.q, self.arm) @ columns.joints[:, None] + columns.lean[:, None]
+        return self._padded(seen, tilt_rows(readings, self.q, self.arm).whitened_columns(weights, turned))
 
     def left(self, samples: Samples) -> Floats:
         """(m k + j,) whitened residuals of samples, all that the nuisances explain taken out."""
-        r = self._padded(
-            (self.W @ sample_observations(samples).residuals(self.arm)[self.inliers][..., None]).reshape(-1, 1)
-        )[:, 0]
+        o = sample_observations(samples)
+        seen = (self.W @ o.residuals(self.arm)[self.inliers][..., None]).reshape(-1, 1)
+        lower = np.zeros((0, 1))
+        if self.tilts is not None and o.tilts is not None:
+            lower = tilt_rows(o.tilts, o.q, self.arm).whitened_residuals(self.tilts[1])[:, None]
+        r = self._padded(seen, lower)[:, 0]
         return r - self.basis @ (self.basis.T @ r)
 
-    def _padded(self, seen: Floats) -> Floats:
-        return np.concatenate([seen, np.zeros((len(self.nuisances) - len(seen), seen.shape[1]))])
+    def _padded(self, seen: Floats, lower: Floats | None = None) -> Floats:
+        """Rows (m k, c) of the instrument, nothing of the shared draws, and rows (r, c) of tilt sensors."""
+        lower = np.zeros((0, seen.shape[1])) if lower is None else lower
+        between = np.zeros((len(self.nuisances) - len(seen) - len(lower), seen.shape[1]))
+        return np.concatenate([seen, between, lower])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -277,15 +308,17 @@ def _columns(
     still; None to work out all
     """
     coordinates = coordinates_of_effects(effects)
-    joints = np.zeros((*samples.commanded.shape, len(coordinates))) if before is None else before.joints.copy()
-    hand = np.zeros((len(samples), 6, len(coordinates))) if before is None else before.hand.copy()
+    n, k = samples.commanded.shape
+    parts = [np.zeros((n, size, len(coordinates))) for size in (k, 6, 3)]
+    if before is not None:
+        parts = [before.joints.copy(), before.hand.copy(), before.lean.copy()]
     bent = {c.effect for c in coordinates if c.role not in STRAIGHT or any(e.retimes() for e in effects)}
     for i, c in enumerate(coordinates):
         if before is None or c.effect in bent:
             ends, between = c.ends_of(effects, effects)
-            (high, up), (low, down) = (history.moved(samples, one, arm) for one in ends)
-            joints[..., i], hand[..., i] = (high - low) / between, (up - down) / between
-    return Columns(joints, hand)
+            for part, high, low in zip(parts, *(history.moved(samples, one, arm) for one in ends)):
+                part[..., i] = (high - low) / between
+    return Columns(*parts)
 
 
 UNSTATED = 1.2  # times what is stated, from which a scatter is unexplained

@@ -174,7 +174,7 @@ def _determinant(M: Floats, G: Floats, present: int = 0) -> tuple[float, Floats]
     """(log volume that candidate `present` adds to information M, that which each candidate adds (c,))."""
     half = np.linalg.inv(np.linalg.cholesky(M))
     rows = G @ half.T
-    values = np.linalg.slogdet(np.eye(6) + rows @ np.swapaxes(rows, 1, 2))[1]
+    values = np.linalg.slogdet(np.eye(rows.shape[1]) + rows @ np.swapaxes(rows, 1, 2))[1]
     return values[present], values
 
 

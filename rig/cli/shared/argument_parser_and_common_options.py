@@ -5,6 +5,7 @@ With the nearest known word for a mistyped option or command; outputs, calibrati
 
 from __future__ import annotations
 
+import math
 import re
 from argparse import ArgumentParser, ArgumentTypeError, Namespace, _SubParsersAction
 from collections.abc import Iterable, Sequence
@@ -250,6 +251,7 @@ TOLERANCE_UNITS = {
     "mm": ("position", 1e-3),
     "m": ("position", 1.0),
     "urad": ("rotation", 1e-6),
+    "arcsec": ("rotation", math.pi / 648000),
     "mrad": ("rotation", 1e-3),
     "rad": ("rotation", 1.0),
 }

@@ -11,6 +11,7 @@ from calib.certification.calibration_dataclass_and_accuracy_claim_sentences impo
 from calib.certification.error_claim_over_workspace import Claim
 from calib.correction.physics_compensation import Physics
 from calib.models.arm import certification as arm_certification
+from calib.models.arm.tilt_observations import tilt_report
 from calib.models.chain import certification_and_page as chain_certification
 from calib.workspace.workspace_page import workspace_lines
 from rig.cli.shared.argument_parser_and_common_options import print_frames_without_pose, print_held_out_errors
@@ -141,7 +142,7 @@ def print_calibration_verdict_errors_and_corrections(result: CalibrationResult) 
         _print_extension(result.extended)
     elif isinstance(done, arm_certification.CertifiedArm):
         _print_joints(done, result.calibration.physics)
-        print("\n".join(done.found.rank.report()))
+        print("\n".join([*done.found.rank.report(), *tilt_report(result.samples.tilts, done.found.tilts)]))
         if result.pointing_terms is not None:
             print("\n".join(result.pointing_terms.report()))
     elif isinstance(done, chain_certification.CertifiedChain):

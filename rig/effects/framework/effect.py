@@ -38,9 +38,8 @@ from rig.model.design import Camera
 from rig.model.effect_places_and_part_tolerances import AXES, Place, Tolerance, axis_mask
 
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
-MOTION_STAGES = ("command", "struts", "structure")
-AT_REST = 1e-9  # m/s or rad/s
-NEAR_MOTION = 0.1  # s, within which a clock that is off or a drive that lags makes an exposure at rest one in motion
+MOTION_STAGES, LINEAR = ("command", "struts", "structure"), ("linear", "inverse")  # stages; roles of parameters
+AT_REST, NEAR_MOTION = 1e-9, 0.1  # m/s or rad/s; s from motion, within which a late clock makes rest motion
 SELDOM = 0.25  # share of draws in which an effect that may start at a moment does so
 
 
@@ -90,9 +89,9 @@ class Effect:
     form : what the model is a function of, if simple: own travel ("slope", "sinusoid", "profile"), "load" or "step"
     own_axis : depends on the axis' position alone, 1 for the simplest; once : a second at a place would be the first
     lasting : the machine does it again, so that commands can undo it; tolerance : within which it is no fault
-    fixed_mount : its camera stands still; cardans : kinds of joints at struts' ends, one of which it needs
-    whole_turns : it needs the travel of a turn; flat : markers stay flat, as drawn images have them
-    warps : takes in every smooth displacement fixed in an image
+    instrumented : an instrument of its own shows it, so that it is fitted, and neither searched for nor drawn
+    fixed_mount : its camera stands still; cardans : kinds of joints at struts' ends that it needs one of
+    whole_turns : it needs the travel of a turn; flat : markers stay flat, as drawn; warps : takes in all smooth ones
     view : how residuals in the image show it: "displacement", "map", "time", "scale", "outward", "markers" or "targets"
     """
 
@@ -113,6 +112,7 @@ class Effect:
     own_axis: ClassVar[int] = 0
     once: ClassVar[bool] = False
     lasting: ClassVar[bool] = True
+    instrumented: ClassVar[bool] = False
     tolerance: ClassVar[Tolerance | tuple[float, float] | None] = None
     cardans: ClassVar[tuple[str, ...]] = ()
     whole_turns: ClassVar[bool] = False
@@ -157,6 +157,10 @@ class Effect:
         """(n, 6) tangent by which the platform is displaced, on the right (m, rad)."""
         return np.zeros((len(motion.t), 6))
 
+    def lean(self, motion: Motion) -> Floats:
+        """(n, 3) rad, rotation vectors of the base in the frame of poses, as tilt sensors see."""
+        return np.zeros((len(motion.t), 3))
+
     def attach(self, markers: Markers) -> Markers:
         """Markers (id (m,), T_body_marker (m,), side (m,), target names) as the markers really sit."""
         return markers
@@ -166,8 +170,7 @@ class Effect:
         return camera
 
     def mount(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
-        """(n, 6) tangent by which a camera's mount has moved at t (n,) s, on the right; channel(name) -> (n,) sensor
-        values."""
+        """(n, 6) tangent, on the right, by which a camera's mount has moved at t (n,) s; channel(name) -> (n,)."""
         return np.zeros((len(t), 6))
 
     def focal(self, camera: Camera, t: Floats, channel: Callable[..., Floats]) -> Floats:
@@ -233,10 +236,8 @@ class Effect:
     def sites(cls, context: Context) -> tuple[str, ...]:
         """Places at which a recording can show it. Raises RigError where the recording lacks what it needs."""
         commanded = cls.stage in MOTION_STAGES
-        if commanded and context.motion is None:
-            raise RigError("nothing was commanded")
-        if not commanded and not context.cameras:
-            raise RigError("there are no corners")
+        if not (context.cameras if not commanded else context.motion is not None):
+            raise RigError("nothing was commanded" if commanded else "there are no corners")
         if cls.moving and context.moved().path.from_motion.min(initial=np.inf) > NEAR_MOTION:
             raise RigError("every exposure was taken at rest")
         found = cls._places(context)
@@ -249,20 +250,20 @@ class Effect:
 
     @classmethod
     def lacking(cls, context: Context) -> dict[str, str]:
-        """{place: reason} of places where the recording lacks what it needs: a slide without a lead."""
+        """{place: reason} where the recording lacks what it needs."""
         return {place: reason for place in cls._places(context) if (reason := cls(place).needs(context.moved()))}
 
     @classmethod
     def _places(cls, context: Context) -> tuple[str, ...]:
-        joints = "rig" in cls.places and "axis" in cls.places and context.moved().kind.AXIS != "strut"
+        joints = {"rig", "axis"} <= set(cls.places) and context.moved().kind.AXIS != "strut"
         kinds = [kind for kind in cls.places if kind != "rig" or not joints]  # joints differ: all alike is no physics
         return tuple(place for kind in kinds for place in context.places_of_kind(kind))
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
-        """Candidates at a place: by default every linear parameter a column, and a grid of the nonlinear ones. What may
-        start at a moment, and by default does not, is tried without one as well. What shows in motion alone is tried at
-        sizes of either sign where every exposure was taken at rest: it is not linear there.
+        """Candidates at a place: a column for each linear parameter, a grid of the others, with and without a moment.
+
+        What shows in motion alone is tried at sizes of either sign where every exposure was taken at rest.
         """
         linear = cls.linear(place)
         if cls.moving and linear and np.abs(context.moved().path.speed).max(initial=0.0) < AT_REST:
@@ -280,13 +281,8 @@ class Effect:
     def linear(cls, place: str) -> list[Linear]:
         """The columns of the model at a place: its linear and inverse parameters, and the quadrature of a phase."""
         parameters = [p.at(place) for p in cls.parameters]
-        columns = [
-            Linear(p.name, None if p.size == 1 else j, derivative_step(p))
-            for p in parameters
-            if p.role in ("linear", "inverse")
-            for j in range(p.size)
-        ]
-        return columns + [
+        own = [(p, None if p.size == 1 else j) for p in parameters if p.role in LINEAR for j in range(p.size)]
+        return [Linear(p.name, index, derivative_step(p)) for p, index in own] + [
             Linear(QUADRATURE, None, derivative_step(next(q for q in parameters if q.role == "linear")))
             for p in parameters
             if p.role == "phase"
@@ -302,8 +298,8 @@ class Effect:
         """(n, axes, q): see Candidate.deviation. The model is linear in these, so a small step of each suffices."""
         if not candidate.linear:
             return candidate.effect(node, np.zeros(0)).deviation(motion)[..., None]
-        units = np.diag([column.step for column in candidate.linear])
-        return np.stack([candidate.effect(node, u).deviation(motion) / u.sum() for u in units], axis=-1)
+        steps = np.diag([column.step for column in candidate.linear])
+        return np.stack([candidate.effect(node, u).deviation(motion) / u.sum() for u in steps], axis=-1)
 
     @classmethod
     def columns_of_nodes(cls, candidate: Candidate, nodes: Sequence[Node], motion: Motion) -> Floats:
@@ -332,9 +328,7 @@ class Effect:
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
-        """One of a plausible size at a place. What starts at a moment only if need be (its default is that of no
-        moment) does so now and then.
-        """
+        """One of a plausible size at a place. What may start at a moment, and by default does not, seldom does."""
         values = {}
         for p in cls.parameters_at(place):
             default = getattr(cls(place), p.name)

@@ -291,7 +291,9 @@ class Motion:
         reason = self.no_loads()
         if reason:
             raise RigError(f"the model {reason}")
-        return self.once(("loads",), self._loads)
+        return self.once(
+            ("loads",), lambda: self.kind.axis_loads(self.T, self.lengths, self.mechanism, self.platform_wrench())
+        )
 
     def no_loads(self) -> str | None:
         """Why the loads of the axes are not known, or None."""
@@ -301,7 +303,8 @@ class Motion:
             return "needs [platform] payload_centre_of_mass in rig.toml, since a payload was logged"
         return None
 
-    def _loads(self) -> Floats:
+    def platform_wrench(self) -> Floats:
+        """(n, 6) N and N m of the weight of the platform and its payload, in the platform's frame."""
         platform, payload = self.platform, self.payload()
         R = self.posed().rotation.as_matrix()
         down = np.einsum("nji,nj->ni", R, self.gravity_in_base())  # acceleration in the platform's axes
@@ -309,12 +312,10 @@ class Motion:
         if payload.any():
             weight = payload[:, None] * down
             wrench += np.concatenate([weight, _moment(platform.payload_centre_of_mass, weight)], axis=1)
-        return self.kind.axis_loads(self.T, self.lengths, self.mechanism, wrench)
+        return wrench
 
     def links(self) -> Floats:
-        """(n, axes, c) load of the axes per kg and kg m of the machine's own members, worked out once: see
-        mechanisms.kind.
-        """
+        """(n, axes, c) load of the axes per kg and kg m of the machine's own members, worked out once."""
         return self.once(
             ("links",),
             lambda: self.kind.link_weight_loads(self.T, self.lengths, self.mechanism, self.gravity_in_base()),

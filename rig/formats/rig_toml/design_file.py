@@ -13,7 +13,7 @@ from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import camera_instrument_and_cube_entries
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table, user_program_text
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_table
-from rig.model.base_tilt import ANGLE_UNITS, BaseTilt
+from rig.model.base_tilt import ANGLE_UNITS, BaseTilt, TiltSensor
 from rig.model.calibration_board import parse_board
 from rig.model.controller_protocol_list_and_port_name_check import is_user_program, port_problem
 from rig.model.design import (
@@ -31,7 +31,13 @@ from rig.model.design import (
     Target,
 )
 from rig.model.mechanisms.hexapod import home_values
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_struts, is_hexapod, target_bodies
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Mechanism,
+    has_links,
+    has_struts,
+    is_hexapod,
+    target_bodies,
+)
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
@@ -74,6 +80,7 @@ def design_of_entries(root: Entries) -> Design:
             "camera",
             "target",
             "sensor",
+            "tilt_sensor",
             "insitu",
             "controller",
             "sensors",
@@ -115,6 +122,7 @@ def design_of_entries(root: Entries) -> Design:
         controller=_controller(root.table("controller"), mechanism, actuator) if "controller" in root.tree else None,
         sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None,
         tilts=tuple(base_tilt_of_table(entry) for entry in environment.tables("tilt")),
+        tilt_sensors=_tilt_sensors(root.tables("tilt_sensor"), mechanism),
         experiment=camera_instrument_and_cube_entries.experiment_permission(
             root.table("experiment", optional=True), targets
         ),
@@ -207,6 +215,31 @@ def base_tilt_of_table(table: Entries) -> BaseTilt:
     if not size > 0:
         table.fail("axis has no direction", "axis")
     return BaseTilt(channel, axis / size, table.number("zero", 0.0, least=-MOST_TILT, most=MOST_TILT, unit="rad"))
+
+
+def _tilt_sensors(tables: list[Entries], mechanism: Mechanism) -> tuple[TiltSensor, ...]:
+    """Tilt sensors. Raises FileError for a link that a machine lacks and a name given twice."""
+    out, arm = list[TiltSensor](), has_links(mechanism)
+    least, most = (0, len(mechanism.axes)) if arm else (1, 1)
+    for table in tables:
+        table.refuse_misspelt([field.name for field in fields(TiltSensor)])
+        name = table.identifier("name")
+        if name in [sensor.name for sensor in out]:
+            table.fail(f"tilt sensor {name!r} is listed twice", "name", value=name)
+        link = table.whole("link", 0)
+        if not least <= link <= most:
+            known = f"is 0, the base, to {most}" if arm else "of a machine that is no arm is 1, its platform"
+            table.fail(f"{table.name('link')} {known}, not {link}", "link", value=link)
+        out.append(
+            TiltSensor(
+                name,
+                link,
+                table.number("sigma", above=0, most=0.1, unit="rad"),
+                table.array("mount", (3,), default=[0.0, 0.0, 0.0], unit="rad"),
+                table.number("mount_sigma", 0.02, above=0, most=0.2, unit="rad"),
+            )
+        )
+    return tuple(out)
 
 
 def _sensors(table: Entries) -> SensorPort:

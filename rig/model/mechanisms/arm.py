@@ -146,6 +146,18 @@ def link_weight_loads(T: RigidTransform, q: Floats, arm: Arm, gravity: Floats) -
     return out.reshape(len(chain), n, 4 * n)
 
 
+def link_weight_base_moments(q: Floats, arm: Arm, gravity: Floats) -> Floats:
+    """Moments (m, 3, 4 n) N m of the links' own weight about the base's origin, per kg and kg m of each link.
+
+    gravity : (m, 3) m/s^2 of each posture; both in the frame of poses
+    """
+    chain, n = link_frames(q, arm), len(arm.joints)
+    out = np.empty((len(chain), n, 4, 3))
+    out[:, :, 0] = np.cross(chain[:, 1 : n + 1, :3, 3] - chain[:, :1, :3, 3], gravity[:, None])
+    out[:, :, 1:] = np.cross(np.swapaxes(chain[:, 1 : n + 1, :3, :3], 2, 3), gravity[:, None, None])
+    return np.moveaxis(out.reshape(len(chain), 4 * n, 3), 2, 1)
+
+
 def axis_deviation_and_sway_by_member_growth(
     T: RigidTransform, q: Floats, arm: Arm, share: Floats
 ) -> tuple[Floats, Floats]:

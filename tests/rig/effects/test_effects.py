@@ -64,6 +64,7 @@ SOME = {  # one instance of each, of a size that rigs show
     "travel_heating": "strut3:per_metre=1e-4,time_constant=400",
     "marker_flatness": "4:height=5e-4,corner=2",
     "encoder_interpolation": "strut3:amplitude=4e-6,periods=3003,phase=0.4",
+    "base_lean": "rig:compliance=2e-5,depth=0.4",
 }
 
 

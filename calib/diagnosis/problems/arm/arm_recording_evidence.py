@@ -22,6 +22,10 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, La
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.arm.arm_problem import COARSE_PARTS, FINE_PARTS, ArmProblem, nested_held_out_poses
+from calib.diagnosis.problems.arm.effects_shown_by_instruments import (
+    findings_of_measured_effects,
+    fit_of_measured_effects,
+)
 from calib.diagnosis.problems.arm.finding_parameters_with_intervals_and_nonlinear_optimisation import (
     finding_parameters,
     term_errors_by_temperature_logs,
@@ -40,6 +44,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     STATED,
     Family,
     HeldOutPoses,
+    MeasuredFinding,
     Misfit,
     Noise,
     RequestedEffects,
@@ -62,7 +67,7 @@ from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_rep
     time_cosines,
 )
 from calib.identify.least_squares_and_robust_fit import MOST, isolated_outlier_rows, robust_fit
-from calib.models.arm.joint_effects_fit_and_held_out_scatter import UNSTATED
+from calib.models.arm.joint_effects_fit_and_held_out_scatter import UNSTATED, JointFit
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
@@ -140,7 +145,8 @@ class ArmEvidence:
     stretches : of time, how many are held out, one number for each HeldOutPoses
     log_errors : {channel: (rows, q) K} of the smoothed temperatures, see `smooth_temperatures`
     stated : whether rig.toml or poses.csv state the noise of the poses, which cameras do not measure
-    noise_times : {kind of noise: Value} by which the poses' covariance was scaled, over what is stated"""
+    noise_times : {kind of noise: Value} by which the poses' covariance was scaled, over what is stated
+    beside : JointFit of what instruments show by themselves, which was fitted before the search, or None"""
 
     linear: Callable[[frozenset[int]], tuple[Arms, Geometry]]
     source: str
@@ -150,6 +156,15 @@ class ArmEvidence:
     log_errors: Mapping[str, Floats] = field(default_factory=dict)
     stated: bool = False
     noise_times: dict[str, Value] = field(default_factory=dict)
+    beside: JointFit | None = None
+
+    @property
+    def measured_findings(self) -> tuple[MeasuredFinding, ...]:
+        return () if self.beside is None else findings_of_measured_effects(self.beside)
+
+    @property
+    def measured_effects(self) -> tuple[Effect, ...]:
+        return () if self.beside is None else self.beside.effects
 
     @property
     def family(self) -> Family:
@@ -296,6 +311,10 @@ def arm_evidence(
             "--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording"
         )
     known = sample_recording(recording, progress=progress) if sampled is None else sampled
+    fresh = known.samples.known is None and known.samples.tilts is not None
+    beside = fit_of_measured_effects(recording, known) if fresh else None
+    if beside is not None:
+        known = replace(known, samples=beside.samples)
     sensors, log_errors = smooth_temperatures(recording.sensors)
     sight = None
     if known.measurement is not None and isinstance(recording.design.mechanism, Arm):
@@ -309,7 +328,9 @@ def arm_evidence(
         return replace(arms, assumed=known.assumed, sight=sight), found
 
     stated = known.measurement is None and not known.assumed
-    return ArmEvidence(linear, known.source, requested, stated_terms, log_errors=log_errors, stated=stated)
+    return ArmEvidence(
+        linear, known.source, requested, stated_terms, log_errors=log_errors, stated=stated, beside=beside
+    )
 
 
 def pose_repeatability(fit: Fit) -> Repeats | None:

@@ -7,12 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.api.plan import PlanOptions, plan
 from calib.models.arm import error_model_and_observations, instrument_placement
-from calib.models.arm.error_model_and_observations import pose_observations
+from calib.models.arm.error_model_and_observations import Observations, pose_observations
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
 from rig.errors import NotEnoughData
+from rig.formats.rig_toml import design_file
+from rig.model.base_tilt import TiltReadings, TiltSensor
+from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import exp, log, pose, pose_difference
 from tests.calib import secret_arms as worlds
+from tests.conftest import ROOT
 from tests.numerical_derivatives import jacobian
 from tests.rig.arms import SEVEN, UR10, configurations, random_arm
 
@@ -203,3 +208,29 @@ def test_too_few_poses_are_refused():
         identify_arm(seen, UR10)
     with pytest.raises(NotEnoughData, match="2 observations of a pose"):
         instrument_placement.place_arm(seen.take(np.arange(2)), UR10, True, True)
+
+
+def test_a_plan_with_tilt_sensors_states_what_a_fit_then_finds():
+    """Standard errors of a plan are those of a fit to poses and tilts measured at its configurations."""
+    sensors = (TiltSensor("column", 0, 3e-5, np.zeros(3)), TiltSensor("upper", 2, 3e-5, np.array([-1.57, 0.0, 0.0])))
+    gravity, (at, turn) = np.array([0.0, 0.0, -9.81]), (1e-4, 5e-4)
+    design = replace(design_file.load_design(ROOT / "tests/data/bench/check/rig.toml"), mechanism=UR10, cameras=())
+    design = replace(design, tilt_sensors=sensors, gravity=gravity, targets=(), instrument=None)
+    planned = plan(design, PlanOptions(count=30, sigma=(at, turn)))
+    q = planned.values
+    links = mechanism.link_frames(q, UR10)[..., :3, :3]
+    down = np.tile(gravity / 9.81, (30, 1))
+    angles = np.stack([sensor.shown(links[:, sensor.link], down) for sensor in sensors], axis=1)
+    noise = np.repeat([at, turn], 3)
+    seen = error_model_and_observations.predicted_target_poses(q, UR10)
+    observed = Observations("pose", q, seen, np.tile(np.diag(noise**2), (30, 1, 1)), np.zeros((30, 6, 0)))
+    found = identify_arm(replace(observed, tilts=TiltReadings(sensors, angles, down)), UR10)
+    without = identify_arm(observed, UR10)
+    names = error_model_and_observations.parameter_names(UR10)
+    stated = {line.split("urad  ")[1]: float(line.split()[0]) * 1e-6 for line in planned.said if "urad  " in line}
+    compared = [name for name in stated if name in names]
+    fitted = [np.sqrt(found.covariance[names.index(name), names.index(name)]) for name in compared]
+    assert len(compared) > 2
+    np.testing.assert_allclose(fitted, [stated[name] for name in compared], rtol=0.05)
+    gained = np.sqrt(np.diag(without.covariance)[found.free] / np.diag(found.covariance)[found.free])
+    assert gained.min() > 0.999 and gained.max() > 1.5
