@@ -66,7 +66,7 @@ def test_five_lines_are_right(told):
     done, kept = told
     lines = done.stdout.splitlines()
     assert [line.partition(": ")[0] for line in lines] == ["how wrong", "why", "how sure", "what to do", "measure next"]
-    assert "read joint elbow: revolute, limits -2 .. 2 rad" in done.stderr
+    assert "read joint elbow: revolute, limits -114.592 .. 114.592 deg" in done.stderr
     held = calib.load(kept / "calibration.json").held_out
     assert (
         f"off by {held.before.mean[0] * 1e3:.3g} mm on average, 95 % within {held.before.position[1] * 1e3:.3g}"
