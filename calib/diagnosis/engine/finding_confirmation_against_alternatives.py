@@ -45,7 +45,7 @@ class Scans(Generic[C]):
         """Keep the Scores of a scan beside some terms."""
         self._by_terms[frozenset(map(id, terms))] = scores
 
-    def same(self, terms: Sequence[C], score: Score[C], size: int) -> tuple[list[Score[C]], Score[C]] | None:
+    def of_same_terms(self, terms: Sequence[C], score: Score[C], size: int) -> tuple[list[Score[C]], Score[C]] | None:
         """(Scores of the scan beside the same terms, a candidate's among them) where it gave that candidate the
         evidence that a Score gives it now; else None.
         """
@@ -54,6 +54,11 @@ class Scans(Generic[C]):
         if own is None or abs(own.evidence(size) - score.evidence(size)) > SAME * abs(score.evidence(size)):
             return None
         return scores, own
+
+
+def _reach(policy: SelectionPolicy, score: Score[C]) -> float:
+    """How far, in delta BIC, an alternative may lie behind a finding with a Score."""
+    return max(2 * policy.alike, policy.near * score.delta_chi2 * score.dispersion)
 
 
 def find_alternatives(
@@ -65,13 +70,15 @@ def find_alternatives(
 ) -> list[Alternative[C]]:
     """Find the alternatives to a finding ([Alternative]) on a model without it, by weight, the best of each place.
 
-    known : as `Scans.same` has it, taken in place of a new scan
+    known : as `Scans.of_same_terms` has it, taken in place of a new scan where that listed all that is asked here
     """
     policy, linear = problem.policy, problem.linear(model)
     size, here = linear.size, (finding_score.candidate.name, finding_score.candidate.place)
+    if known is not None and known[1].raw_delta_bic(size) - _reach(policy, known[1]) < policy.delta_bic:
+        known = None  # a scan for terms leaves out what is below delta_bic, and a weak finding has alternatives there
     if known is not None:
         finding_score = known[1]
-    reach = max(2 * policy.alike, policy.near * finding_score.delta_chi2 * finding_score.dispersion)
+    reach = _reach(policy, finding_score)
     least = max(finding_score.raw_delta_bic(size) - reach, 0.0)
     scores = problem.search(model, problem.candidates, least, progress) if known is None else known[0]
     column = problem.column(model, finding_score)
@@ -201,7 +208,7 @@ def confirm_terms(
             model,
             scanned,
             labelled_progress(progress, f"alternatives of {own.candidate.name}"),
-            scans.same(others, scanned, problem.linear(model).size),
+            scans.of_same_terms(others, scanned, problem.linear(model).size),
         )  # like against like
         tries = refit_alternatives(problem, fit, number, scanned, found, own is not scanned)
         rest = [a for a in found if not any(a is t.scanned for t in tries)]

@@ -294,6 +294,8 @@ def _one_hypothesis_of_alike_axes(
         for number in reversed(numbers):
             bare = problem.remove_term(bare, number)
         scores = problem.search(problem.residual(bare), whole, -np.inf, None)
+        if not scores:
+            continue
         new = problem.add_term(bare, max(scores, key=lambda s: s.evidence(size)))
         fewer = _parameters(problem, fit, numbers) - _parameters(problem, new, [len(problem.terms(new)) - 1])
         gain = problem.likelihood_ratio(fit, new) / max(left.cost() / left.size, 1.0)
