@@ -144,7 +144,7 @@ def _pointing(arguments: argparse.Namespace) -> None:
     arguments.outputs.inputs.append(arguments.tpoint)
     data = read_pointing_data(arguments.tpoint)
     write_pointing_recording(data, arguments.sigma[1], arguments.outputs.folder(arguments.out))
-    said = (*data.said, "no times are stated, so a star is assumed every 10 s, in the order of the file")
+    assumed = (*data.assumed, "no times are stated, so a star is assumed every 10 s, in the order of the file")
     arguments.result = {
         "schema": "imported/1",
         "frames": len(data.star),
@@ -152,12 +152,12 @@ def _pointing(arguments: argparse.Namespace) -> None:
         "commands": len(data.star),
         "poses": len(data.star),
         "sensors": [],
-        "assumed": list(said),
+        "assumed": list(assumed),
         "remarks": [],
         "recipe": "",
     }
     print(f"imported: {len(data.star)} stars of an {data.mount} mount, {data.caption}")
-    _say_assumed(said)
+    _say_assumed(assumed)
     print(f"written: {arguments.out}")
 
 

@@ -45,7 +45,7 @@ class Weather:
 @dataclass(frozen=True, slots=True, eq=False)
 class PointingData:
     """caption; mount : "altazimuth" or "equatorial"; latitude : rad; star, telescope : (n, 2) rad, as observed and as
-    the encoders have it, azimuth and elevation or hour angle and declination; said : what was assumed, in sentences
+    the encoders have it, azimuth and elevation or hour angle and declination; assumed : in sentences
     """
 
     caption: str
@@ -53,7 +53,7 @@ class PointingData:
     latitude: float
     star: Floats
     telescope: Floats
-    said: tuple[str, ...]
+    assumed: tuple[str, ...]
 
     @property
     def base(self) -> Rotation:
@@ -92,19 +92,19 @@ def read_pointing_data(path: str | Path) -> PointingData:
     for number, option in options:
         if option not in (*HARMLESS, "ALTAZ", "EQUAT"):
             raise FileError(path, f"option {option!r} is not known, and may change what the records mean", number)
-    if not rest or len(rest) < 2:
+    if len(rest) < 2:
         raise FileError(path, "has no records of stars after its run parameters", lines[-1][0])
     altazimuth = any(option == "ALTAZ" for _, option in options)
     (number, run), *records = rest
     latitude = _angle(path, number, run[:3], np.pi / 180, "latitude")
     weather = _weather(path, number, run)
     if altazimuth:
-        star, telescope, said = _plain(path, records)
-        return PointingData(lines[0][1], "altazimuth", latitude, star, telescope, said)
+        star, telescope, assumed = _plain(path, records)
+        return PointingData(lines[0][1], "altazimuth", latitude, star, telescope, assumed)
     count = len(records[0][1])
     if PLAIN <= count < SEXAGESIMAL:
-        star, telescope, said = _plain(path, records)
-        return PointingData(lines[0][1], "equatorial", latitude, star, telescope, said)
+        star, telescope, assumed = _plain(path, records)
+        return PointingData(lines[0][1], "equatorial", latitude, star, telescope, assumed)
     if weather is None:
         raise FileError(
             path,
@@ -118,11 +118,11 @@ def read_pointing_data(path: str | Path) -> PointingData:
         low = f"a star stands {np.degrees(height.min()):.1f} degrees high, where the bending by the air is uncertain"
         raise FileError(path, low, records[int(height.argmin())][0])
     star = refracted(star, latitude, weather)
-    said = (
+    assumed = (
         "right ascensions and declinations of stars are apparent ones, of the date and as without air; how it bends "
         f"light was added for {weather.temperature:g} C and {weather.pressure:g} hPa",
     )
-    return PointingData(lines[0][1], "equatorial", latitude, star, telescope, said)
+    return PointingData(lines[0][1], "equatorial", latitude, star, telescope, assumed)
 
 
 def _number(path: Path, line: int, text: str, what: str) -> float:
@@ -157,7 +157,7 @@ def _plain(path: Path, records: list[tuple[int, list[str]]]) -> tuple[Floats, Fl
     """(star (n, 2), telescope (n, 2)) rad, of records in degrees, and what was assumed."""
     rows = []
     for line, words in records:
-        if len(words) < PLAIN:
+        if not PLAIN <= len(words) < SEXAGESIMAL:  # so many would be hours, minutes and seconds
             _refuse(path, line, words)
         row = [_number(path, line, text, "angle") for text in words[:PLAIN]]
         for value, most in zip(row, (720.0, 90.0, 720.0, 180.0)):
@@ -165,9 +165,9 @@ def _plain(path: Path, records: list[tuple[int, list[str]]]) -> tuple[Floats, Fl
                 raise FileError(path, f"angle {value:g} is no angle in degrees of a sky", line)
         rows.append(np.radians(row))
     more = max(len(words) for _, words in records) - PLAIN
-    said = (f"{more} further numbers of the records were not read",) if more else ()
+    assumed = (f"{more} further numbers of the records were not read",) if more else ()
     table = np.array(rows)
-    return table[:, :2], table[:, 2:], said
+    return table[:, :2], table[:, 2:], assumed
 
 
 def _sexagesimal(path: Path, records: list[tuple[int, list[str]]]) -> tuple[Floats, Floats]:
@@ -197,8 +197,9 @@ def _sexagesimal(path: Path, records: list[tuple[int, list[str]]]) -> tuple[Floa
 def _refuse(path: Path, line: int, words: list[str]) -> NoReturn:
     raise FileError(
         path,
-        f"a star's record has {PLAIN} numbers in degrees, or {SEXAGESIMAL}: right ascension and declination of the "
-        f"star and of the telescope, and sidereal time in hours and minutes; this one has {len(words)}",
+        f"a star's record has {PLAIN} numbers in degrees (and perhaps a few more), or {SEXAGESIMAL}: right "
+        "ascension and declination of the star and of the telescope, and sidereal time in hours and minutes, and all "
+        f"records of a file are alike; this one has {len(words)}",
         line,
     )
 

@@ -112,6 +112,7 @@ def test_refraction_agrees_with_rays_through_layers():
         ("-31 16 37", "-31 76 37", "minutes and seconds lie from 0 to 60"),
         ("-31 16 37", "x 16 37", "'x' is no number"),
         ("END", "1 2 3\nEND", "this one has 3"),
+        ("END", "1 30 0 -40 0 0 1 30 0 -40 0 0 2 15\nEND", "all records of a file are alike; this one has 14"),
         ("END", "10 95 10 40\nEND", "no angle in degrees of a sky"),
     ],
 )
