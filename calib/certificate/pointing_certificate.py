@@ -203,8 +203,8 @@ class PointingCertificate:
             heading_html("Conditions"),
             table_html(("", ""), conditions),
         ]
-        verdict = self.verdict()
-        title = f"Certificate of a mount's pointing {self.provenance.get('id', '')}".strip()
+        verdict, day = self.verdict(), str(self.provenance.get("created", ""))
+        title = ", ".join(["Certificate of a mount's pointing", *([day[:10]] if day else [])])
         write_page(path, Page("certify", title, verdict, parts, verdict.next, links))
 
 
