@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries, Required, name_problem
 from rig.formats.json_toml_and_yaml_loading import toml_entries
@@ -122,7 +123,7 @@ def design_of_entries(root: Entries) -> Design:
         controller=_controller(root.table("controller"), mechanism, actuator) if "controller" in root.tree else None,
         sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None,
         tilts=tuple(base_tilt_of_table(entry) for entry in environment.tables("tilt")),
-        tilt_sensors=_tilt_sensors(root.tables("tilt_sensor"), mechanism),
+        tilt_sensors=_tilt_sensors(root.tables("tilt_sensor"), mechanism, gravity),
         experiment=camera_instrument_and_cube_entries.experiment_permission(
             root.table("experiment", optional=True), targets
         ),
@@ -217,13 +218,15 @@ def base_tilt_of_table(table: Entries) -> BaseTilt:
     return BaseTilt(channel, axis / size, table.number("zero", 0.0, least=-MOST_TILT, most=MOST_TILT, unit="rad"))
 
 
-def _tilt_sensors(tables: list[Entries], mechanism: Mechanism) -> tuple[TiltSensor, ...]:
-    """Tilt sensors. Raises FileError for a link that a machine lacks and a name given twice."""
+def _tilt_sensors(tables: list[Entries], mechanism: Mechanism, gravity: Floats) -> tuple[TiltSensor, ...]:
+    """Tilt sensors. Raises FileError for a link that a machine lacks, a name given twice, and without gravity."""
     out, arm = list[TiltSensor](), has_links(mechanism)
     least, most = (0, len(mechanism.axes)) if arm else (1, 1)
     for table in tables:
         table.refuse_misspelt([field.name for field in fields(TiltSensor)])
         name = table.identifier("name")
+        if not gravity.any():
+            table.fail("a tilt sensor shows angles against gravity, and [environment] gravity is 0", "name", value=name)
         if name in [sensor.name for sensor in out]:
             table.fail(f"tilt sensor {name!r} is listed twice", "name", value=name)
         link = table.whole("link", 0)

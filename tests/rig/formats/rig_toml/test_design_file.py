@@ -294,3 +294,14 @@ def test_rows_say_which_joints_slide(tmp_path):
         "slide 2",
         "joint 3",
     )
+
+
+def test_tilt_sensors_need_gravity(tmp_path):
+    text = '\nschema = "rig/1"\n[environment]\ngravity = [0, 0, -9.8]\n[mechanism]\nkind = "free"\n'
+    text += '[[tilt_sensor]]\nname = "level"\nlink = 1\nsigma = 1e-4\n'
+    path = tmp_path / "rig.toml"
+    path.write_text(text)
+    assert design_file.load_design(path).tilt_sensors[0].name == "level"
+    path.write_text(text.replace("-9.8", "0"))
+    with pytest.raises(FileError, match="angles against gravity, and .* gravity is 0"):
+        design_file.load_design(path)
