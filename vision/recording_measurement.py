@@ -130,7 +130,7 @@ def _measured(
     look: Callable[[Corners], None] | None,
     rates: Rates | None,
 ) -> tuple[Measurement, Collected | None]:
-    """The same by cameras that stand still or go their own ways. rates : of bodies while
+    """The same by cameras that stand still or go their own ways. rates : of the platform while
     rows of a rolling shutter are exposed, or None
     """
     design = recording.design

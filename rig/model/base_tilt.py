@@ -72,7 +72,7 @@ class TiltSensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TiltReadings:
-    """What tilt sensors on an arm showed in n configurations.
+    """What tilt sensors on a machine showed in n configurations.
 
     sensors : TiltSensor, s of them; angles : (n, s, 2) rad; down : (n, 3) unit vectors of gravity in the frame of
         poses, turned back by what the base is known to have leaned

@@ -303,8 +303,8 @@ class Target:
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Design:
     """The whole rig.toml. name : of the rig; gravity : (3,) m/s^2 in the base frame; tilts : turns of the base by
-    which gravity turns in it; tilt_sensors : on an arm; sensor : of its simulated cameras; controller : None where
-    nothing is driven"""
+    which gravity turns in it; tilt_sensors : on links of an arm, or on a platform; sensor : of its simulated cameras;
+    controller : None where nothing is driven"""
 
     name: str
     gravity: Floats
