@@ -240,6 +240,9 @@ def test_verify_and_certify_state_what_the_commands_print(world):
     run("certify", world / "calibration.json", world / "second", *words)
     own, tree = certified.tree(), json.loads((world / "certificate.json").read_text())
     assert own["promise"] == tree["promise"] and states(certified) == certified.verdict.line
+    assert own["inputs_sha256"].keys() == tree["inputs_sha256"].keys()
+    certified.write(world / "certificate.html")
+    assert "Certificate of" in (world / "certificate.html").read_text(encoding="utf-8")
     with pytest.raises(RigError, match="took part in fitting"):
         calib.certify(calibration, rig.load(world / "first"))
 

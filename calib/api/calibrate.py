@@ -30,7 +30,7 @@ from calib.diagnosis.calibration_left_out_physics import calibration_with_left_o
 from calib.diagnosis.findings_refit import (
     Findings,
     findings_of_diagnosis,
-    findings_with_measured_effects,
+    findings_with_missing_instrument_effects_added,
     load_findings,
 )
 from calib.diagnosis.problems.arm.effects_shown_by_instruments import fit_of_measured_effects
@@ -265,7 +265,7 @@ def _calibrated(
         searched = sampled if beside is None else replace(sampled, samples=beside.samples)
         asked = DiagnosisOptions(sampled=searched, kinds=tuple(kinds.values()))
         findings = findings_of_diagnosis(diagnose(recording, asked, progress))
-    findings = findings_with_measured_effects(findings, recording, sampled)
+    findings = findings_with_missing_instrument_effects_added(findings, recording, sampled)
     known = None
     if mechanism.bodies:
         samples, done, claim = _fitted_chain(recording, sampled, rng, progress)

@@ -16,6 +16,7 @@ from calib.certificate import (
 from calib.certificate.certificate_computation_verdict_and_provenance import (
     Certificate,
     calibration_certificate,
+    certificate_provenance,
     certificate_verdict,
 )
 from calib.certificate.certificate_contents import CertifyOptions
@@ -134,8 +135,8 @@ def certify(
     """CertificationResult of a calibration by recordings that it was not made from, as `rig certify` states it.
 
     options : what of, 95 % with 95 % by default; refutations : what later recordings found against the calibration;
-    provenance : of the certificate, None for the calibration's and the recordings' names; name : of the calibration,
-    in words; progress : called with (label, done, of), or None
+    provenance : of the certificate, None for that of what is certified, without a file or arguments; name : of the
+    calibration, in words; progress : called with (label, done, of), or None
     Raises RigError for a recording that took part in fitting, NotEnoughData where these have too few configurations
     """
     every = [recordings] if isinstance(recordings, Recording) else list(recordings)
@@ -144,13 +145,7 @@ def certify(
     )
     if progress is not None:
         progress("certifying", 0, 1)
-    made = calibration.provenance
-    source = provenance or {
-        "calibration": {"recording": made.get("recording"), "created": made.get("created")},
-        "versions": calibration_provenance_and_used_frames.package_versions(),
-        "seed": SEED,
-        "recordings": [recording.name for recording in every],
-    }
+    source = provenance or certificate_provenance(None, calibration, every, (), SEED)
     found: Certificate | PointingCertificate
     if all(sampled.samples.measured == "direction" for _, sampled in held):
         found = pointing_certificate(calibration, held, options, source)

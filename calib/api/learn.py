@@ -17,8 +17,14 @@ from calib.diagnosis.calibration_left_out_physics import unexplained_findings_an
 from calib.online.forgetting_kalman_and_gradient_parameter_learners import save_learner
 from calib.online.information_filter import Online
 from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbSource, sample_by_limbs
-from calib.online.recording_learning import FILTER, Learning, learn_by_filter, learn_by_simple_learner, simple_learner
-from calib.report.online_and_limb_pages import OnlineResult, online_verdict, write_online_page
+from calib.online.recording_learning import (
+    FILTER,
+    Learning,
+    learn_by_filter,
+    learn_by_simple_learner,
+    resume_or_start_learner,
+)
+from calib.report.online_learning_and_measuring_limb_pages import OnlineResult, online_verdict, write_online_page
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
@@ -142,7 +148,7 @@ def learn(
         known = Online.load(options.state) if options.state is not None and options.state.exists() else None
         found = learn_by_filter(recording, sampler, known, calibration, progress, notice)
     else:
-        learner = simple_learner(options.learner, options.setting, options.state, mechanism, calibration)
+        learner = resume_or_start_learner(options.learner, options.setting, options.state, mechanism, calibration)
         found = learn_by_simple_learner(recording, sampler, learner, options.learner, calibration, progress, notice)
     online = replace(found.online, confounds=confounds_of_recordings([recording]), calibrations=evidence)
     return LearningResult(recording, found, online)

@@ -10,11 +10,11 @@ from threading import Thread
 import numpy as np
 
 from calib.online.observer_of_run_frames import RunDisplay, RunObserver, RunStop
-from calib.online.run_options_and_equipment import RunOptions as RunOptions
-from calib.online.run_options_and_equipment import (
+from calib.online.run_options_cameras_sensors_and_observer import RunOptions as RunOptions
+from calib.online.run_options_cameras_sensors_and_observer import (
     compile_kernels_for_run,
     open_cameras,
-    open_run_equipment,
+    open_sensors_and_assemble_equipment,
     run_observer,
     set_exposures,
 )
@@ -137,7 +137,7 @@ class PlannedRun:
                 notice(f"warning: {line}")
             homes, status = self._home(driver, settled_status(driver, clock), before, notice)
             check_steps(self.steps, status.lengths, move_checker(self.design))
-            bench = open_run_equipment(self.design, driver, shutter, self.settling, clock)
+            bench = open_sensors_and_assemble_equipment(self.design, driver, shutter, self.settling, clock)
             exposures = self._set_exposures(shutter, before, notice)
             if fresh:
                 write_bytes(out / "rig.toml", read_bytes(self.path))

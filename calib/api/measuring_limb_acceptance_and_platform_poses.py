@@ -21,7 +21,7 @@ from calib.models.machine_models import corrected_pose_covariance
 from calib.online import measuring_limbs_file, platform_poses_from_measuring_limbs_checked_by_vision
 from calib.online.measuring_limbs_file import Accepted
 from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbPoses, LimbSource, checked_limb_poses
-from calib.report.online_and_limb_pages import measuring_limbs_verdict, write_measuring_limbs_page
+from calib.report.online_learning_and_measuring_limb_pages import measuring_limbs_verdict, write_measuring_limbs_page
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError

@@ -41,6 +41,7 @@ from calib.certification.uncertainty_budget import (
     uncertainty_budget,
 )
 from calib.files import calibration_provenance_and_used_frames
+from calib.files.calibration_file import calibration_text
 from calib.models.machine_models import corrected_pose_covariance
 from calib.samples.confounded_conditions import confound_sentences, confounds_of_recordings
 from calib.samples.pose_samples import Sampled
@@ -222,14 +223,16 @@ def certificate_verdict(certificate: Certificate) -> Verdict:
 
 
 def certificate_provenance(
-    path: Path, calibration: Calibration, recordings: Sequence[Recording], arguments: Sequence[str], seed: int
+    path: Path | None, calibration: Calibration, recordings: Sequence[Recording], arguments: Sequence[str], seed: int
 ) -> Json:
     """Provenance of a certificate as a dict: digests of its inputs, versions, seed, arguments, time and an id.
 
-    The digests are of the calibration's file, of each recording's tables and of the content marks of its exposures; the
-    id is of what went in and what was asked, not of when.
+    path : of the calibration's file, None where it is in none yet
+    The digests are of the calibration's file, or what would be in it, of each recording's tables and of the content
+    marks of its exposures; the id is of what went in and what was asked, not of when.
     """
-    inputs = {path.name: {"file": hashlib.sha256(path.read_bytes()).hexdigest()}}
+    text = calibration_text(calibration).encode() if path is None else path.read_bytes()
+    inputs = {"calibration.json" if path is None else path.name: {"file": hashlib.sha256(text).hexdigest()}}
     for recording in recordings:
         name = recording.folder.resolve().name
         origin = calibration_provenance_and_used_frames.calibration_provenance(

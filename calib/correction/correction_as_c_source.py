@@ -108,7 +108,7 @@ def correction_c_source(
         raise RigError(
             f"maps in pose space together with {', '.join(correction.physics)} are in no C file; use `rig correct`"
         )
-    effects = effects_in_c(correction, physics)
+    effects = controller_terms_of_compensable_effects(correction, physics)
     plays = effects.plays
     if play_elsewhere and plays.any() and any("sin(" in line for term in effects.terms for line in term.statements):
         raise RigError("play together with a cyclic error needs the play in the C file itself; use --format c")
@@ -238,7 +238,7 @@ def _constants(channels: dict[str, float], home: Floats) -> str:
     return "\n".join(lines)
 
 
-def effects_in_c(correction: AnyCorrection, physics: Physics | None) -> EffectsInC:
+def controller_terms_of_compensable_effects(correction: AnyCorrection, physics: Physics | None) -> EffectsInC:
     """EffectsInC of a calibration's effects that commands undo. Raises RigError for one that has no such form, and for
     two plays of an axis.
     """

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, group_sightings
-from calib.diagnosis.problems.platform.linearised_residuals import linearise
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import linearise
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
 from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian

@@ -121,7 +121,7 @@ def findings_of_diagnosis(diagnosis: Diagnosis) -> Findings:
     return Findings(diagnosis.machine_effects, None, unexplained_findings(diagnosis.left))
 
 
-def findings_with_measured_effects(
+def findings_with_missing_instrument_effects_added(
     findings: Findings | None, recording: Recording, sampled: Sampled
 ) -> Findings | None:
     """Findings with the effects that an arm's instruments show by themselves (`measured_effects`), where they have none

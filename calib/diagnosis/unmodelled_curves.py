@@ -20,7 +20,7 @@ from calib.correction.physics_compensation import Unknown
 from calib.diagnosis.engine.cross_validation_and_chance import RIDGE, frame_folds, signed_rank_gain_in_standard_errors
 from calib.diagnosis.problems.platform.effect_candidates import effect_context
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement, refine_operating_point
 from calib.models.arm.error_model_and_observations import sample_observations
 from calib.models.arm.joint_effects_fit_and_held_out_scatter import (

@@ -78,7 +78,7 @@ class ArmQuestion(Question[ArmFit]):
             self, Prediction(means, covariances, _cosines(self, tables[0], shapes)), basis.T @ shapes
         )
 
-    def predict_outcomes_by_frame(self, plan: Plan) -> PerFrame:
+    def predict_outcomes_of_two_likeliest_by_frame(self, plan: Plan) -> PerFrame:
         first, other = self.likeliest
         (one, two), _, seen = _seen([first.fitted, other.fitted], [first.number, other.number], plan, 0.0)
         F, k = len(plan.t), len(one) // len(seen)

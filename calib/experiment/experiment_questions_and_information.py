@@ -110,7 +110,7 @@ class Question(ABC, Generic[F_co]):
         Raises RigError where the machine as found cannot follow it, or nothing would be seen of some of it"""
 
     @abstractmethod
-    def predict_outcomes_by_frame(self, plan: Plan) -> PerFrame:
+    def predict_outcomes_of_two_likeliest_by_frame(self, plan: Plan) -> PerFrame:
         """PerFrame of the two likeliest names. Raises what `foretold` raises, and ValueError for a question of one
         name
         """
@@ -188,7 +188,7 @@ def discriminating_configurations(
     strokes = axis_strokes(design)
     pool = np.concatenate([sobol_configurations(strokes, POOL, seed=seed), grid_configurations(strokes, 2)])
     plan = build_plan(design, "pool", additional_parts={"pool": pool})
-    return pool[choose_exposures([q.predict_outcomes_by_frame(plan) for q in open_ones], count)]
+    return pool[choose_exposures([q.predict_outcomes_of_two_likeliest_by_frame(plan) for q in open_ones], count)]
 
 
 def choose_exposures(questions: Sequence[PerFrame], count: int) -> Floats:
@@ -221,7 +221,7 @@ def camera_information_shares(open_questions: Sequence[Question[object]], plan: 
     parts: dict[str, float] = {}
     for question in open_questions:
         for name, squares in (
-            question.predict_outcomes_by_frame(plan).by_camera if len(question.named) > 1 else {}
+            question.predict_outcomes_of_two_likeliest_by_frame(plan).by_camera if len(question.named) > 1 else {}
         ).items():
             parts[name] = parts.get(name, 0.0) + float(squares.sum())
     whole = max(sum(parts.values()), 1e-300)

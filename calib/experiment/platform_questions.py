@@ -17,8 +17,8 @@ import numpy as np
 from calib.diagnosis.engine.linear_model import Column, join_columns
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, remounted_cube_seats
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.linearised_corners import cube_seat_freedoms
-from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
     residual_change_with_only_effects,
 )
@@ -82,8 +82,8 @@ class PlatformQuestion(Question[Refinement]):
     def predict_outcomes(self, plan: Plan, warmer: float = 0.0) -> Prediction:
         return _predict_outcomes(self, plan, warmer)
 
-    def predict_outcomes_by_frame(self, plan: Plan) -> PerFrame:
-        return predict_outcomes_by_frame(self, plan)
+    def predict_outcomes_of_two_likeliest_by_frame(self, plan: Plan) -> PerFrame:
+        return predict_outcomes_of_two_likeliest_by_frame(self, plan)
 
 
 def _predict_outcomes(question: PlatformQuestion, plan: Plan, temperature_rise: float = 0.0) -> Prediction:
@@ -111,7 +111,7 @@ def _predict_outcomes(question: PlatformQuestion, plan: Plan, temperature_rise: 
     return predictions_with_unlisted_hypothesis(question, Prediction(means, np.array(covariances), cosines), parts[-1])
 
 
-def predict_outcomes_by_frame(question: PlatformQuestion, plan: Plan) -> PerFrame:
+def predict_outcomes_of_two_likeliest_by_frame(question: PlatformQuestion, plan: Plan) -> PerFrame:
     """Predicted outcomes by frame (PerFrame) of a question's two likeliest hypotheses.
     Raises what `_predict_outcomes` raises, and ValueError for a question of one name
     """

@@ -64,6 +64,11 @@ def save(path: Path | str, calibration: Calibration) -> None:
 
 def write_calibration(path: Path | str, calibration: Calibration) -> None:
     """Write calibration.json alone, whole or not at all."""
+    write_text(path, calibration_text(calibration))
+
+
+def calibration_text(calibration: Calibration) -> str:
+    """Text of a Calibration's calibration.json."""
     correction = calibration.correction
     model = model_of(correction.nominal)
     tree = {
@@ -88,7 +93,7 @@ def write_calibration(path: Path | str, calibration: Calibration) -> None:
         **({} if calibration.confounds is None else {"confounds": calibration.confounds.tree()}),
         "provenance": calibration.provenance,
     }
-    write_text(path, json.dumps(tree, indent=1) + "\n")
+    return json.dumps(tree, indent=1) + "\n"
 
 
 def load(path: Path | str, effect_kinds: Kinds = BY_NAME) -> Calibration:

@@ -10,7 +10,7 @@ from calib.certification.calibration_dataclass_and_accuracy_claim_sentences impo
 from calib.online.filter_kernels_and_change_detection import Change, change_sentence
 from calib.online.forgetting_kalman_and_gradient_parameter_learners import LEARNERS, Learner, load_learner
 from calib.online.information_filter import Online, Update
-from calib.report.online_and_limb_pages import MANY, OnlineResult
+from calib.report.online_learning_and_measuring_limb_pages import MANY, OnlineResult
 from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
@@ -131,7 +131,7 @@ def learn_by_simple_learner(
     )
 
 
-def simple_learner(
+def resume_or_start_learner(
     name: str, setting: float | None, state: Path | None, mechanism: Hexapod, calibration: Calibration | None
 ) -> Learner:
     """Simple Learner of a name: that of a state that is there, else a new one.

@@ -54,7 +54,7 @@ def effect_displacements(
     at_rest = motion_simulation.simulate_machine_run(design, commands, t, others, sensors).T_base_platform
     sizes, shifts = ["none"], [np.zeros((len(t), 6))]
     for factor in FACTORS[1:]:
-        one = scaled_effect(effect, factor)
+        one = effect_with_size_scaled(effect, factor)
         try:
             done = motion_simulation.simulate_machine_run(design, commands, t, [*others, one], sensors)
         except RigError:
@@ -69,7 +69,7 @@ def effect_displacements(
     return image_plane_and_3d_views.DrawnEffect(f"{effect.label()} at {effect.place}", tuple(sizes), shown)
 
 
-def scaled_effect(effect: Effect, factor: float) -> Effect:
+def effect_with_size_scaled(effect: Effect, factor: float) -> Effect:
     """Effect scaled by a factor: its size parameters multiplied, inverse ones divided."""
     values = {
         p.name: _times(getattr(effect, p.name), factor if p.role != "inverse" else 1 / factor)

@@ -2,9 +2,9 @@
 
 from rig.driving.cameras.camera_interface_and_grabbing import CameraError, Frame
 from rig.driving.cameras.user_camera_class_and_image_program import UserCamera
-from rig.driving.emulators.line_emulator import LineEmulator
-from rig.driving.protocols.line_protocol import LineProtocol
+from rig.driving.emulators.user_line_emulator_base import LineEmulator
 from rig.driving.protocols.protocol_interface import Dialogue, Segment, State, Verdict
+from rig.driving.protocols.user_line_protocol_base import LineProtocol
 from rig.driving.sensor_reader import UserSensors
 
 __all__ = [

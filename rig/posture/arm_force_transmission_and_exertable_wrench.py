@@ -130,7 +130,7 @@ def force_polytope_corners(A: Floats, low: Floats, high: Floats) -> Floats:
     return every[((torque >= low - slack) & (torque <= high + slack)).all(axis=1)]
 
 
-def weakest_force_direction(A: Floats, low: Floats, high: Floats) -> tuple[float, Floats]:
+def weakest_force_and_direction(A: Floats, low: Floats, high: Floats) -> tuple[float, Floats]:
     """Weakest force direction: (force N exertable in every direction, (3,) direction of no more)."""
     size = np.linalg.norm(A, axis=1)
     bearing = np.where(size > FELT * size.max(), np.minimum(high, -low) / np.maximum(size, 1e-300), np.inf)

@@ -18,7 +18,7 @@ from rig.posture.arm_force_transmission_and_exertable_wrench import (
     TransmissionObjective,
     force_polytope_corners,
     joint_torques_for_wrench,
-    weakest_force_direction,
+    weakest_force_and_direction,
 )
 from rig.posture.null_space_search import SearchResult
 from rig.recording.recording_folder import Recording
@@ -271,7 +271,7 @@ def exertion_dict(q: Floats, arm: Arm, exertion: ExertionObjective) -> Json:
     if bears:
         A = _torques_of_unit_forces(q, arm)
         every = force_polytope_corners(A, low, high)
-        size, least = np.linalg.norm(every, axis=1), weakest_force_direction(A, low, high)
+        size, least = np.linalg.norm(every, axis=1), weakest_force_and_direction(A, low, high)
         out["strongest"] = {"force": float(size.max()), "direction": (every[size.argmax()] / size.max()).tolist()}
         out["weakest"] = {"force": least[0], "direction": least[1].tolist()}
     return out

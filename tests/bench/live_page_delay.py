@@ -16,7 +16,7 @@ import numpy as np
 from calib.online.live_learner_and_limb_agreement_with_vision import Learner
 from calib.online.live_run_page import RunPage
 from calib.online.observer_of_run_frames import RunObserver, RunStop
-from calib.online.run_options_and_equipment import compile_kernels_for_run
+from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run
 from rig.driving.cameras.camera_interface_and_grabbing import Frame, SynchronisedCameras, parse_settling
 from rig.driving.clock import SystemClock
 from rig.driving.move_and_record_loop import RunEquipment, RunOperator

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.diagnosis.problems.arm.arm_recording_evidence import ArmEvidence
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
-from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import residual_figures_and_finding_contributions_to_poses

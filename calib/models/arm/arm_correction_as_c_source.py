@@ -12,8 +12,8 @@ from calib.correction.correction_as_c_source import (
     CCall,
     CSource,
     commands_of_effects,
+    controller_terms_of_compensable_effects,
     define_remainder,
-    effects_in_c,
     joined,
     opening,
     part,
@@ -49,7 +49,7 @@ def arm_correction_c_source(correction: ArmCorrection, physics: Physics | None, 
     nominal, fitted = correction.nominal, correction.fitted
     axes = len(nominal.joints)
     call = CCall(CALL.title, CALL.prototype.format(axes), CALL.arguments, CALL.axes, CALL.wanted, CALL.commands)
-    effects = effects_in_c(correction, physics)
+    effects = controller_terms_of_compensable_effects(correction, physics)
     geometry, tables = CTables(axes), CTables(axes)
     geometry.array("SLIDES", fitted.slides.astype(float), "int")
     geometry.array("RANGE", nominal.limits, shape="[RIG_AXES][2]")

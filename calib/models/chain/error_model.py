@@ -80,7 +80,7 @@ def _moved(stage: Stage, step: Floats) -> Stage:
     )
 
 
-def stage_base_motion_columns(stage: Stage) -> Floats:
+def stage_parameter_change_by_base_motion(stage: Stage) -> Floats:
     """Columns (p, 6 or 3) of a stage's base motion: change of its parameters with its base frame."""
     return np.eye(len(_stage_parameter_names(stage)), 6) if isinstance(stage, Arm) else base_motion_columns(stage)
 

@@ -213,7 +213,7 @@ def _stands(direction: Floats, sigma: Floats, chain: Chain, spans: tuple[int, ..
     upper = error_model.stage_parameter_slices(chain)[spans[1] - 1]
     own = direction[upper]
     motions = (
-        error_model.stage_base_motion_columns(chain.stages[spans[1] - 1])
+        error_model.stage_parameter_change_by_base_motion(chain.stages[spans[1] - 1])
         / np.where(sigma[upper] > 0, sigma[upper], np.inf)[:, None]
     )
     left = own - motions @ np.linalg.lstsq(motions, own)[0]

@@ -19,9 +19,9 @@ from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachin
 from rig.driving.emulators.gcs import GCS
 from rig.driving.emulators.gcs_hexapod import GCSHexapod
 from rig.driving.emulators.grblhal import GrblHAL
-from rig.driving.emulators.line_emulator import load_user_emulator
 from rig.driving.emulators.linuxcnc import LinuxCNC
 from rig.driving.emulators.own_strut_protocol import Struts
+from rig.driving.emulators.user_line_emulator_base import load_user_emulator
 from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers

@@ -9,10 +9,10 @@ from typing import ParamSpec, cast
 from rig.driving.protocols.gcs import GCS
 from rig.driving.protocols.gcs_hexapod import GCSHexapod
 from rig.driving.protocols.grblhal import GrblHAL
-from rig.driving.protocols.line_protocol import LineProtocol, state_problem
 from rig.driving.protocols.linuxcnc import LinuxCNC
 from rig.driving.protocols.own_strut_protocol import Struts
 from rig.driving.protocols.protocol_interface import Dialogue, Protocol, State, Verdict
+from rig.driving.protocols.user_line_protocol_base import LineProtocol, state_problem
 from rig.driving.user_protocol_camera_and_sensor_classes import (
     fail_at_class,
     guard_call,

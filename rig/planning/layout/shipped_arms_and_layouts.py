@@ -16,7 +16,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats.length_and_angle_units import SI, LengthAndAngleUnits
 from rig.formats.rig_toml import design_file
-from rig.formats.rig_toml.text_in_stated_units import rig_toml_in_units
+from rig.formats.rig_toml.rig_toml_text_in_other_units import rig_toml_in_units
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism

@@ -17,7 +17,7 @@ from calib.diagnosis.problems.platform.effect_candidates import platform_candida
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
 from calib.diagnosis.problems.platform.lack_of_fit import find_lack_of_fit_by_place
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
-from calib.diagnosis.problems.platform.linearised_residuals import CORNERS, linearise
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CORNERS, linearise
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from calib.samples.pose_samples import sample_recording

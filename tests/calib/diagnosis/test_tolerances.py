@@ -14,7 +14,7 @@ from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_c
 from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
-from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, linearise
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, linearise
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.platform.scores_of_all_candidates import (
     candidate_column,

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from calib.report.pose_and_effect_figures import FACTORS, effect_displacements, scaled_effect
+from calib.report.pose_and_effect_figures import FACTORS, effect_displacements, effect_with_size_scaled
 from rig.cli.command_line import main
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.planning import plan
@@ -97,6 +97,6 @@ def test_an_effect_played_is_its_own_model_at_its_sizes(design):
     effect = parse_effect("scale_error:strut2:scale=1e-3")
     shown = effect_displacements(design, done.commands, done.t, (effect,), 0)
     assert np.allclose(shown.shifts[3], 2 * shown.shifts[2], rtol=0.01, atol=1e-9) and len(shown.sizes) == len(FACTORS)
-    assert scaled_effect(parse_effect("compliance:rig:stiffness=3e6"), 2.0).stiffness == pytest.approx(1.5e6), (
-        "half as stiff is twice as much"
-    )
+    assert effect_with_size_scaled(parse_effect("compliance:rig:stiffness=3e6"), 2.0).stiffness == pytest.approx(
+        1.5e6
+    ), "half as stiff is twice as much"

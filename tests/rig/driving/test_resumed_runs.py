@@ -121,11 +121,11 @@ def test_a_finished_run_that_is_resumed_says_so_and_moves_nothing(made, tmp_path
 
 
 def test_a_resumed_run_keeps_its_exposures(made, tmp_path, monkeypatch):
-    from calib.online import run_options_and_equipment
+    from calib.online import run_options_cameras_sensors_and_observer
 
     chosen = iter([0.0123, 0.0086])
     monkeypatch.setattr(
-        run_options_and_equipment,
+        run_options_cameras_sensors_and_observer,
         "set_exposure_for_markers",
         lambda source, level, start: (source.set_exposure(next(chosen)), 200.0),
     )

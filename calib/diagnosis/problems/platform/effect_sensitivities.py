@@ -10,7 +10,7 @@ from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers imp
 from calib.diagnosis.engine.linear_model import Column, join_columns
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, affects_images_only
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
-from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import COUNT, Linear

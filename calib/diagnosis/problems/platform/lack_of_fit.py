@@ -24,8 +24,8 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
 )
 from calib.diagnosis.problems.platform.effect_candidates import effect_context, lacks_temperature_log
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.linearised_corners import MEDIAN, edge_shift_pixel_derivatives
-from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.scores_of_all_candidates import (
     axis_elongation_inner_products,
     constant_displacement_normal_equations,

@@ -15,7 +15,7 @@ from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares impor
 from calib.diagnosis.engine.linear_model import Column, Projection
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
-from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions import SLOW
 from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import time_cosines
 from rig.array_and_json_types import Floats, Integers

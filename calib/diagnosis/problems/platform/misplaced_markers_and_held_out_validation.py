@@ -23,8 +23,8 @@ from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers imp
 from calib.diagnosis.engine.linear_model import Column
 from calib.diagnosis.problems.platform.effect_candidates import affects_images_only
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, group_sightings
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.linearised_corners import camera_edge_bias_freedoms
-from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
     axis_speeds,

@@ -21,7 +21,12 @@ from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_c
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
-from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel, linearise
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import (
+    CLOSURES,
+    CORNERS,
+    LinearisedModel,
+    linearise,
+)
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import cross_validate_effects
 from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column, score_candidates
 from calib.diagnosis.problems.platform.simultaneous_refinement import (

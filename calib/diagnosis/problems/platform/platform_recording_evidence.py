@@ -33,7 +33,7 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import (
     operating_point_of_recording,
     operating_point_without_distant_corners,
 )
-from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
     _find_outliers,
     _without_outliers,

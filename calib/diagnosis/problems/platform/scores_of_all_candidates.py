@@ -18,7 +18,7 @@ from calib.diagnosis.engine.linear_model import Column
 from calib.diagnosis.problems.platform import vibration_frequency
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore, Reach
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.compute.parallel_map_and_dask_cluster import parallel_map

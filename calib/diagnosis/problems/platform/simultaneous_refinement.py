@@ -17,13 +17,19 @@ from calib.diagnosis.engine.linear_model import Column, join_columns
 from calib.diagnosis.problems.platform.effect_candidates import SIZED, PlatformScore, coefficient_bounds
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, move_operating_point
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import (
+    CLIP,
+    CLOSURES,
+    CORNERS,
+    LinearisedModel,
+    linearise,
+)
 from calib.diagnosis.problems.platform.linearised_corners import (
     camera_edge_bias_freedoms,
     cube_seat_freedoms,
     repeated_corner_error,
     split_rows_by_frame_bases,
 )
-from calib.diagnosis.problems.platform.linearised_residuals import CLIP, CLOSURES, CORNERS, LinearisedModel, linearise
 from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
 from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
 from rig.array_and_json_types import Floats, Integers

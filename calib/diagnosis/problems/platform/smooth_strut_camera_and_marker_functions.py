@@ -7,8 +7,8 @@ from scipy.linalg import null_space
 
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.linearised_corners import edge_shift_pixel_derivatives
-from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.scores_of_all_candidates import camera_mount_pixel_derivatives
 from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
     axis_speeds,

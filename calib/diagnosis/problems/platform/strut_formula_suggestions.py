@@ -18,7 +18,11 @@ from calib.diagnosis.engine.linear_model import LinearModel
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.problems.platform.effect_sensitivities import effect_parameter_directions
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
-from calib.diagnosis.problems.platform.linearised_residuals import CLOSURES, LinearisedModel, linearise
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import (
+    CLOSURES,
+    LinearisedModel,
+    linearise,
+)
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
     residual_change_with_only_effects,
 )

@@ -30,7 +30,7 @@ from calib.diagnosis.problems.platform.effect_candidates import (
 )
 from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
-from calib.diagnosis.problems.platform.linearised_residuals import CORNERS, LinearisedModel
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_columns import (
     SignificantTolerance,
     model_with_tolerances,

@@ -16,7 +16,7 @@ from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares impor
     solve_normal_equations,
 )
 from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
-from calib.diagnosis.problems.platform.linearised_residuals import LinearisedModel
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel
 from rig.array_and_json_types import Booleans, Floats, Integers
 
 FREQUENCIES = 8  # bins of the coarse spectrum for each cycle that the highest frequency makes

@@ -9,8 +9,8 @@ from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults
 from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine
-from rig.driving.protocols.line_protocol import LineProtocol
 from rig.driving.protocols.protocol_selection_and_user_protocols import GROUP
+from rig.driving.protocols.user_line_protocol_base import LineProtocol
 from rig.driving.user_protocol_camera_and_sensor_classes import fail_at_class, guard_call, load_user_class
 from rig.errors import RigError
 

@@ -144,7 +144,7 @@ def open_cameras(design: Design, clock: Clock) -> SynchronisedCameras:
     return SynchronisedCameras(tuple(opened), clock)
 
 
-def open_run_equipment(
+def open_sensors_and_assemble_equipment(
     design: Design, driver: Driver, shutter: SynchronisedCameras | None, settling: Settling, clock: Clock
 ) -> RunEquipment:
     """Open the RunEquipment of a run, with its sensors if any.
