@@ -10,6 +10,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
+from rig.errors import RigError
 from rig.model.base_tilt import TiltReadings, linearised_tilts
 from rig.model.pose import exp
 
@@ -19,13 +20,19 @@ GONE = 1e6  # rad, standard deviation of a reading that is left out
 
 
 def poses_with_platform_tilts(
-    readings: TiltReadings, T: RigidTransform, own: Floats, common: Floats
+    readings: TiltReadings, T: RigidTransform, own: Floats, common: Floats, measured: str = "pose"
 ) -> tuple[RigidTransform, Floats, Floats]:
     """(poses (n,), own (n, 6, 6), common (n, 6, j)) of a platform, measured so, with what tilt sensors on it add.
 
-    own, common : covariance of each pose and factor of what all share, as of Samples
+    own, common : covariance of each pose and factor of what all share; measured : what was, as of Samples
     Readings that scatter more than poses and sensors explain count for less; one that is far off does not count.
+    Raises RigError where less than poses was measured
     """
+    if measured != "pose":
+        raise RigError(
+            f"[[tilt_sensor]]s on a platform add to poses, and this recording measures a {measured} alone: leave them "
+            "out of rig.toml"
+        )
     n, s = len(own), len(readings.sensors)
     sigma = np.where(np.repeat(readings.usable, 2, axis=1), np.repeat([one.sigma for one in readings.sensors], 2), GONE)
     prior = np.r_[readings.mounting_sigma, np.ones(common.shape[2])]

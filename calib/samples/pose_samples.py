@@ -261,18 +261,12 @@ def add_stage_measurements(
 
 def samples_of_freedoms(samples: Samples, mechanism: Mechanism) -> Samples:
     """Samples of a mechanism, with what tilt sensors on its platform add to its poses; of fewer freedoms than six, only
-    those of its platform's coordinates count as measured.
-
-    The other coordinates are as at home and their covariance is 0: no axis moves them, and what is seen of them says
-    how the target sits on the platform.
+    those of its platform's coordinates count as measured. The other coordinates are as at home and their covariance is
+    0: no axis moves them, and what is seen of them says how the target sits on the platform.
     """
-    if samples.tilts is not None and samples.measured != "pose" and not has_links(mechanism):
-        raise RigError(
-            "[[tilt_sensor]]s on a platform add to poses, and this recording measures a "
-            f"{samples.measured} alone: leave them out of rig.toml"
-        )
     if samples.tilts is not None and not has_links(mechanism):
-        fused = poses_with_platform_tilts(samples.tilts, samples.T_base_platform, samples.covariance, samples.common)
+        poses = samples.T_base_platform, samples.covariance, samples.common
+        fused = poses_with_platform_tilts(samples.tilts, *poses, samples.measured)
         samples = replace(samples, T_base_platform=fused[0], covariance=fused[1], common=fused[2], tilts=None)
     some = list(mechanism.pose_coordinates)
     if len(some) == 6:

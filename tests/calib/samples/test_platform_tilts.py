@@ -1,9 +1,11 @@
 """Tilt sensors on a platform: its poses improve by what they tell, and are as uncertain as is then stated."""
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.samples.platform_tilts import poses_with_platform_tilts
+from rig.errors import RigError
 from rig.model.base_tilt import TiltReadings, TiltSensor
 from rig.model.pose import exp, pose_difference
 
@@ -57,3 +59,9 @@ def test_a_sensor_that_scatters_counts_for_less():
     rough = readings.angles + np.random.default_rng(1).normal(0, 3e-3, readings.angles.shape)
     left = poses_with_platform_tilts(TiltReadings(readings.sensors, rough, readings.down), T, own, common)[1]
     assert left[:, 3, 3].mean() > 0.8 * ROTATION**2
+
+
+def test_where_positions_alone_were_measured_they_are_refused():
+    _, T, own, common, readings = measured(52)
+    with pytest.raises(RigError, match="measures a position alone"):
+        poses_with_platform_tilts(readings, T, own, common, "position")
