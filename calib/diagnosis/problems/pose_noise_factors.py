@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
+import scipy.sparse.csgraph
 
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import MATERIAL
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value
@@ -178,15 +179,29 @@ def _refuted(residuals: PoseResiduals, covariance: Floats) -> bool:
     """Whether poses of repeated commands differ by less than noise of a covariance (F, a, a), or
     residuals resemble their neighbours.
     """
-    left, pairs = _fitted(residuals, covariance), residuals.repeated
-    if len(pairs):
-        apart, both = left[pairs[:, 0]] - left[pairs[:, 1]], covariance[pairs[:, 0]] + covariance[pairs[:, 1]]
-        square = float(np.einsum("fi,fi->", apart, np.linalg.solve(both, apart[..., None])[..., 0]))
-        if scipy.special.chdtr(apart.size, square) < REFUTED:
-            return True
+    left = _fitted(residuals, covariance)
+    if len(residuals.repeated) and _chance_of_repeats(left, residuals.repeated, covariance) < REFUTED:
+        return True
     white = np.linalg.solve(np.linalg.cholesky(covariance), left[..., None])[..., 0]
     chances = [_chance_of_alike(white, pairs) for pairs in _neighbours(residuals.configuration)]
     return min(chances) * len(chances) < REFUTED
+
+
+def _chance_of_repeats(left: Floats, pairs: Integers, covariance: Floats) -> float:
+    """Chance that rows (F, a) of noise of a covariance (F, a, a) lie so close about the mean of the rows that they
+    repeat. pairs : (k, 2) indices of rows with the same command; one visited m times makes m (m - 1) / 2 of them
+    """
+    count = len(left)
+    joined = scipy.sparse.csr_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    group = scipy.sparse.csgraph.connected_components(joined, directed=False)[1]
+    square, freedom = 0.0, 0
+    for rows in (np.flatnonzero(group == one) for one in np.flatnonzero(np.bincount(group) > 1)):
+        information = np.linalg.inv(covariance[rows])
+        mean = np.linalg.solve(information.sum(axis=0), np.einsum("fij,fj->i", information, left[rows]))
+        off = left[rows] - mean
+        square += float(np.einsum("fi,fij,fj->", off, information, off))
+        freedom += off.size - left.shape[1]
+    return float(scipy.special.chdtr(freedom, square))
 
 
 def _neighbours(configuration: Floats) -> list[Integers]:

@@ -6,6 +6,7 @@ such noise, and stays unexplained.
 
 import json
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -190,6 +191,12 @@ def test_the_interval_of_a_factor_holds_its_truth():
 def test_repeated_commands_that_show_the_same_refute_noise():
     assert not any(noise_factors(pose_residuals(seed, 2.0, shared=0.9)) for seed in range(10))
     assert not any(noise_factors(pose_residuals(seed)) for seed in range(10))
+
+
+def test_one_command_visited_often_does_not_refute_noise():
+    visited = np.array(list(combinations(range(0, 192, 12), 2)))  # sixteen visits make 120 pairs, and 15 differences
+    often = [pose_residuals(seed, 2.0)._replace(repeated=visited) for seed in range(60)]
+    assert all(noise_factors(one) is not None for one in often)
 
 
 def hexapod(folder, times, jitter=0.0):
