@@ -9,6 +9,7 @@ from calib.diagnosis.engine.linear_model import orthonormal_combinations
 from calib.diagnosis.problems.platform.linearisation_operating_point import EDGE_SHIFT, OperatingPoint
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import thread_map
+from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.model.design import Design
 from rig.model.effect_places_and_part_tolerances import FINDER, SEAT, Place
 from vision import lens
@@ -27,7 +28,7 @@ SEAT_LABELS = tuple(
 )  # of where a cube sits that was put back
 MEDIAN = 0.4549364  # of chi-square with one degree of freedom
 REPEATS = 5  # of a standing corner from which its mean counts
-NEAR = 0.3  # px that corners may move for their derivatives to hold: far below what changes these by a thousandth
+NEAR = 3e-3  # px that corners may move for their derivatives to hold: these change by a part in a million
 PARTS = 4  # of a long table, multiplied side by side; as many on any number of cores, so that sums are rounded alike
 STANDING_GROUPS, STANDING_PROOF = 20, 4.0  # standing corners, and standard errors by which they must be off together
 
@@ -63,16 +64,22 @@ class CornerDerivatives:
 
     def holds_at(self, point: OperatingPoint, pixels: Floats) -> bool:
         """Whether the derivatives hold at another OperatingPoint that predicts pixels (n, 2) px: the same corners, as
-        they count here, nearly where they are here.
+        they count here, seen through the same effects, nearly where they are here. Cameras may take up so much of an
+        effect on what is seen that corners stay near, and derivatives do not.
         """
         known = self.point
         return (
             point.seen is known.seen
             and point.standing == known.standing
             and point.moving.keys() == known.moving.keys()
+            and _effects_on_what_is_seen(point) == _effects_on_what_is_seen(known)
             and [seat.place for seat in point.seats] == [seat.place for seat in known.seats]
             and bool((np.abs(pixels - self.pixels) < NEAR).all())
         )
+
+
+def _effects_on_what_is_seen(point: OperatingPoint) -> list[Effect]:
+    return [effect for effect in point.effects if effect.stage not in MOTION_STAGES]
 
 
 class _Nuisances:
