@@ -203,8 +203,7 @@ class PointingCertificate:
             heading_html("Conditions"),
             table_html(("", ""), conditions),
         ]
-        verdict, day = self.verdict(), str(self.provenance.get("created", ""))
-        title = ", ".join(["Certificate of a mount's pointing", *([day[:10]] if day else [])])
+        verdict, title = self.verdict(), f"Certificate of a mount's pointing, {self.provenance['created'][:10]}"
         write_page(path, Page("certify", title, verdict, parts, verdict.next, links))
 
 

@@ -1,5 +1,6 @@
 """Fields of a correction as functions in C99, with their tables: the summand over configurations, and maps of poses."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -42,6 +43,19 @@ class CTables:
         """Define a function that adds weight times a field's value at x to out."""
         head = f"static void {name}(const double *x, double weight, double *out)"
         self.lines += [head, "{", *(f"    {line}" for line in statements), "}", ""]
+
+    def structure(self, part: str, numbers: Sequence[float], arrays: Mapping[str, Floats]) -> list[str]:
+        """Name of the function that adds what a part computes, of its structure of numbers and then of arrays, which
+        are defined.
+        """
+        number = self.number()
+        for name, values in arrays.items():
+            self.array(f"{name}_{number}", values)
+        held = ", ".join([*map(str, numbers), *(f"{name}_{number}" for name in arrays)])
+        name = f"add_field_{number}"
+        self.function(name, f"static const struct {part} f = {{{held}}};", f"add_{part}(&f, x, weight, out);")
+        self.parts.add(part)
+        return [name]
 
 
 def number_rows(numbers: list[str]) -> list[str]:
@@ -120,17 +134,8 @@ def _restricted(tables: CTables, one: RestrictedMap) -> list[str]:
 
 def radial_functions(tables: CTables, part: Radial) -> list[str]:
     """Name of the function that adds a Gaussian process, its samples and weights in a table."""
-    number = tables.number()
     own, whole = part.sizes**2
     samples = np.column_stack([part.inputs, own * part.weights, whole * part.weights])
-    for name, values in (("centre", part.centre), ("half", part.half), ("samples", samples)):
-        tables.array(f"{name}_{number}", values)
-    rates = ", ".join(repr(0.5 / float(length) ** 2) for length in part.lengths)
-    named = ", ".join(f"{name}_{number}" for name in ("centre", "half", "samples"))
-    tables.function(
-        f"add_field_{number}",
-        f"static const struct radial f = {{{part.axis}, {len(part.weights)}, {rates}, {named}}};",
-        "add_radial(&f, x, weight, out);",
-    )
-    tables.parts.add("radial")
-    return [f"add_field_{number}"]
+    rates = [0.5 / float(length) ** 2 for length in part.lengths]
+    arrays = {"centre": part.centre, "half": part.half, "samples": samples}
+    return tables.structure("radial", (part.axis, len(part.weights), *rates), arrays)

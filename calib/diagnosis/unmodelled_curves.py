@@ -221,9 +221,8 @@ def refinement_with_curves(refined: Refinement, unknown: Sequence[Unknown]) -> t
 def arm_fit_with_curves(fit: JointFit, unknown: Sequence[Unknown]) -> tuple[JointFit, tuple[Unknown, ...]]:
     """(JointFit with curves for what has no name at joints, the Unknowns with what these undo)."""
     history, samples = fit.history, fit.measured
-    motion = replace(
-        motion_of_commands(history.design, history.commands, samples.t, fit.effects, history.sensors),
-        T=samples.T_base_platform,
+    motion = motion_of_commands(
+        history.design, history.commands, samples.t, fit.effects, history.sensors, samples.T_base_platform
     )
     context = Context(history.design, samples.t, history.sensors, motion)
 

@@ -1,7 +1,7 @@
 """Commands for wanted poses through a calibration, with approaches and the covariance of each pose."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -185,7 +185,7 @@ def _covariance(
         np.arange(len(t)) * GOLDEN % 1
     )  # not the poses' own times, which may all meet a sinusoid alike
     design = physics.machine(calibration.correction.fitted)
-    motion = replace(motion_of_commands(design, commands, t, of.effects, of.sensors), T=T)
+    motion = motion_of_commands(design, commands, t, of.effects, of.sensors, T)
     for effect in of.effects:
         far = effect.uncovered(motion)
         if far.any():

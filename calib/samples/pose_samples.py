@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -13,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.samples.platform_tilts import poses_with_platform_tilts
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
-from rig.model.base_tilt import TiltReadings, has_gravity, logged_gravity
+from rig.model.base_tilt import TiltReadings, gravity_at_exposures, has_gravity
 from rig.model.design import Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, nearest_reachable_poses
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording
@@ -120,18 +121,14 @@ class Below:
 def tilt_readings(recording: Recording, t: Floats) -> TiltReadings | None:
     """TiltReadings of those sensors of a recording that were logged, at times t (n,) s; None without any."""
     design, log = recording.design, recording.sensors
-    if log is None or not design.gravity.any():
+    if log is None:
         return None
-    logged = log
-    read = [(one, one.angles(log.channels, lambda name: logged.at(t, name))) for one in design.tilt_sensors]
+    channel = partial(log.at, t)
+    read = [(sensor, sensor.angles(log.channels, channel)) for sensor in design.tilt_sensors]
     shown = [(sensor, angles) for sensor, angles in read if angles is not None]
     if not shown:
         return None
-    gravity = (
-        logged_gravity(lambda name: logged.at(t, name))
-        if has_gravity(log.channels)
-        else np.broadcast_to(design.gravity, (len(t), 3))
-    )
+    gravity = gravity_at_exposures(design.gravity, log.channels, channel, len(t))
     down = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
     return TiltReadings(tuple(sensor for sensor, _ in shown), np.stack([angles for _, angles in shown], axis=1), down)
 

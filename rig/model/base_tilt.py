@@ -155,6 +155,16 @@ def logged_gravity(channel: Callable[[str], Floats]) -> Floats:
     return np.stack([channel(name) for name in GRAVITY], axis=1)
 
 
+def gravity_at_exposures(
+    gravity: Floats, known: Collection[str], channel: Callable[[str], Floats], count: int
+) -> Floats:
+    """(count, 3) m/s^2 of gravity in the base frame: as logged where the base tilts, else as stated, gravity (3,).
+
+    known : names of the sensor channels; channel : name -> (count,) values
+    """
+    return logged_gravity(channel) if has_gravity(known) else np.broadcast_to(gravity, (count, 3))
+
+
 def times_between_small_turns(t: Floats, tilts: tuple[BaseTilt, ...], channels: Mapping[str, Floats]) -> Floats:
     """Times (m,) s of a log's rows and of as many between as make no tilt turn by more than LARGEST_TURN at once.
 

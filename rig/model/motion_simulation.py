@@ -40,11 +40,17 @@ class MachineRun:
 
 
 def motion_of_commands(
-    design: Design, commands: Commands, t: Floats, effects: Iterable[Effect] = (), sensors: Sensors | None = None
+    design: Design,
+    commands: Commands,
+    t: Floats,
+    effects: Iterable[Effect] = (),
+    sensors: Sensors | None = None,
+    T: RigidTransform | None = None,
 ) -> Motion:
     """Motion of a design's commands at exposures logged at t (n,) s: clock and path under effects.
 
-    commands : Commands; effects : Effects; sensors : Sensors or None
+    commands : Commands; effects : Effects; sensors : Sensors or None; T : T_base_platform (n,) there, None where it is
+        not known
     """
     t = np.asarray(t, float)
     began = np.r_[0.0, commands.starts][
@@ -60,7 +66,7 @@ def motion_of_commands(
         path = effect.follow(path, mechanisms.axis_place_texts(design.mechanism))
     home = mechanisms.kinematics_of(design.mechanism).home_values(design.mechanism)
     return Motion(
-        require_axes(design.mechanism), design.platform, design.actuator, design.gravity, t, path, sensors, home, None
+        require_axes(design.mechanism), design.platform, design.actuator, design.gravity, t, path, sensors, home, T
     )
 
 
@@ -142,7 +148,7 @@ def effective_commands_and_sway(
 
     What joints hold is displaced along with them in ways that no joint may make up for. Raises as `motion_of_commands`
     """
-    state = replace(motion_of_commands(design, commands, t, effects, sensors), T=T)
+    state = motion_of_commands(design, commands, t, effects, sensors, T)
     out = state.lengths + sum((e.deviation(state) for e in effects), np.zeros(state.lengths.shape))
     return out, sum((e.sway(state) for e in effects), np.zeros((len(state.t), 6)))
 
@@ -159,7 +165,7 @@ def lean_of_base(
     turning = [effect for effect in effects if type(effect).lean is not Effect.lean]
     if not turning:
         return np.zeros((len(t), 3))
-    state = replace(motion_of_commands(design, commands, t, effects, sensors), T=T)
+    state = motion_of_commands(design, commands, t, effects, sensors, T)
     return np.sum([effect.lean(state) for effect in turning], axis=0)
 
 

@@ -74,13 +74,13 @@ def find_alternatives(
     """
     policy, linear = problem.policy, problem.linear(model)
     size, here = linear.size, (finding_score.candidate.name, finding_score.candidate.place)
-    if known is not None and known[1].raw_delta_bic(size) - _reach(policy, known[1]) < policy.delta_bic:
-        known = None  # a scan for terms leaves out what is below delta_bic, and a weak finding has alternatives there
-    if known is not None:
-        finding_score = known[1]
-    reach = _reach(policy, finding_score)
-    least = max(finding_score.raw_delta_bic(size) - reach, 0.0)
-    scores = problem.search(model, problem.candidates, least, progress) if known is None else known[0]
+    reach, scores = _reach(policy, finding_score), None
+    if known is not None and known[1].raw_delta_bic(size) - _reach(policy, known[1]) >= policy.delta_bic:
+        scores, finding_score = known  # it leaves out what is below delta_bic, where a weak finding has alternatives
+        reach = _reach(policy, finding_score)
+    if scores is None:
+        least = max(finding_score.raw_delta_bic(size) - reach, 0.0)
+        scores = problem.search(model, problem.candidates, least, progress)
     column = problem.column(model, finding_score)
 
     def alternative(score: Score[C]) -> Alternative[C]:

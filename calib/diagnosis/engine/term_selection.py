@@ -130,7 +130,6 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress:
     where tolerances explain more than any name. scans : kept of each step"""
     policy, count = problem.policy, len(problem.candidates)
     taken: set[tuple[object, ...]] = set()
-    tried: set[frozenset[int]] = set()
     merged: set[str] = set()
     refused: list[C] = []
     while len(problem.terms(fit)) < policy.most:
@@ -161,7 +160,7 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress:
         site = score.candidate.name, score.candidate.place
         if all((c.name, c.place) != site for c in problem.terms(fit)):  # it would be admitted and removed for ever
             refused += [c for c in problem.candidates if (c.name, c.place) == site]
-        fit = _one_hypothesis_of_alike_axes(problem, fit, taken, tried, merged)
+        fit = _one_hypothesis_of_alike_axes(problem, fit, taken, merged)
     return None if _tolerances_explain(problem, fit, None) else fit
 
 
@@ -271,19 +270,12 @@ def _same_name_elsewhere(
 
 
 def _one_hypothesis_of_alike_axes(
-    problem: Problem[Fit, Model, C],
-    fit: Fit,
-    taken: set[tuple[object, ...]],
-    tried: set[frozenset[int]],
-    merged: set[str],
+    problem: Problem[Fit, Model, C], fit: Fit, taken: set[tuple[object, ...]], merged: set[str]
 ) -> Fit:
     """The Fit with one hypothesis about the whole machine in place of a name's terms at several axes, where that is
-    likelier once fitted, by what residuals scatter; axes may then differ from it anew. tried : terms that it was tried
-    with; merged : names that it was done for, once each"""
-    terms, size, key = problem.terms(fit), problem.size(fit), frozenset(map(id, problem.terms(fit)))
-    if key in tried:
-        return fit
-    tried.add(key)
+    likelier once fitted, by what residuals scatter; axes may then differ from it anew. merged : names that it was done
+    for, once each"""
+    terms, size = problem.terms(fit), problem.size(fit)
     for name in dict.fromkeys(c.name for c in terms if c.site.is_axis and c.name not in merged):
         numbers = [i for i, c in enumerate(terms) if c.name == name and c.site.is_axis]
         whole = [c for c in problem.candidates if c.name == name and not c.site.is_axis]

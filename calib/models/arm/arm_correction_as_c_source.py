@@ -4,6 +4,8 @@ An arm's controller has kinematics of its own, the nominal one. What it commands
 figures; the file finds, near these joint values, those that `rig correct` commands for this pose.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
@@ -48,7 +50,7 @@ def arm_correction_c_source(correction: ArmCorrection, physics: Physics | None, 
     """
     nominal, fitted = correction.nominal, correction.fitted
     axes = len(nominal.joints)
-    call = CCall(CALL.title, CALL.prototype.format(axes), CALL.arguments, CALL.axes, CALL.wanted, CALL.commands)
+    call = replace(CALL, prototype=CALL.prototype.format(axes))
     effects = controller_terms_of_compensable_effects(correction, physics)
     geometry, tables = CTables(axes), CTables(axes)
     geometry.array("SLIDES", fitted.slides.astype(float), "int")
@@ -105,18 +107,7 @@ def _braced(values: Floats) -> str:
 
 def _profile(tables: CTables, profile: Profile) -> list[str]:
     """Name of the function that adds a joint's profile, its waves in tables."""
-    number, waves = tables.number(), len(profile.orders)
-    for name, values in (
-        ("orders", profile.orders),
-        ("own", np.stack([profile.own[:waves], profile.own[waves:]], axis=1)),
-        ("others", profile.others),
-    ):
-        tables.array(f"{name}_{number}", values)
-    named = ", ".join(f"{name}_{number}" for name in ("orders", "own", "others"))
-    tables.function(
-        f"add_field_{number}",
-        f"static const struct profile f = {{{profile.axis}, {waves}, {named}}};",
-        "add_profile(&f, x, weight, out);",
-    )
-    tables.parts.add("profile")
-    return [f"add_field_{number}"]
+    waves = len(profile.orders)
+    own = np.stack([profile.own[:waves], profile.own[waves:]], axis=1)
+    arrays = {"orders": profile.orders, "own": own, "others": profile.others}
+    return tables.structure("profile", (profile.axis, waves), arrays)

@@ -50,7 +50,7 @@ class TiltRows:
         n, s = self.residuals.shape[:2]
         scatter, used = np.zeros(s), np.zeros((n, s), bool)
         for k, sensor in enumerate(self.readings.sensors):
-            usable, left = self._usable[:, k], self.residuals[:, k]
+            usable, left = self.readings.usable[:, k], self.residuals[:, k]
             if not usable.any():
                 continue
             own = np.broadcast_to(sensor.sigma**2 * np.eye(2), (int(usable.sum()), 2, 2))
@@ -59,10 +59,6 @@ class TiltRows:
             scale = max(1.0, 1.4826 * float(np.median(np.abs(left[usable]) / sigma)))
             used[:, k] = usable & (np.abs(left) < GATE * scale * sigma).all(axis=1)
         return TiltWeights(scatter, used)
-
-    @property
-    def _usable(self) -> Booleans:
-        return self.readings.usable
 
     def whitening(self, weights: TiltWeights) -> Floats:
         """(n, s) 1/rad, 0 where a reading does not count."""

@@ -100,10 +100,11 @@ class BaseLean(Effect):
         )
 
 
-def base_lean_to_be_fitted(motion: Motion) -> BaseLean | None:
-    """Base lean of an arm with the terms that a recording's postures and payloads tell apart; None without any.
+def lean_under_link_weight(motion: Motion) -> BaseLean | None:
+    """Lean of an arm's base under the weight of its links, as a fit begins; None where nothing shows it.
 
-    The links' moments stand for all that the arm weighs; the compliance is a term of its own where a payload varies.
+    Its terms are those that the recording's postures and payloads separate: the links' moments stand for all that the
+    arm weighs, and the compliance is a term of its own where a payload varies.
     Raises RigError for a machine that is no arm
     """
     if not has_links(motion.mechanism):

@@ -11,7 +11,8 @@ from rig.array_and_json_types import Json
 from rig.effects.catalogue.axis_coupling import AxisCoupling
 from rig.effects.catalogue.backlash import Backlash
 from rig.effects.catalogue.base_expansion import BaseExpansion
-from rig.effects.catalogue.base_lean import BaseLean, base_lean_to_be_fitted
+from rig.effects.catalogue.base_lean import BaseLean
+from rig.effects.catalogue.base_lean import lean_under_link_weight as lean_under_link_weight
 from rig.effects.catalogue.camera_bump import CameraBump
 from rig.effects.catalogue.camera_drift import CameraDrift
 from rig.effects.catalogue.camera_sag import CameraSag
@@ -46,7 +47,6 @@ from rig.effects.catalogue.vibration import Vibration
 from rig.effects.catalogue.warm_up import WarmUp
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Parameter, replace_axis_placeholder_in_text
-from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import FileError
 from rig.formats.number_parsing_and_rounding import range_text
 from rig.model.effect_places_and_part_tolerances import AXES, Tolerance
@@ -132,11 +132,6 @@ NARROWEST = 100  # characters, below which columns are no longer read
 def deflection_under_link_weight(place: str, moments: tuple[float, ...]) -> Effect:
     """The effect by which a joint gives way to the weight of its links: mass and mass moments over its stiffness."""
     return Compliance(place, moments=moments)
-
-
-def lean_under_link_weight(motion: Motion) -> Effect | None:
-    """The effect by which an arm's base leans under the weight of its links, as a fit begins; None without any."""
-    return base_lean_to_be_fitted(motion)
 
 
 def link_weight_moments(effect: Effect) -> tuple[float, ...]:

@@ -236,8 +236,10 @@ class Effect:
     def sites(cls, context: Context) -> tuple[str, ...]:
         """Places at which a recording can show it. Raises RigError where the recording lacks what it needs."""
         commanded = cls.stage in MOTION_STAGES
-        if not (context.cameras if not commanded else context.motion is not None):
-            raise RigError("nothing was commanded" if commanded else "there are no corners")
+        if commanded and context.motion is None:
+            raise RigError("nothing was commanded")
+        if not commanded and not context.cameras:
+            raise RigError("there are no corners")
         if cls.moving and context.moved().path.from_motion.min(initial=np.inf) > NEAR_MOTION:
             raise RigError("every exposure was taken at rest")
         found = cls._places(context)
@@ -262,9 +264,7 @@ class Effect:
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         """Candidates at a place: a column for each linear parameter, a grid of the others, with and without a moment.
-
-        What shows in motion alone is tried at sizes of either sign where every exposure was taken at rest.
-        """
+        What shows in motion alone is tried at sizes of either sign where every exposure was taken at rest."""
         linear = cls.linear(place)
         if cls.moving and linear and np.abs(context.moved().path.speed).max(initial=0.0) < AT_REST:
             return [Candidate(cls, place, signed_size_nodes(cls.parameters, linear[0].name), [], "at rest", extra=1)]

@@ -11,7 +11,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.base_tilt import has_gravity, logged_gravity
+from rig.model.base_tilt import gravity_at_exposures
 from rig.model.design import Actuator, Platform
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, MechanismKinematics
 from rig.recording.recording_folder import PAYLOAD, Sensors
@@ -279,9 +279,8 @@ class Motion:
 
     def gravity_in_base(self) -> Floats:
         """(n, 3) m/s^2 of gravity in the frame of poses: as logged where the base tilts, else as stated."""
-        if self.sensors is None or not has_gravity(self.sensors.channels):
-            return np.broadcast_to(self.gravity, (len(self.t), 3))
-        return logged_gravity(self.channel)
+        known = () if self.sensors is None else self.sensors.channels
+        return gravity_at_exposures(self.gravity, known, self.channel, len(self.t))
 
     def loads(self) -> Floats:
         """(n, axes) N or N m with which the axes hold the platform and its payload at the poses T, worked out once.

@@ -1,7 +1,5 @@
 """Effects that an arm's instruments show by themselves, fitted with the geometry before anything is searched for."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
@@ -33,8 +31,10 @@ def measured_effects(recording: Recording, sampled: Sampled) -> tuple[Effect, ..
     readings = samples.tilts
     if readings is None or samples.measured in UNPLACED or all(sensor.link for sensor in readings.sensors):
         return flexure
-    motion = motion_of_commands(recording.design, recording.commands, samples.t, (), recording.sensors)
-    lean = lean_under_link_weight(replace(motion, T=samples.T_base_platform))
+    logged, poses = recording.sensors, samples.T_base_platform
+    lean = lean_under_link_weight(
+        motion_of_commands(recording.design, recording.commands, samples.t, (), logged, poses)
+    )
     return (*flexure, *([] if lean is None else [lean]))
 
 

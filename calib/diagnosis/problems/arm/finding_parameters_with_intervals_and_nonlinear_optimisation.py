@@ -290,9 +290,9 @@ def term_errors_by_temperature_logs(fit: Fit, term_number: int, log_errors: Mapp
 def _under(arms: Arms, sensors: Sensors) -> Arms:
     """Arms with another log."""
     context = arms.context
-    motion = motion_simulation.motion_of_commands(context.design, arms.commands, arms.t, (), sensors)
-    moved = replace(motion, T=context.moved().T)
-    return replace(arms, context=replace(context, sensors=sensors, motion=moved))
+    T = context.moved().T
+    motion = motion_simulation.motion_of_commands(context.design, arms.commands, arms.t, (), sensors, T)
+    return replace(arms, context=replace(context, sensors=sensors, motion=motion))
 
 
 def _leaning(fit: Fit, other: Arms) -> Floats:

@@ -161,9 +161,7 @@ def linearise_poses(
     geometry, left, freedoms, joints, own = linear(samples, design)
     commands = Commands(samples.t, samples.commanded) if commands is None else commands
     design = replace(design, mechanism=geometry.mechanism)
-    motion = replace(
-        motion_simulation.motion_of_commands(design, commands, samples.t, (), sensors), T=samples.T_base_platform
-    )
+    motion = motion_simulation.motion_of_commands(design, commands, samples.t, (), sensors, samples.T_base_platform)
     context = Context(design, samples.t, sensors, motion)
     freedoms = np.concatenate([freedoms, samples.common[:, : left.shape[1]]], axis=2)
     return Arms(samples.frame, samples.t, samples.commanded, left, freedoms, joints, own, commands, context), geometry

@@ -137,9 +137,7 @@ class OperatingPoint:
 
     def motion(self, effects: Iterable[Effect]) -> Motion:
         """Motion at the exposures under effects, at the measured poses."""
-        return replace(
-            motion_simulation.motion_of_commands(self.design, self.commanded, self.t, effects, self.sensors), T=self.T
-        )
+        return motion_simulation.motion_of_commands(self.design, self.commanded, self.t, effects, self.sensors, self.T)
 
     def effective(self, effects: tuple[Effect, ...] | None = None) -> Floats:
         """(F, axes) m that commands become under effects (those admitted, by default), sway counted as struts'
