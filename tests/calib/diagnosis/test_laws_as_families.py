@@ -93,9 +93,7 @@ def test_several_times_and_late_heat_keep_the_name(tmp_path, effect, variant):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "seed", [1, pytest.param(2, marks=pytest.mark.xfail(strict=True, reason="a sinusoid beside it takes up the kinks"))]
-)
+@pytest.mark.parametrize("seed", [1, 2])
 def test_a_profile_with_kinks_is_a_transmission_error(tmp_path, seed):
     case = hexapod("transmission_error", 1, 1)
     found = diagnosed(tmp_path, case, seed, laws=at_strut_3(case))
