@@ -20,11 +20,12 @@ from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import (
 )
 from rig.array_and_json_types import Floats
 from rig.driving.cameras import open_camera
-from rig.driving.cameras.camera_interface_and_grabbing import Settling, SynchronisedCameras, set_exposure_for_markers
+from rig.driving.cameras.camera_interface_and_synchronised_grabbing import SynchronisedCameras, set_exposure_for_markers
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import RunEquipment
 from rig.driving.run_steps_and_progress import Step
 from rig.driving.sensor_reader import open_sensors
+from rig.driving.settling_check import Settling
 from rig.driving.strut_driver import Driver
 from rig.driving.trapezoidal_move_profile_and_path_check import Way, trapezoidal_profile
 from rig.errors import RigError

@@ -11,7 +11,7 @@ from calib.online.live_run_page import RunPage
 from calib.online.observer_of_run_frames import MeasuredFrame, RunDisplay, RunObserver, View
 from rig.array_and_json_types import Floats
 from rig.cli.shared.input_options_and_output_display import unescaped_stream
-from rig.driving.controller_status_and_operator_advice import ControllerStatus
+from rig.driving.controller_status_and_limits import ControllerStatus
 from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable
 from rig.model.design import Design
 from rig.model.pose import pose_to_vector
@@ -24,7 +24,7 @@ def lengths_text(lengths: Floats) -> str:
 
 def print_status(status: ControllerStatus, design: Design) -> None:
     """Print a Status, with the pose that its lengths give by the nominal model."""
-    from rig.driving.controller_status_and_operator_advice import operator_advice
+    from rig.driving.controller_status_and_limits import operator_advice
     from rig.errors import NotConverged
     from rig.model import mechanisms
     from rig.model.pose import pose_to_vector
