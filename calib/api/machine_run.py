@@ -158,7 +158,7 @@ class PlannedRun:
                 operator.run()
             finally:
                 observer.finish()
-        return observer.view.frames
+        return observer.state.frames
 
     def _home(
         self, driver: Driver, status: ControllerStatus, before: Progress | None, notice: Notice

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.api.learn import LearningResult, learn_from_samples
+from calib.api.online_learning import LearningResult, learn_from_samples
 from calib.api.recording_check_combination_and_instrument_displacement_correction import (
     refuse_unfit_recording_and_return_corner_check,
 )

@@ -25,7 +25,7 @@ from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import log, skew
 from rig.recording.recording_folder import Commands, Recording, Sensors
-from vision.bundle.normal_equations_and_corner_jacobians import linearise, normal_equations
+from vision.bundle.normal_equations_and_corner_jacobians import normal_equations, whitened_residuals_and_derivatives
 from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import POSE_SCALE
 from vision.corner_observations import whitener_of_observations
@@ -255,7 +255,7 @@ def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, refe
     """
     a, kept = measured.adjustment, measured.used()
     u, estimate = adjustment_unknowns(kept, a.state, a.stated, FREE)
-    _, derivatives = linearise(kept, estimate, u, whitener_of_observations(kept))
+    _, derivatives = whitened_residuals_and_derivatives(kept, estimate, u, whitener_of_observations(kept))
     blocks = normal_equations(kept, derivatives, u, np.zeros(u.shared))
     frames, at = 6 * len(samples), {Place("target", name): s for name, s in u.targets.items()}
     at |= {Place("camera", a.state.cameras[i].name): s for i, s in u.poses.items()}

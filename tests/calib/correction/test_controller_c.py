@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from calib.api.correct import CorrectOptions, correct
-from calib.api.export import export
+from calib.api.export_to_other_programs import export
 from calib.correction.command_timing_and_error_map_in_pose_space import untimed_route
 from calib.correction.correction import Correction
 from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
