@@ -35,7 +35,7 @@ from calib.diagnosis.findings_refit import (
 )
 from calib.diagnosis.problems.arm.effects_shown_by_instruments import fit_of_measured_effects
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
-from calib.files.calibration_provenance_and_used_frames import SEED, calibration_with_provenance
+from calib.files.calibration_file import SEED, calibration_with_provenance
 from calib.models.arm import calibration_page as arm_page
 from calib.models.arm import certification as arm_certification
 from calib.models.arm.joint_space_correction_and_certification import commanded_minus_joint_values_by_stated_arm

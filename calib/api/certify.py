@@ -32,8 +32,8 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import (
     evidence_with_verification,
 )
 from calib.certification.platform_certification import Progress
-from calib.files import calibration_provenance_and_used_frames
-from calib.files.calibration_provenance_and_used_frames import SEED
+from calib.files import calibration_file
+from calib.files.calibration_file import SEED
 from calib.models.base_and_tool_displacement_since_reference_recording import samples_without_displacement
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.pose_samples import Sampled, sample_recording
@@ -201,7 +201,7 @@ def _held_out_recordings(
     known: set[str] = set()
     for recording in recordings:
         path, frames = recording.folder, len(recording.exposures.times()[0])
-        same = calibration_provenance_and_used_frames.frames_used_in_calibration(calibration, recording)
+        same = calibration_file.frames_used_in_calibration(calibration, recording)
         if same:
             raise RigError(
                 f"{path}: {len(same)} of {frames} frames (the first: {same[0]}) took part in fitting {name}, "

@@ -25,7 +25,7 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
     diagnosis_verdict,
     write_diagnosis_json_and_simulation_files,
 )
-from calib.files import calibration_provenance_and_used_frames
+from calib.files import calibration_file
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_text_parsing import Kinds, parse_effect_and_place, require_known_effect
@@ -166,7 +166,7 @@ def _refuse_same_data(options: DiagnoseOptions, recording: Recording) -> None:
     """Raise RigError where a calibration was made from this very recording, which would count twice."""
     if options.calibration is None:
         return
-    same = calibration_provenance_and_used_frames.frames_used_in_calibration(options.calibration, recording)
+    same = calibration_file.frames_used_in_calibration(options.calibration, recording)
     if same:
         raise RigError(
             f"{options.name} was made from {len(same)} of the frames of {recording.folder}, which would count twice; "

@@ -16,7 +16,7 @@ from calib.certification import (
 )
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.certification.measuring_limb_identification_and_agreement_with_vision import Agreement
-from calib.files.calibration_provenance_and_used_frames import calibration_provenance
+from calib.files.calibration_file import calibration_provenance
 from calib.models.machine_models import corrected_pose_covariance
 from calib.online import measuring_limbs_file, platform_poses_from_measuring_limbs_checked_by_vision
 from calib.online.measuring_limbs_file import Accepted

@@ -40,7 +40,7 @@ from calib.certification.uncertainty_budget import (
     thermometer_covariance,
     uncertainty_budget,
 )
-from calib.files import calibration_provenance_and_used_frames
+from calib.files import calibration_file
 from calib.files.calibration_file import calibration_text
 from calib.models.machine_models import corrected_pose_covariance
 from calib.samples.confounded_conditions import confound_sentences, confounds_of_recordings
@@ -235,9 +235,7 @@ def certificate_provenance(
     inputs = {"calibration.json" if path is None else path.name: {"file": hashlib.sha256(text).hexdigest()}}
     for recording in recordings:
         name = recording.folder.resolve().name
-        origin = calibration_provenance_and_used_frames.calibration_provenance(
-            recording, (), seed, recording.has_images
-        )
+        origin = calibration_file.calibration_provenance(recording, (), seed, recording.has_images)
         content = hashlib.sha256("\n".join(hashes_of_frames(content_hashes_of_frames(recording))).encode()).hexdigest()
         inputs[name if name not in inputs else str(recording.folder)] = {
             **origin["inputs_sha256"],
@@ -248,7 +246,7 @@ def certificate_provenance(
     return {
         "inputs_sha256": inputs,
         "calibration": {"recording": made.get("recording"), "created": made.get("created")},
-        "versions": calibration_provenance_and_used_frames.package_versions(),
+        "versions": calibration_file.package_versions(),
         "seed": seed,
         "arguments": list(arguments),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),

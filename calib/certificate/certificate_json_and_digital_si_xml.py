@@ -5,7 +5,6 @@ Source: Physikalisch-Technische Bundesanstalt, D-SI 2.2 (https://ptb.de/si), rea
 
 import json
 from dataclasses import asdict, dataclass
-from importlib.resources import files
 from xml.etree import ElementTree as ET
 
 from calib.certificate import certificate_sentences
@@ -18,12 +17,6 @@ from rig.array_and_json_types import Json
 from rig.formats.json_toml_and_yaml_loading import nan_to_null
 
 SCHEMA = "certificate/1"
-
-
-def certificate_schema() -> Json:
-    """JSON schema of certificate.json."""
-    found: Json = json.loads((files("calib") / "certificate" / "certificate.schema.json").read_text())
-    return found
 
 
 def certificate_dict(certificate: Certificate) -> Json:

@@ -35,7 +35,7 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
     unexplained_sentences,
 )
 from calib.files import calibration_file
-from calib.files.calibration_provenance_and_used_frames import SEED
+from calib.files.calibration_file import SEED
 from calib.samples.pose_samples import Sampled, Samples
 from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData

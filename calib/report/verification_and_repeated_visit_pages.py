@@ -20,8 +20,8 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import (
 )
 from calib.certification.claim_verification import Verification
 from calib.certification.held_out_errors import Figures, HeldOut
-from calib.drift.change_evidence import ALARM
-from calib.drift.change_evidence import Verdict as Changes
+from calib.drift.change_evidence_and_sentences import ALARM
+from calib.drift.change_evidence_and_sentences import Verdict as Changes
 from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.confounded_conditions import Confounds
 from calib.samples.pose_samples import Samples

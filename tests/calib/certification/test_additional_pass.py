@@ -19,7 +19,7 @@ from calib.correction.interpolation.field_interface_and_combinations import (
     SpacePart,
     SummedPasses,
 )
-from calib.files import calibration_file, calibration_provenance_and_used_frames
+from calib.files import calibration_file
 from calib.samples.pose_samples import Samples
 from rig.errors import FileError, NotEnoughData
 from rig.model.mechanisms import hexapod
@@ -144,7 +144,7 @@ def test_maps_of_both_spaces_are_kept_and_read_again(machine, tmp_path):
     done, _, _ = certify_additional_pass(
         samples, before, CorrectionPass("polynomial", "both", poses=SpacePart(low, high)), np.random.default_rng(0)
     )
-    source = calibration_provenance_and_used_frames.additional_pass_provenance(
+    source = calibration_file.additional_pass_provenance(
         {"recording": "b", "data": ["2"]}, before, {"number": 2, "space": "both"}
     )
     calibration_file.save(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.certification.claim_verification import Part, Verification
-from calib.drift.change_evidence import ALARM, SOMETHING, Suspect, Verdict
+from calib.drift.change_evidence_and_sentences import ALARM, SOMETHING, Suspect, Verdict
 from calib.files import calibration_file
 from calib.report.verification_and_repeated_visit_pages import Visit, last_visit_verdict
 from rig.cli.command_line import main
