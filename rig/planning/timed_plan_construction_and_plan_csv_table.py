@@ -14,10 +14,7 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.design_comparison_and_cube_turning_instructions import COLUMN, QUARTERS, find_cube
-from rig.planning.visiting_order_and_approach_decorrelated_from_position import (
-    balanced_approach_lengths,
-    time_balanced_order,
-)
+from rig.planning.balanced_visiting_order_and_approach import balanced_approach_lengths, time_balanced_order
 from rig.recording.recording_folder import PAYLOAD, Commands
 from rig.recording.recording_table_loading_and_writing import write_table
 
@@ -88,7 +85,7 @@ class PlanWriter:
 
     def visit(self, goals: Floats) -> None:
         """Settle at each of the configurations (n, axes), in an order and from sides that are no function of place (see
-        rig.planning.visiting_order_and_approach_decorrelated_from_position)."""
+        rig.planning.balanced_visiting_order_and_approach)."""
         self.follow(self.shuffled(goals))
 
     def follow(self, goals: Floats) -> None:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from rig.array_and_json_types import Floats, Integers, Pixels
-from vision.corners.whole_image_marker_reader import opencv_detector
+from vision.corners.marker_detection_and_corner_fit import opencv_detector
 from vision.predict import (
     MarkerMap,
     Sightings,
