@@ -41,7 +41,6 @@ from calib.models.arm import certification as arm_certification
 from calib.models.arm.joint_space_correction_and_certification import commanded_minus_joint_values_by_stated_arm
 from calib.models.arm.pointing_terms import PointingTerms, pointing_terms
 from calib.models.chain import certification_and_page as chain_certification
-from calib.models.chain import certification_and_page as chain_page
 from calib.models.machine_models import Certified
 from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbSource, sample_by_limbs
 from calib.report import platform_and_lens_calibration_pages as platform_page
@@ -181,7 +180,7 @@ class CalibrationResult(OneLineRepr):
         if isinstance(self.done, arm_certification.CertifiedArm):
             arm_page.write_arm_calibration_page(*rest, self.done, links)
         elif isinstance(self.done, chain_certification.CertifiedChain):
-            chain_page.write_chain_calibration_page(*rest, self.done, links)
+            chain_certification.write_chain_calibration_page(*rest, self.done, links)
         else:
             platform_page.write_calibration_page(*rest, self.done.found, links)
 

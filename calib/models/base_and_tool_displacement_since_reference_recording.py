@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
 from calib.models.arm import error_model_and_observations as arms
-from calib.models.chain import error_model as chains
+from calib.models.chain import error_model_and_identification as chains
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Json
 from rig.model.design import Instrument

@@ -23,8 +23,7 @@ from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import PLAUSIBLE
 from calib.models.arm.identification_and_joint_profiles import Profile
 from calib.models.chain import certification_and_page as chain_certification
-from calib.models.chain import error_model as chain_errors
-from calib.models.chain import error_model as chains
+from calib.models.chain import error_model_and_identification as chains
 from calib.models.platform.identification import PRIOR, pose_parameter_jacobian
 from calib.samples.pose_samples import Sampled
 from calib.workspace.workspace_map_and_lost_poses import map_workspace
@@ -188,11 +187,11 @@ class ChainModel:
 
     def parameter_count(self, nominal: Commanded) -> int:
         """How many parameters its geometry has."""
-        return len(chain_errors.parameter_names(require_chain(nominal)))
+        return len(chains.parameter_names(require_chain(nominal)))
 
     def parameter_order(self, nominal: Commanded) -> str:
         """The names of the parameters in their order."""
-        return "changes from nominal: " + ", ".join(chain_errors.parameter_names(require_chain(nominal)))
+        return "changes from nominal: " + ", ".join(chains.parameter_names(require_chain(nominal)))
 
     def certify(
         self, sampled: Sampled, nominal: Commanded, rng: np.random.Generator, progress: Progress | None = None

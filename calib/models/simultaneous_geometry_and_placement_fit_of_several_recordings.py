@@ -27,8 +27,8 @@ from calib.models.base_and_tool_displacement_since_reference_recording import (
     target_poses,
     tested_placement,
 )
-from calib.models.chain import error_model as chains
-from calib.models.chain.identification import identify_chain
+from calib.models.chain import error_model_and_identification as chains
+from calib.models.chain.error_model_and_identification import identify_chain
 from calib.samples.pose_samples import Below, Samples, sample_recording
 from rig.array_and_json_types import Floats
 from rig.model.mechanism_geometry_classes import Arm, Chain
