@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from calib.api.online_learning import learn as learn
     from calib.api.plan import plan as plan
     from calib.api.plan_options_and_result import PlanOptions as PlanOptions
-    from calib.api.recording_check_combination_and_instrument_displacement_correction import check as check
+    from calib.api.recording_check_and_combination import check as check
     from calib.api.verify_and_watch import verify as verify
     from calib.api.verify_and_watch import watch as watch
     from calib.api.why import why as why
-    from calib.api.why_options_and_import_of_data_as_recording import WhyOptions as WhyOptions
+    from calib.api.why_options_and_data_import import WhyOptions as WhyOptions
     from calib.api.workspace_change_by_calibration import analyse_workspace as analyse_workspace
     from calib.certificate.certificate_contents import CertifyOptions as CertifyOptions
     from calib.experiment.investigation_machine import InvestigateOptions as InvestigateOptions
@@ -83,7 +83,7 @@ __getattr__ = lazy_getattr(
     {
         "plan": "calib.api.plan",
         "PlanOptions": "calib.api.plan_options_and_result",
-        "check": "calib.api.recording_check_combination_and_instrument_displacement_correction",
+        "check": "calib.api.recording_check_and_combination",
         "calibrate": "calib.api.calibrate",
         "CalibrateOptions": "calib.api.calibrate",
         **dict.fromkeys(("diagnose", "DiagnoseOptions"), "calib.api.diagnose"),
@@ -102,7 +102,7 @@ __getattr__ = lazy_getattr(
         "investigate": "calib.api.investigate",
         "InvestigateOptions": "calib.experiment.investigation_machine",
         "why": "calib.api.why",
-        "WhyOptions": "calib.api.why_options_and_import_of_data_as_recording",
+        "WhyOptions": "calib.api.why_options_and_data_import",
         **dict.fromkeys(("load", "save"), "calib.files.calibration_file"),
         "CertifyOptions": "calib.certificate.certificate_contents",
     },

@@ -15,7 +15,7 @@ from rig.formats.local_and_remote_input_files import read_bytes, short_repr
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 from rig.formats.output_files import write_text
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations_by_later_recordings import Verdict
+from rig.report.verdict_and_refutations import Verdict
 from synthetic import blind_arm_cases, blind_cases
 from synthetic.blind_campaign_page import campaign_dict, campaign_verdict, write_campaign_page
 from synthetic.diagnosis_score import Case, campaign_figures, campaign_medians, score_case

@@ -23,7 +23,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.model.pose import exp
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
-from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
+from rig.planning.timed_plan_and_plan_csv import Plan
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_table_loading_and_writing import Corners
 from synthetic import recording_simulation as simulation

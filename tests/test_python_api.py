@@ -27,7 +27,7 @@ CALLS = {
         verb: f"calib.api.{verb}:{verb}"
         for verb in ("plan", "calibrate", "correct", "diagnose", "certify", "investigate")
     },
-    "check": "calib.api.recording_check_combination_and_instrument_displacement_correction:check",
+    "check": "calib.api.recording_check_and_combination:check",
     "why": "calib.api.why:why",
     **{verb: f"calib.api.verify_and_watch:{verb}" for verb in ("verify", "watch")},
     "simulate": "synthetic.api:simulate",

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.correction.command_timing_and_error_map_in_pose_space import HOLDING
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.correction.command_timing_and_pose_error_map import HOLDING
 from calib.correction.correction import require_reachable
 from calib.correction.physics_compensation import require_sensor_coverage
 from calib.models.arm.correction import ArmCorrection

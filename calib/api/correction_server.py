@@ -18,7 +18,7 @@ from contextlib import suppress
 import numpy as np
 
 from calib.api.correct import CorrectionResult, CorrectOptions, correct
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError, Unreachable
 from rig.formats.checked_entries import LARGEST_RIG

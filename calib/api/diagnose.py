@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calib.api.next_experiment import ExperimentOptions, NextExperiment, diagnosis_questions, next_experiment
-from calib.api.recording_check_combination_and_instrument_displacement_correction import check_and_combine_recordings
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.api.recording_check_and_combination import check_and_combine_recordings
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import OfCalibrations
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.diagnosis import recording_diagnosis
@@ -35,12 +35,8 @@ from rig.recording.frame_selection_and_content_hashes import content_hashes_of_f
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations_by_later_recordings import State, Verdict
-from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import (
-    Notice,
-    ignore_notice,
-    recorded_or_sampled_corners,
-)
+from rig.report.verdict_and_refutations import State, Verdict
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice, recorded_or_sampled_corners
 
 AN_HOUR = ExperimentOptions()
 

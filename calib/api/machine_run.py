@@ -46,7 +46,7 @@ from rig.model.design import Design, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import turning_instructions
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
 from rig.planning.plan import build_plan
-from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import Notice, ignore_notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
 STANDARD = RunOptions()
 Displays = Callable[[RunObserver], AbstractContextManager[list[RunDisplay]]]

@@ -5,18 +5,16 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from calib.api.recording_check_combination_and_instrument_displacement_correction import (
-    refuse_unfit_recording_and_return_corner_check,
-)
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.api.recording_check_and_combination import refuse_unfit_recording
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
     OfCalibrations,
     calibration_evidence_verdict_and_claim_check,
 )
 from calib.diagnosis.calibration_left_out_physics import unexplained_findings_and_refutations
-from calib.online.forgetting_kalman_and_gradient_parameter_learners import save_learner
+from calib.online.forgetting_kalman_and_gradient_learners import save_learner
 from calib.online.information_filter import Online
-from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbSource, sample_by_limbs
+from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
 from calib.online.recording_learning import (
     FILTER,
     Learning,
@@ -35,9 +33,9 @@ from rig.recording.frame_selection_and_content_hashes import content_hashes_of_f
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations_by_later_recordings import Refutation, Verdict
+from rig.report.verdict_and_refutations import Refutation, Verdict
 from vision.api import Progress
-from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import Notice, ignore_notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +43,7 @@ class LearnOptions:
     """state : file of a state to go on from, where it is there, or None; calibration : to start from, None for
     rig.toml; calibration_name : of its file, for messages; refutations : what later recordings found against it
     learner : "filter", which names what jumped, or one of
-        calib.online.forgetting_kalman_and_gradient_parameter_learners; setting : of such a one, None for its
+        calib.online.forgetting_kalman_and_gradient_learners; setting : of such a one, None for its
     default
     limbs : measuring limbs as the source of poses, None for vision or poses.csv; anyway : whether to go on though a
     mistake makes results meaningless
@@ -130,7 +128,7 @@ def learn(
     progress : called with (label, done, of); notice : with what is found on the way, in words
     Raises RigError for other mechanisms than hexapods, for a state of another learner, and where no pose is left
     """
-    look = refuse_unfit_recording_and_return_corner_check(recording, options.anyway, notice)
+    look = refuse_unfit_recording(recording, options.anyway, notice)
     mechanism = require_hexapod(
         recording.design.mechanism, "on-line learning is for hexapods, not for a mechanism of kind {kind!r}"
     )

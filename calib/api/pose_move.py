@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.api.correct import rms_and_greatest_uncertainty
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import require_reachable
 from calib.models.wanted_pose_commands import commands_along_route
 from rig.array_and_json_types import Floats, Json

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration, refutation_sentence
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, refutation_sentence
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
     calibration_evidence_verdict_and_claim_check,
     verify_claim_on_samples,
@@ -29,7 +29,7 @@ from calib.drift.change_evidence_and_sentences import Verdict as ChangeVerdict
 from calib.drift.visit_history import History, add_visit_and_judge_change
 from calib.files import calibration_file
 from calib.files.calibration_file import SEED
-from calib.models.base_and_tool_displacement_since_reference_recording import Placement, samples_without_displacement
+from calib.models.base_and_tool_displacement_between_recordings import Placement, samples_without_displacement
 from calib.models.machine_models import corrected_pose_covariance
 from calib.report.verification_and_repeated_visit_pages import (
     Verified,
@@ -51,7 +51,7 @@ from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Poses
 from rig.report.pages.page_templates_and_elements import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations_by_later_recordings import Refutation, State, Verdict
+from rig.report.verdict_and_refutations import Refutation, State, Verdict
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -12,7 +12,7 @@ import numpy as np
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate_contents import CertifyOptions, Contents, measured_volume, measuring_conditions
 from calib.certification import noise_free_errors_and_tolerance_limits, pose_error_promise_and_conformity
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.held_out_errors import error_statistics, errors_before_and_after_correction
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     HeldPoses,
@@ -50,7 +50,7 @@ from rig.errors import NotEnoughData
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, hashes_of_frames
 from rig.recording.recording_folder import Recording
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.correction import interpolation_methods_and_correction_summand_fields
-from calib.correction.command_timing_and_error_map_in_pose_space import NAMES, PoseMap
+from calib.correction.command_timing_and_pose_error_map import NAMES, PoseMap
 from calib.correction.correction import AnyCorrection
 from calib.correction.interpolation_methods_and_correction_summand_fields import pose_coordinate_indices
 from calib.samples.pose_samples import Samples

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction import command_timing_and_error_map_in_pose_space
+from calib.correction import command_timing_and_pose_error_map
 from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.correction.interpolation.delaunay_and_grid_kernels import Delaunay
 from calib.correction.interpolation.field_interface_and_combinations import (
@@ -246,7 +246,7 @@ def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection) 
     """Residual pose tangents that an earlier pass leaves: from its corrected poses to the measured ones.
 
     Over the coordinates in which the mechanism's poses differ, see
-    `command_timing_and_error_map_in_pose_space.PoseMap`. Source:
+    `command_timing_and_pose_error_map.PoseMap`. Source:
     configuration-space patent, [0035]
     """
     nominal, some = correction.nominal, list(pose_coordinate_indices(correction.nominal))
@@ -255,14 +255,12 @@ def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection) 
     _, all_over = solvable_commands_and_poses(
         sobol_configurations(mechanisms.kinematics_of(nominal).travel_ranges(nominal), PLACES, 1.0), correction
     )
-    x, box = (
-        command_timing_and_error_map_in_pose_space.pose_coordinates(poses, home)[:, some] for poses in (T, all_over)
-    )
+    x, box = (command_timing_and_pose_error_map.pose_coordinates(poses, home)[:, some] for poses in (T, all_over))
     both = np.concatenate([x, box])
     variances = np.einsum("nii->ni", samples.covariance)[:, some]
     return FieldSamples(
         x,
-        command_timing_and_error_map_in_pose_space.pose_error_tangents(T, samples.T_base_platform)[:, some],
+        command_timing_and_pose_error_map.pose_error_tangents(T, samples.T_base_platform)[:, some],
         variances,
         np.stack([both.min(axis=0), both.max(axis=0)], axis=1),
     )
@@ -283,7 +281,7 @@ def correction_with_pose_space_map(correction: AnyCorrection, field: Field | Non
     """Correction with a map in pose space (a Field) added, applied last; unchanged where the field is None."""
     if field is None:
         return correction
-    one = command_timing_and_error_map_in_pose_space.PoseMap(
+    one = command_timing_and_pose_error_map.PoseMap(
         home_pose(correction.nominal), pose_coordinate_indices(correction.nominal), field
     )
     return replace(correction, posed=(*correction.posed, one))

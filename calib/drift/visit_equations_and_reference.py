@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.models.platform.identification import inverse_strut_length_jacobian, pose_parameter_jacobian
 from calib.samples.pose_samples import Samples, sample_recording
 from rig.array_and_json_types import Floats, Integers

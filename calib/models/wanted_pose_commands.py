@@ -12,8 +12,8 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.correction.command_timing_and_error_map_in_pose_space import Pace, Route, timed_route, untimed_route
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.correction.command_timing_and_pose_error_map import Pace, Route, timed_route, untimed_route
 from calib.correction.correction import Responses
 from calib.correction.physics_compensation import (
     Machine,

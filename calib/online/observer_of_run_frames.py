@@ -11,10 +11,10 @@ from typing import Protocol, TypedDict, Unpack
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.redundant_measuring_limb_checks_by_loop_closure import has_six_measuring_limbs
+from calib.certification.redundant_limb_checks import has_six_measuring_limbs
 from calib.online.filter_kernels_and_change_detection import change_sentence
-from calib.online.live_learner_and_limb_agreement_with_vision import Learner, Learnt, LimbWatch
-from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import Disagreement, LiveLimbPoses
+from calib.online.live_learner_and_limb_agreement import Learner, Learnt, LimbWatch
+from calib.online.measuring_limb_poses_checked_by_vision import Disagreement, LiveLimbPoses
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import RecordedFrame

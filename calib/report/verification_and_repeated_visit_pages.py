@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import (
+from calib.certification.calibration_dataclass_and_claim_sentences import (
     Calibration,
     refutation_sentence,
     verification_line,
@@ -39,14 +39,7 @@ from rig.report.pages.page_templates_and_elements import (
     write_page,
 )
 from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
-from rig.report.verdict_and_refutations_by_later_recordings import (
-    AGREES,
-    Evidence,
-    MissingEvidence,
-    Refutation,
-    Verdict,
-    judge_evidence,
-)
+from rig.report.verdict_and_refutations import AGREES, Evidence, MissingEvidence, Refutation, Verdict, judge_evidence
 
 FAR = 3.0  # times the stated uncertainty, which errors that all poses share may reach by chance: beyond it is refuted
 ANOTHER = "Verify with a recording that was not used in the calibration: `rig verify calibration.json OTHER-REC`"

@@ -27,7 +27,7 @@ from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
     from calib.api.online_learning import LearningResult, LearnOptions
-    from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbSource
+    from calib.online.measuring_limb_poses_checked_by_vision import LimbSource
 
 FILTER = "filter"  # the learner of calib.online.information_filter
 SETTINGS = {"forgetting": "kept", "drifting": "drift", "first-order": "step"}

@@ -29,7 +29,7 @@ from rig.planning.configuration_sets import (
     single_axis_pose_moves,
     sobol_configurations,
 )
-from rig.planning.timed_plan_construction_and_plan_csv_table import (
+from rig.planning.timed_plan_and_plan_csv import (
     MOST,
     STEP,
     ApproachSettings,

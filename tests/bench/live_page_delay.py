@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from calib.online.live_learner_and_limb_agreement_with_vision import Learner
+from calib.online.live_learner_and_limb_agreement import Learner
 from calib.online.live_run_page import RunPage
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run

@@ -21,7 +21,7 @@ from vision.bundle.normal_equations_and_corner_jacobians import (
 from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated
 from vision.corner_observations import Observations, whitener_of_observations
-from vision.pose.pose_refinement_and_ambiguity_resolution_by_neighbouring_frames import (
+from vision.pose.pose_refinement_and_ambiguity_resolution import (
     MOST,
     neighbour_rotation_scatter,
     pose_from_neighbours,

@@ -36,7 +36,7 @@ SURE = 0.7  # proof from which that is said
 OFF = 0.3  # px by which corners.csv may differ from what is read in the images, in the middle
 
 
-def read_corners_and_mistakes_of_image_sample(recording: Recording) -> tuple[Corners | None, list[Mistake]]:
+def image_sample_corners_and_mistakes(recording: Recording) -> tuple[Corners | None, list[Mistake]]:
     """Corners read from a sample of a recording's images, None without images; and the images' Mistakes."""
     markers = marker_map(recording.design)
     sights, found = _sights(recording, markers, FRAMES)

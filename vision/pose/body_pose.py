@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Camera
 from vision import lens
-from vision.pose.pose_refinement_and_ambiguity_resolution_by_neighbouring_frames import AHEAD, GATE, refine_pose
+from vision.pose.pose_refinement_and_ambiguity_resolution import AHEAD, GATE, refine_pose
 from vision.predict import SQUARE, MarkerMap
 
 CONSENSUS = 10.0  # px; a corner farther than this from where a candidate puts it speaks against the candidate

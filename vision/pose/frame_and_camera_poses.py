@@ -21,11 +21,7 @@ from vision.pose.body_pose import (
     inverse_pose,
     undistort_corners,
 )
-from vision.pose.pose_refinement_and_ambiguity_resolution_by_neighbouring_frames import (
-    Poses,
-    choose_poses_by_neighbours,
-    rotation_outliers,
-)
+from vision.pose.pose_refinement_and_ambiguity_resolution import Poses, choose_poses_by_neighbours, rotation_outliers
 from vision.predict import MarkerMap
 
 SHARED = 3  # frames that two cameras must share for the body to say how they stand to each other

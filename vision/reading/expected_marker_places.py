@@ -17,7 +17,7 @@ from vision.corner_observations import observations_from_corners
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_and_camera_poses import UndistortedCorners, locate_frames
 from vision.predict import MarkerMap, State, predict_corners
-from vision.reading.marker_identity_mistakes_found_against_rig_toml import find_suspicious_markers
+from vision.reading.marker_identity_mistakes import find_suspicious_markers
 from vision.recording_adjustment import Measurement, measure_observations
 
 WORTH_FOLLOWING = 3.0  # px, RMS over a frame, within which a command must predict what is seen to be worth following

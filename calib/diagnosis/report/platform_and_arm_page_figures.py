@@ -9,9 +9,9 @@ from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.recording_diagnosis import Diagnosis
-from calib.diagnosis.report import residual_figures_and_finding_contributions_to_poses
+from calib.diagnosis.report import residual_figures_and_finding_contributions
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
-from calib.diagnosis.report.residual_figures_and_finding_contributions_to_poses import (
+from calib.diagnosis.report.residual_figures_and_finding_contributions import (
     SAME_ANGLE,
     effect_residual_figures,
     mean_residual_figures_over_camera_image,
@@ -157,9 +157,7 @@ class ArmFigures:
                     "The poses most displaced by all findings, a bar for each finding, the largest first. "
                     "contributions.csv has them for every pose."
                 ),
-                residual_figures_and_finding_contributions_to_poses.worst_pose_contribution_figure(
-                    self.evidence, d.selection
-                ),
+                residual_figures_and_finding_contributions.worst_pose_contribution_figure(self.evidence, d.selection),
             ]
         aside = self.evidence.frames_set_aside(d.selection)
         if len(aside):

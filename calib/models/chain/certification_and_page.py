@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.error_claim_over_workspace import (
     DRAWS,
     PLACES,
@@ -22,7 +22,7 @@ from calib.certification.held_out_errors import (
     compare_errors,
     errors_before_and_after_correction,
     mean_square_held_out_errors_by_configuration,
-    residuals_corrected_for_noise_absorbed_by_fit,
+    residuals_corrected_for_absorbed_noise,
 )
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
@@ -31,7 +31,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
 )
 from calib.certification.platform_certification import Progress, held_out_errors_by_fold, silent_progress
 from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
-from calib.models.arm.joint_effects_fit_and_held_out_scatter import unexplained_scatter_sentences
+from calib.models.arm.joint_effect_fit_and_held_out_scatter import unexplained_scatter_sentences
 from calib.models.chain import error_model_and_identification
 from calib.models.chain.error_model_and_identification import Identified, identify_chain
 from calib.report.platform_and_lens_calibration_pages import evidence_html, view_3d_html, write_page_of_calibration
@@ -89,7 +89,7 @@ def certify_chain(
     agreed = samples.take(good)
     J = error_model_and_identification.parameter_jacobian(agreed.commanded, found.chain)
     noise = agreed.covariance + np.diag(found.scatter**2)
-    freed = residuals_corrected_for_noise_absorbed_by_fit(
+    freed = residuals_corrected_for_absorbed_noise(
         errors_before_and_after_correction(correction, agreed)[1], J, found.covariance, noise, label[good]
     )
     left = mean_square_held_out_errors_by_configuration(freed, agreed, label[good])

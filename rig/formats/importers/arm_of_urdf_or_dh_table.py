@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import FileError, RigError
 from rig.formats.checked_entries import LARGEST_RIG, nearest_known_word
-from rig.formats.importers.csv_dialect import read_header_and_cells_of_foreign_table
+from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import Cells
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.units_and_timestamps import split_header
@@ -55,7 +55,7 @@ def load_denavit_hartenberg_table(
     Raises FileError for what is missing, unknown or no number, and for figures that are no radians or metres
     """
     length, angle = _units(units)
-    cells = read_header_and_cells_of_foreign_table(ForeignTable(path), "dh")
+    cells = read_foreign_table_header_and_cells(ForeignTable(path), "dh")
     at = _columns(cells)
     missing = [name for name in FIGURES if name not in at]
     if missing:

@@ -191,9 +191,7 @@ def inverse_steps(T_base_platform: RigidTransform, six_arm: SixJointArm, q: Floa
     return way.steps
 
 
-def joint_by_joint_steps_of_numerical_inverse(
-    T_base_platform: RigidTransform, arm: Arm, q: Floats
-) -> list[KinematicsStep]:
+def joint_by_joint_inverse_steps(T_base_platform: RigidTransform, arm: Arm, q: Floats) -> list[KinematicsStep]:
     """Steps of the inverse of a pose () for a numerical solution q (n,), from joint 1 to n.
 
     The last leaves A, B, C where they are at zero, but for what the solution leaves of the pose.

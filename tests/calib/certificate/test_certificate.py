@@ -25,7 +25,7 @@ from calib.correction.physics_compensation import Physics
 from calib.files import calibration_file
 from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose_difference

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from calib.api.correction_over_configuration_or_pose_space import CorrectionPass, certify_additional_pass
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.certification_of_correction_extended_over_configuration_space import claim_without_geometry
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.certification.extended_correction_certification import claim_without_geometry
 from calib.certification.platform_certification import platform_pose_covariance
 from calib.correction import interpolation_methods_and_correction_summand_fields
 from calib.correction.correction import Correction

@@ -24,7 +24,7 @@ from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of
 )
 from calib.diagnosis.report import report_sentences
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model.effect_places_and_part_tolerances import SIDES
 from synthetic import blind_cases

@@ -17,7 +17,7 @@ from rig.cli.command_line import main
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.planning import plan
 from rig.report.pages.page_templates_and_elements import Page, list_pages_below_folder, read_page_summary, write_page
-from rig.report.verdict_and_refutations_by_later_recordings import State, Verdict
+from rig.report.verdict_and_refutations import State, Verdict
 from tests.conftest import ROOT
 
 BENCH = ROOT / "tests" / "data" / "bench"

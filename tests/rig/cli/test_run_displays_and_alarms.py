@@ -9,12 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.certification import measuring_limb_identification_and_agreement_with_vision
-from calib.online.live_learner_and_limb_agreement_with_vision import Learner
+from calib.certification import measuring_limb_identification_and_agreement
+from calib.online.live_learner_and_limb_agreement import Learner
 from calib.online.live_run_page import RunPage, run_verdict
+from calib.online.measuring_limb_poses_checked_by_vision import LiveLimbPoses
 from calib.online.measuring_limbs_file import Accepted
 from calib.online.observer_of_run_frames import RunObserver, RunStop
-from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LiveLimbPoses
 from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run
 from rig.cli.shared.run_display_and_controller_status import PlainLineDisplay, TerminalBlockDisplay, run_state_lines
 from rig.driving.cameras.camera_interface_and_synchronised_grabbing import Frame
@@ -166,18 +166,18 @@ def by_limbs(folder, slip, at):
     design = design_file.load_design(folder / "rig.toml")
     true, nominal, rng = (
         design.mechanism,
-        measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(design),
+        measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design),
         np.random.default_rng(5),
     )
     commands = sobol_configurations(true.strut_range, 60, 0.6)
     poses = hexapod.forward(commands, true)
     live = Told(poses * exp(np.r_[np.full(3, 4e-6), np.full(3, 2e-5)] * rng.normal(size=(60, 6))))
     clock, withdrawn, planned = SimulatedClock(), [], steps_of_plan(build_plan(design, "sobol:6"))
-    agreement = measuring_limb_identification_and_agreement_with_vision.limb_agreement(
+    agreement = measuring_limb_identification_and_agreement.limb_agreement(
         poses, poses, np.zeros((60, 6, 6)), (1e-4, 1e-3)
     )
     accepted = Accepted(
-        measuring_limb_identification_and_agreement_with_vision.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)),
+        measuring_limb_identification_and_agreement.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)),
         nominal,
         agreement,
         None,

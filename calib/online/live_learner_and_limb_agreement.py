@@ -6,11 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification import (
-    measuring_limb_identification_and_agreement_with_vision,
-    redundant_measuring_limb_checks_by_loop_closure,
-)
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification import measuring_limb_identification_and_agreement, redundant_limb_checks
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.online.filter_kernels_and_change_detection import Change
 from calib.online.information_filter import Online
@@ -125,36 +122,33 @@ class LimbWatch:
     """
 
     def __init__(self, design: Design) -> None:
-        self._design, self._stated = (
-            design,
-            measuring_limb_identification_and_agreement_with_vision.stated_limbs(design),
-        )
-        self._home = measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(design).home
+        self._design, self._stated = (design, measuring_limb_identification_and_agreement.stated_limbs(design))
+        self._home = measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design).home
         self.channels = self._stated.channels
         self._read: list[tuple[Floats, RigidTransform, Floats]] = []
-        self._limbs: redundant_measuring_limb_checks_by_loop_closure.Limbs | None = None
+        self._limbs: redundant_limb_checks.Limbs | None = None
         self._agreed = True
 
     def take(self, lengths: Floats, T_base_platform: RigidTransform, covariance: Floats) -> bool:
         """Whether limbs that read lengths (limbs,) m newly disagree with vision's pose and its covariance (6, 6)."""
         if self._limbs is None:
             self._read.append((lengths, T_base_platform, covariance))
-            if len(self._read) == measuring_limb_identification_and_agreement_with_vision.FEWEST:
-                n = np.arange(measuring_limb_identification_and_agreement_with_vision.FEWEST)
+            if len(self._read) == measuring_limb_identification_and_agreement.FEWEST:
+                n = np.arange(measuring_limb_identification_and_agreement.FEWEST)
                 read, poses, covariances = zip(*self._read)
                 T = RigidTransform.concatenate(poses)
-                chosen = redundant_measuring_limb_checks_by_loop_closure.best_six_limbs(self._stated, self._home, T)
+                chosen = redundant_limb_checks.best_six_limbs(self._stated, self._home, T)
                 samples = Samples(
                     n,
                     n.astype(float),
                     np.array(read)[:, chosen],
                     T,
                     np.array(covariances),
-                    np.zeros((measuring_limb_identification_and_agreement_with_vision.FEWEST, 6, 0)),
+                    np.zeros((measuring_limb_identification_and_agreement.FEWEST, 6, 0)),
                 )
-                limbs, _ = measuring_limb_identification_and_agreement_with_vision.calibrate_limbs(
+                limbs, _ = measuring_limb_identification_and_agreement.calibrate_limbs(
                     samples,
-                    measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(self._design, chosen),
+                    measuring_limb_identification_and_agreement.hexapod_of_six_limbs(self._design, chosen),
                     self._stated.length_sigma,
                 )
                 self._limbs = replace(limbs, chosen=chosen)
@@ -163,7 +157,7 @@ class LimbWatch:
         own, common = self._limbs.uncertainty(T)
         before, self._agreed = (
             self._agreed,
-            measuring_limb_identification_and_agreement_with_vision.vision_agrees_with_limbs(
+            measuring_limb_identification_and_agreement.vision_agrees_with_limbs(
                 T_base_platform, covariance, T, own, common
             ),
         )

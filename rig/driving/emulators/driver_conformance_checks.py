@@ -10,7 +10,14 @@ import numpy as np
 
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.driving.emulators.controller_faults import ALWAYS, KINDS
-from rig.driving.emulators.fault_trials import ARRIVED, LONGEST, bring_home, count_moves, emulated_bench, times_executed
+from rig.driving.emulators.fault_trials import (
+    ARRIVED,
+    LONGEST,
+    bring_home,
+    emulated_bench,
+    move_counts_with_faults,
+    times_executed,
+)
 from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stopped
 from rig.formats.json_toml_and_yaml_loading import toml_entries
@@ -180,7 +187,7 @@ def _fault(design: Design, protocol: str, seed: int, kind: str) -> str:
         return _small_buffer(design, protocol, seed, kind)
     done, struck, stopped = 0, 0, Counter[str]()
     for k in range(ONCE):
-        counts = count_moves(design, protocol, [kind], 2, seed + k)
+        counts = move_counts_with_faults(design, protocol, [kind], 2, seed + k)
         _require(not counts.failures, _told(counts.failures))
         done, struck, stopped = done + counts.done, struck + counts.struck[kind], stopped + counts.stopped
     ended = ", ".join(f"{count} {name}" for name, count in stopped.items())
@@ -188,7 +195,7 @@ def _fault(design: Design, protocol: str, seed: int, kind: str) -> str:
     if not struck:
         _require(kind in ON_RESETS, "the emulator never showed this fault: does it begin its moves by self.move?")
         return "not a fault of this controller"
-    counts = count_moves(design, protocol, [f"{kind}:0.2"], EACH, seed)
+    counts = move_counts_with_faults(design, protocol, [f"{kind}:0.2"], EACH, seed)
     _require(not counts.failures, _told(counts.failures))
     done, stopped = done + counts.done, stopped + counts.stopped
     ended = ", ".join(f"{count} {name}" for name, count in stopped.items())
@@ -229,7 +236,7 @@ def _small_buffer(design: Design, protocol: str, seed: int, kind: str) -> str:
 
 
 def _many(design: Design, protocol: str, seed: int, moves: int) -> str:
-    counts = count_moves(_at_speed(design, FAST), protocol, ["all:0.05", "homes-on:0.05"], moves, seed)
+    counts = move_counts_with_faults(_at_speed(design, FAST), protocol, ["all:0.05", "homes-on:0.05"], moves, seed)
     _require(not counts.failures, _told(counts.failures))
     return f"{counts.done} done, {counts.recovered} of them after a fault, {counts.stopped.total()} stopped"
 

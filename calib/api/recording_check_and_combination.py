@@ -16,9 +16,9 @@ from scipy.spatial.transform import RigidTransform
 from threadpoolctl import threadpool_limits
 
 from calib.drift.visit_equations_and_reference import base_motion_columns
-from calib.models.base_and_tool_displacement_since_reference_recording import has_placements, placement_lines
+from calib.models.base_and_tool_displacement_between_recordings import has_placements, placement_lines
+from calib.models.geometry_and_placement_fit_of_several_recordings import remove_base_and_tool_displacement
 from calib.models.platform.identification import PRIOR
-from calib.models.simultaneous_geometry_and_placement_fit_of_several_recordings import remove_base_and_tool_displacement
 from calib.samples.pose_samples import Samples, sample_recording
 from rig.api import CheckResult, load_and_check_recording_files
 from rig.array_and_json_types import Floats, Integers
@@ -38,7 +38,7 @@ from rig.recording.combined_recordings import is_measured_by_instrument
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners
 from vision.checks import find_corner_mistakes
-from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import (
+from vision.checks.recording_refusal_and_cube_layout_remarks import (
     Notice,
     make_spoilt_corner_refusal,
     recorded_or_sampled_corners,
@@ -188,12 +188,10 @@ def check_and_combine_recordings(
     """
     every = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if len(every) == 1:
-        return PreparedRecording(
-            every[0], refuse_unfit_recording_and_return_corner_check(every[0], ignore_mistakes, notice), False
-        )
+        return PreparedRecording(every[0], refuse_unfit_recording(every[0], ignore_mistakes, notice), False)
     require_combinable(every)
     for recording in every:
-        look = refuse_unfit_recording_and_return_corner_check(recording, ignore_mistakes, notice)
+        look = refuse_unfit_recording(recording, ignore_mistakes, notice)
         corners = recorded_or_sampled_corners(recording)
         if corners is not None:
             look(corners)
@@ -223,9 +221,7 @@ def check_and_combine_recordings(
     return PreparedRecording(recording, lambda corners: None, True)
 
 
-def refuse_unfit_recording_and_return_corner_check(
-    recording: Recording, anyway: bool, notice: Notice
-) -> Callable[[Corners], None]:
+def refuse_unfit_recording(recording: Recording, anyway: bool, notice: Notice) -> Callable[[Corners], None]:
     """Refuse a recording with spoilt files or poses; returns the check that refuses its corners once read."""
     refuse_spoilt_files(recording, anyway, notice)
     if recording.poses is not None and recording.corners is None and not recording.has_images:
@@ -271,9 +267,9 @@ def check(path: Path | str, detect: bool = False) -> CheckResult:
     found = [*files.found, *pose_mistakes(recording)]
     corners = recording.corners
     if recording.has_images and (corners is None or detect):
-        from vision.checks.image_sample_corners_and_dictionary_mistakes import read_corners_and_mistakes_of_image_sample
+        from vision.checks.image_sample_corners_and_dictionary_mistakes import image_sample_corners_and_mistakes
 
-        seen, more = read_corners_and_mistakes_of_image_sample(recording)
+        seen, more = image_sample_corners_and_mistakes(recording)
         found += more
         corners = corners or seen
     if corners is not None:

@@ -74,9 +74,9 @@ def recorded_or_sampled_corners(recording: Recording) -> Corners | None:
         return recording.corners
     if not recording.has_images or not recording.design.targets:
         return None
-    from vision.checks.image_sample_corners_and_dictionary_mistakes import read_corners_and_mistakes_of_image_sample
+    from vision.checks.image_sample_corners_and_dictionary_mistakes import image_sample_corners_and_mistakes
 
-    return read_corners_and_mistakes_of_image_sample(recording)[0]
+    return image_sample_corners_and_mistakes(recording)[0]
 
 
 UNEVEN = 0.02  # of the circle's radius, and of an even gap, beyond which it is said

@@ -16,8 +16,8 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification import redundant_measuring_limb_checks_by_loop_closure
-from calib.certification.redundant_measuring_limb_checks_by_loop_closure import Limbs
+from calib.certification import redundant_limb_checks
+from calib.certification.redundant_limb_checks import Limbs
 from calib.identify.least_squares_and_robust_fit import time_block_folds
 from calib.models.platform.identification import PRIOR, Identified, identify_platform
 from calib.samples.pose_samples import Samples
@@ -25,7 +25,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Design, MeasuringLimbs
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanisms import best_six_legs_and_closures_of_others
+from rig.model.mechanisms import best_six_legs_and_closures
 from rig.model.mechanisms import hexapod as mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import pose_difference, pose_to_vector
@@ -83,7 +83,7 @@ def hexapod_of_six_limbs(design: Design, limb_numbers: Integers | None = None) -
     """
     limbs = stated_limbs(design)
     hexapod = require_hexapod(design.mechanism, "measuring limbs require a hexapod, not a mechanism of kind {kind!r}")
-    return redundant_measuring_limb_checks_by_loop_closure.stated_limb_legs(limbs, hexapod.home).six(
+    return redundant_limb_checks.stated_limb_legs(limbs, hexapod.home).six(
         np.arange(6) if limb_numbers is None else limb_numbers
     )
 
@@ -232,19 +232,17 @@ def detect_limb_slip(samples: Samples, limbs: Limbs, sigma: float) -> Slip | Non
     """
     n, of = (
         len(samples),
-        best_six_legs_and_closures_of_others.combine_leg_sets(
+        best_six_legs_and_closures.combine_leg_sets(
             [("m", limbs.hexapod, np.full(6, sigma), np.zeros((42, 42)))], limbs.hexapod.home
         ),
     )
     if n < 2 * LEAST:
         return None
-    told, J, _ = best_six_legs_and_closures_of_others.leg_lengths_and_pose_and_base_jacobians(
-        of, samples.T_base_platform
-    )
+    told, J, _ = best_six_legs_and_closures.leg_lengths_and_pose_and_base_jacobians(of, samples.T_base_platform)
     spread = J @ samples.covariance @ np.swapaxes(J, 1, 2) + sigma**2 * np.eye(6)
     W = np.linalg.inv(np.linalg.cholesky(spread))
     y = (W @ (samples.commanded - told)[..., None]).reshape(-1)
-    geometry = best_six_legs_and_closures_of_others.leg_parameter_jacobians(of, samples.T_base_platform)  # (n, 6, 42)
+    geometry = best_six_legs_and_closures.leg_parameter_jacobians(of, samples.T_base_platform)  # (n, 6, 42)
     known = np.concatenate([W @ geometry * PRIOR, W @ J @ samples.common], axis=2).reshape(6 * n, -1)
     known = np.vstack([known, np.eye(known.shape[1])])  # each of these is a draw of unit size
     Q = np.linalg.qr(known)[0][: 6 * n]

@@ -1,11 +1,11 @@
-"""Recipe of data of one machine that are named by a path alone: a table, a bag, or a folder of either or of images."""
+"""Import recipe of the data of one machine at a path: a table, a bag, or a folder of either or of images."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 from rig.errors import FileError, RigError
 from rig.formats.checked_entries import nearest_known_word
-from rig.formats.importers.csv_dialect import read_header_and_cells_of_foreign_table
+from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import Cells
 from rig.formats.importers.import_recipe import TABLES, ForeignTable, Recipe, recipe_of_options
 from rig.formats.importers.units_and_timestamps import split_header
@@ -40,7 +40,7 @@ def is_recording_folder(data: Path) -> bool:
     return is_folder(data) and "frames.csv" in list_folder(data)
 
 
-def recipe_of_data(
+def import_recipe_of_path(
     data: Path, rig: Path, design: Design, joint_names: Sequence[str] = (), settings: Sequence[str] = ()
 ) -> Recipe:
     """Recipe of data at a path. rig : file of the machine, design : the same; joint_names : its axes' in other files
@@ -93,7 +93,7 @@ def _of_tables(
             f'nothing can be commanded of a mechanism of kind "{design.mechanism.kind}", so that a table of commands '
             "calibrates nothing"
         )
-    cells = read_header_and_cells_of_foreign_table(ForeignTable(tables["commands"]), "commands")
+    cells = read_foreign_table_header_and_cells(ForeignTable(tables["commands"]), "commands")
     found = _columns_by_joint_name(cells, design.mechanism.axes, joint_names)
     added = [f"commands.columns.{axis}={header}" for axis, header in found.items()]
     if _is_radians(cells, design, found):

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.models.arm.certification import start_arm_of_fit
 from calib.models.arm.error_model_and_observations import sample_observations
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
-from calib.models.base_and_tool_displacement_since_reference_recording import (
+from calib.models.base_and_tool_displacement_between_recordings import (
     LOOSE,
     NONE,
     Placement,

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.models.arm import error_model_and_observations as arms
 from calib.models.chain import error_model_and_identification as chains
 from calib.samples.pose_samples import Samples

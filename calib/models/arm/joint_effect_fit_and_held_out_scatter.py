@@ -12,8 +12,8 @@ import numpy as np
 from calib.certification.held_out_errors import (
     HeldErrors,
     mean_square_held_out_errors_by_configuration,
-    mean_square_held_out_pose_errors_by_parameters,
-    residuals_corrected_for_noise_absorbed_by_fit,
+    mean_square_pose_errors_caused_by_parameters,
+    residuals_corrected_for_absorbed_noise,
 )
 from calib.correction.physics_compensation import poses_with_predicted_rotations, samples_with_effects
 from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
@@ -30,7 +30,7 @@ from calib.models.arm.tilt_observations import TiltWeights, link_turns_by_joints
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
+from rig.effects.framework.effect_checks_and_fit_coordinates import (
     Coordinate,
     conserved_coordinate_sums,
     coordinates_of_effects,
@@ -331,19 +331,19 @@ def held_out_geometry_errors(
 
     fitted_samples : Samples that it was fitted to; label : (m,) configuration of each
     """
-    freed = residuals_corrected_for_noise_absorbed_by_fit(
+    freed = residuals_corrected_for_absorbed_noise(
         identified.residuals[identified.inliers], *_fitted(identified, correction, fitted_samples), label
     )
     return mean_square_held_out_errors_by_configuration(freed, fitted_samples, label)
 
 
-def mean_square_held_out_arm_pose_errors_by_parameters(
+def mean_square_arm_errors_caused_by_parameters(
     identified: Identified, correction: ArmCorrection, fitted_samples: Samples, folds: Integers
 ) -> Floats:
     """Mean squares (2,) of held-out errors caused by the parameters, m^2 and rad^2.
     folds : (m,) which are held out together
     """
-    return mean_square_held_out_pose_errors_by_parameters(*_fitted(identified, correction, fitted_samples), folds)
+    return mean_square_pose_errors_caused_by_parameters(*_fitted(identified, correction, fitted_samples), folds)
 
 
 def _fitted(found: Identified, correction: ArmCorrection, agreed: Samples) -> tuple[Floats, Floats, Floats]:

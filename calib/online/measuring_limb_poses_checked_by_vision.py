@@ -15,11 +15,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification import (
-    measuring_limb_identification_and_agreement_with_vision,
-    redundant_measuring_limb_checks_by_loop_closure,
-)
-from calib.certification.redundant_measuring_limb_checks_by_loop_closure import Limbs
+from calib.certification import measuring_limb_identification_and_agreement, redundant_limb_checks
+from calib.certification.redundant_limb_checks import Limbs
 from calib.online import measuring_limbs_file
 from calib.online.filter_kernels_and_change_detection import Change
 from calib.online.information_filter import Online
@@ -32,7 +29,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.frame_selection_and_content_hashes import select_frames
 from rig.recording.recording_folder import Recording
 from vision.api import Progress
-from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import Notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice
 from vision.recording_measurement import measure_recording
 
 IN_A_ROW = 3  # poses of vision that agree with nothing, from which it is not vision that is wrong
@@ -138,7 +135,7 @@ def limb_poses(recording: Recording, accepted: Accepted) -> LimbPoses:
 
     Raises as insitu.readings does, NotConverged for readings that close on no pose
     """
-    frames, lengths = measuring_limb_identification_and_agreement_with_vision.limb_readings(recording)
+    frames, lengths = measuring_limb_identification_and_agreement.limb_readings(recording)
     T = accepted.limbs.pose(lengths)
     return LimbPoses(frames, lengths, T, *accepted.limbs.uncertainty(T))
 
@@ -176,13 +173,9 @@ def check_limb_poses_by_redundancy_and_vision(
 
     Raises what measuring raises
     """
-    open_ = redundant_measuring_limb_checks_by_loop_closure.first_unclosed_limb(accepted.limbs, poses.lengths)
+    open_ = redundant_limb_checks.first_unclosed_limb(accepted.limbs, poses.lengths)
     if open_ is not None:
-        return Checked(
-            0,
-            int(poses.frames[open_.at]),
-            Disagreement(str(open_), open_.limb, redundant_measuring_limb_checks_by_loop_closure.WHO),
-        )
+        return Checked(0, int(poses.frames[open_.at]), Disagreement(str(open_), open_.limb, redundant_limb_checks.WHO))
     if recording.corners is None and not recording.has_images:
         return Checked(0, None, None)
     look = np.arange(len(poses.frames)) % check_interval == 0
@@ -225,16 +218,10 @@ class LiveLimbPoses:
         """What limbs beyond six say of readings (limbs,) m and those before; where they disagree, limbs are out of
         force. Raises as `pose`
         """
-        self._last = [*self._last[1 - redundant_measuring_limb_checks_by_loop_closure.IN_A_ROW :], lengths]
-        open_ = redundant_measuring_limb_checks_by_loop_closure.first_unclosed_limb(
-            self.accepted.limbs, np.array(self._last)
-        )
+        self._last = [*self._last[1 - redundant_limb_checks.IN_A_ROW :], lengths]
+        open_ = redundant_limb_checks.first_unclosed_limb(self.accepted.limbs, np.array(self._last))
         self.in_force = open_ is None
-        return (
-            None
-            if open_ is None
-            else Disagreement(str(open_), open_.limb, redundant_measuring_limb_checks_by_loop_closure.WHO)
-        )
+        return None if open_ is None else Disagreement(str(open_), open_.limb, redundant_limb_checks.WHO)
 
     def is_check_due(self, unsure: bool) -> bool:
         """Whether vision looks at the pose in hand, once for each pose. unsure : whether the struts tell otherwise than

@@ -23,7 +23,7 @@ from calib.certification.held_out_errors import (
     draw_mean_square_common_pose_errors,
     is_significant_gain,
     mean_square_held_out_errors_by_configuration,
-    mean_square_held_out_pose_errors_by_parameters,
+    mean_square_pose_errors_caused_by_parameters,
     pose_errors,
 )
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
@@ -162,9 +162,7 @@ def _with_scatter(samples: Samples, done: Certified, rng: np.random.Generator) -
     )
     noise = samples.covariance + (out * found.scatter**2) @ np.swapaxes(out, 1, 2)
     part = configuration_folds(done.label, min(FOLDS, done.label.max() + 1))
-    left = replace(
-        done.left, parameters=mean_square_held_out_pose_errors_by_parameters(J, found.covariance, noise, part)
-    )
+    left = replace(done.left, parameters=mean_square_pose_errors_caused_by_parameters(J, found.covariance, noise, part))
     commands, T = sample_workspace(correction)
     back = inverse_strut_length_jacobian(T, correction.fitted)
     stated = float(mean_square_pose_errors_of_extension(correction, commands, back)[0])

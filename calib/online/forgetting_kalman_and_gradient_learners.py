@@ -11,7 +11,7 @@ from typing import ClassVar, cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.files.mechanism_and_physics_entries_of_calibration_json import mechanism_dict, mechanism_from_entries
+from calib.files.mechanism_and_physics_entries import mechanism_dict, mechanism_from_entries
 from calib.models.platform import closed_loop_equations
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import PLAUSIBLE
 from calib.models.platform.identification import PRIOR

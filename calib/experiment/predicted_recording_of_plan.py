@@ -16,7 +16,7 @@ from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.model.pose import exp
 from rig.planning.plan import sensors_with_payload
-from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
+from rig.planning.timed_plan_and_plan_csv import Plan
 from rig.recording.recording_folder import PAYLOAD, Sensors
 from rig.recording.recording_table_loading_and_writing import Corners
 from vision.corner_observations import observations_from_corners

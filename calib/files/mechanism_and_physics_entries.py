@@ -13,7 +13,7 @@ import numpy as np
 from calib.correction.physics_compensation import Physics, Unknown
 from rig.array_and_json_types import Booleans, Json
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.framework.unmodelled_curve import unmodelled_curves
 from rig.effects.texts.effect_text_parsing import Kinds
 from rig.formats.checked_entries import LARGEST_RIG, Entries

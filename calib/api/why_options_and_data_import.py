@@ -6,13 +6,13 @@ from pathlib import Path
 from rig.api import import_recording, load
 from rig.errors import RigError
 from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions, read_arm_file
-from rig.formats.importers.recipe_of_data import is_recording_folder, recipe_of_data
+from rig.formats.importers.import_recipe_of_path import import_recipe_of_path, is_recording_folder
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import list_folder, read_bytes, read_text
 from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml.design_file import LARGEST, design_of_entries
 from rig.recording.recording_folder import Recording
-from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import Notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice
 
 NOISE = (2e-5, 2e-4)  # m, rad; of a laser tracker and its six-degree-of-freedom probe, where nobody states any
 
@@ -77,7 +77,7 @@ def recording_of_data(data: Path, options: WhyOptions, folder: Path, notice: Not
         return load(into), arm is not None and options.position_sigma is None
     if arm is not None:
         write_text(stated, text)
-    recipe = recipe_of_data(data, stated, design, () if arm is None else arm.joint_names, options.settings)
+    recipe = import_recipe_of_path(data, stated, design, () if arm is None else arm.joint_names, options.settings)
     into.mkdir()
     imported, remarks = import_recording(recipe, into, data)
     if arm is not None:
