@@ -18,7 +18,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.calibration_evidence_verdict_and_claim_check import calibration_verdict
 from calib.certification.error_claim_over_workspace import Claim
 from calib.certification.platform_certification import Progress, silent_progress
-from calib.correction.correction_tables_and_pose_space_map_json import (
+from calib.correction.correction_tables import (
     correction_summand_column_names,
     correction_summand_table_rows,
     strut_correction_summands,

@@ -12,7 +12,7 @@ import numpy as np
 from calib.api.correct import CorrectOptions, correct
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction_as_c_source import correction_c_source
-from calib.correction.correction_tables_and_pose_space_map_json import axis_correction_tables, grid_correction_table
+from calib.correction.correction_tables import axis_correction_tables, grid_correction_table
 from calib.correction.linuxcnc_kinematics_source import linuxcnc_kinematics_source
 from calib.files import calibration_file
 from calib.models.arm.arm_correction_as_c_source import arm_correction_c_source

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correction import command_timing_and_pose_error_map
+from calib.correction.command_timing_and_pose_error_map import NAMES, PoseMap
 from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.correction.interpolation.delaunay_and_grid_kernels import Delaunay
 from calib.correction.interpolation.field_interface_and_combinations import (
@@ -36,6 +37,7 @@ from rig.formats.checked_entries import Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, geometric_parameters, strut_length_jacobian
+from rig.model.pose import pose_to_entry
 from rig.planning.configuration_sets import FILL, sobol_configurations
 
 SHAPES = {  # of the arrays: a axes, m outputs, the other letters any number, the same wherever they stand
@@ -322,3 +324,24 @@ def single_step_command_errors(correction: AnyCorrection) -> tuple[float, float]
     )
     off = correction.single_step(wanted) - correction.inverse(wanted)
     return float(np.sqrt((off**2).mean())), float(np.abs(off).max())
+
+
+def pose_map_dict(pose_map: PoseMap) -> Json:
+    """dict of a PoseMap, as JSON holds it."""
+    return {
+        "home": pose_to_entry(pose_map.home),
+        "coordinates": [NAMES[i] for i in pose_map.coordinates],
+        "field": field_to_dict(pose_map.field),
+    }
+
+
+def pose_map_from_entries(table: Entries, nominal: Parallel) -> PoseMap:
+    """PoseMap of a mechanism from its entries, as `pose_map_dict` gives them. Raises FileError for anything else."""
+    some = pose_coordinate_indices(nominal)
+    if table.texts("coordinates") != tuple(NAMES[i] for i in some):
+        table.fail(
+            f"{table.name('coordinates')} must be {', '.join(NAMES[i] for i in some)} for a mechanism of "
+            f"kind {nominal.kind!r}",
+            "coordinates",
+        )
+    return PoseMap(table.pose("home"), some, field_from_entries(table.table("field"), len(some)))

@@ -16,8 +16,11 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.error_claim_over_workspace import Claim
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.certification.platform_certification import Certified
-from calib.correction.correction_tables_and_pose_space_map_json import pose_map_dict
-from calib.correction.interpolation_methods_and_correction_summand_fields import field_from_entries, field_to_dict
+from calib.correction.interpolation_methods_and_correction_summand_fields import (
+    field_from_entries,
+    field_to_dict,
+    pose_map_dict,
+)
 from calib.correction.physics_compensation import Physics
 from calib.files.mechanism_and_physics_entries import (
     mechanism_dict,

@@ -35,7 +35,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     mean_sample_per_configuration,
 )
 from calib.certification.platform_certification import FOLDS, Progress, silent_progress
-from calib.correction.correction_tables_and_pose_space_map_json import CorrectionSummands
+from calib.correction.correction_tables import CorrectionSummands
 from calib.correction.interpolation.field_interface_and_combinations import Field, FieldSamples
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import UNPLACED, CertifiedArm, calibrate_arm, placed_nominal_arm, start_arm_of_fit

@@ -1,4 +1,4 @@
-"""Correction tables by sample, axis or grid, and the pose-space map as calibration.json holds it.
+"""Correction tables by sample, axis or grid.
 
 Source: configuration-space patent, [0052], [0061] (data that comprise the correction values), [0130]
 """
@@ -8,17 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.correction import interpolation_methods_and_correction_summand_fields
-from calib.correction.command_timing_and_pose_error_map import NAMES, PoseMap
 from calib.correction.correction import AnyCorrection
-from calib.correction.interpolation_methods_and_correction_summand_fields import pose_coordinate_indices
 from calib.samples.pose_samples import Samples
-from rig.array_and_json_types import Floats, Json
+from rig.array_and_json_types import Floats
 from rig.errors import NotConverged, RigError
-from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, strut_length_jacobian
-from rig.model.pose import pose_to_entry
 from rig.planning.configuration_sets import FILL, sobol_configurations
 
 AVERAGED = 256  # configurations over which a table for one joint alone is the mean
@@ -100,28 +95,3 @@ def grid_correction_table(correction: AnyCorrection, divisions: int, fill: float
         raise RigError(
             f"{len(error.index)} of the grid's {len(x)} vertices close on no pose; use a smaller share of the strokes"
         ) from None
-
-
-def pose_map_dict(pose_map: PoseMap) -> Json:
-    """dict of a PoseMap, as JSON holds it."""
-    return {
-        "home": pose_to_entry(pose_map.home),
-        "coordinates": [NAMES[i] for i in pose_map.coordinates],
-        "field": interpolation_methods_and_correction_summand_fields.field_to_dict(pose_map.field),
-    }
-
-
-def pose_map_from_entries(table: Entries, nominal: Parallel) -> PoseMap:
-    """PoseMap of a mechanism from its entries, as `pose_map_dict` gives them. Raises FileError for anything else."""
-    some = pose_coordinate_indices(nominal)
-    if table.texts("coordinates") != tuple(NAMES[i] for i in some):
-        table.fail(
-            f"{table.name('coordinates')} must be {', '.join(NAMES[i] for i in some)} for a mechanism of "
-            f"kind {nominal.kind!r}",
-            "coordinates",
-        )
-    return PoseMap(
-        table.pose("home"),
-        some,
-        interpolation_methods_and_correction_summand_fields.field_from_entries(table.table("field"), len(some)),
-    )
