@@ -10,7 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.error_claim_over_workspace import Claim, mean_square_pose_errors_of_extension, sample_workspace
+from calib.certification.error_claim_over_workspace import (
+    Claim,
+    mean_square_pose_errors_of_extension,
+    workspace_samples,
+)
 from calib.certification.extended_correction_certification import (
     ExtensionBasis,
     ExtensionRequest,
@@ -146,7 +150,7 @@ def _with_covariance(done: Certified, before: Calibration, rng: np.random.Genera
     to be now: a pass takes away no more than it moves, and nothing that those do not tell from noise."""
     if done.left is None:
         return done
-    commands, T = sample_workspace(done.correction)
+    commands, T = workspace_samples(done.correction)
     was = float(np.trace(platform_pose_covariance(before, T)[:, :3, :3], axis1=1, axis2=2).mean())
     stated = float(
         mean_square_pose_errors_of_extension(

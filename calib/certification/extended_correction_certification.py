@@ -15,7 +15,7 @@ from calib.certification.error_claim_over_workspace import (
     claim_from_machine_draws,
     empty_claim_of_too_few_configurations,
     mean_square_pose_errors_of_extension,
-    sample_workspace,
+    workspace_samples,
 )
 from calib.certification.held_out_errors import (
     HeldOut,
@@ -163,7 +163,7 @@ def _with_scatter(samples: Samples, done: Certified, rng: np.random.Generator) -
     noise = samples.covariance + (out * found.scatter**2) @ np.swapaxes(out, 1, 2)
     part = configuration_folds(done.label, min(FOLDS, done.label.max() + 1))
     left = replace(done.left, parameters=mean_square_pose_errors_caused_by_parameters(J, found.covariance, noise, part))
-    commands, T = sample_workspace(correction)
+    commands, T = workspace_samples(correction)
     back = inverse_strut_length_jacobian(T, correction.fitted)
     stated = float(mean_square_pose_errors_of_extension(correction, commands, back)[0])
     own = np.sqrt(max(left.own(stated, rng)[0] - stated, 0.0) / (back[:, :3] ** 2).sum(axis=(1, 2)).mean())

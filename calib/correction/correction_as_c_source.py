@@ -131,8 +131,8 @@ def correction_c_source(
     settled = define_remainder(tables, correction.extension, parts)
     maps = _pose_maps(tables, correction)
     return CSource(
-        joined(
-            *opening(HEXAPOD, correction, effects, gaps, origin),
+        joined_c_parts(
+            *c_file_opening(HEXAPOD, correction, effects, gaps, origin),
             "\n".join(geometry.lines),
             *(c_source_part(name) for name in FIELDS if name in tables.parts),
             "\n".join(tables.lines),
@@ -163,12 +163,12 @@ def c_source_part(name: str) -> str:
     return _parts()[name]
 
 
-def joined(*texts: str) -> str:
+def joined_c_parts(*texts: str) -> str:
     """The text of a C file of its parts."""
     return "\n".join(text.rstrip("\n") + "\n" for text in texts if text)
 
 
-def opening(
+def c_file_opening(
     call: CCall, correction: AnyCorrection, effects: EffectsInC, gaps: Floats, origin: str
 ) -> tuple[str, str, str]:
     """What a C file begins with: its head comment, its interface, home and channels. gaps : (axes,) m or rad, play"""
