@@ -1,7 +1,7 @@
 """Normal equations of a visit in places, geometry and machine changes, and the reference of the first visit.
 
 Unknowns, in this order: six for each camera and target (or for the instrument), the geometry's 42, the eight of
-calib.drift.machine_changes.
+calib.drift.change_evidence_and_sentences.
 Poses and lenses, which every visit has for itself, are eliminated.
 """
 

@@ -161,8 +161,7 @@ def hand_points_after_moving_each_joint(q: Floats, arm: Arm) -> list[KinematicsS
 def inverse_steps(T_base_platform: RigidTransform, six_arm: SixJointArm, q: Floats) -> list[KinematicsStep]:
     """Steps of the closed-form inverse of a pose for a solution q (6,) rad, from joint 1 to 6.
 
-    q : of rig.model.mechanisms.closed_form_and_numerical_arm_inverse.inverse: of two readings the one near it is
-        taken, and what a singular pose leaves free
+    q : of closed_form_inverse: of two readings the one near it is taken, and what a singular pose leaves free
     """
     way = _PathToZero(six_arm, np.asarray(q, float), T_base_platform)
     way.back(0, way.shoulder())
