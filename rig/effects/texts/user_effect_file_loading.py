@@ -17,10 +17,8 @@ from numpy.typing import ArrayLike
 
 from rig.effects.catalogue.effect_list import BY_NAME, STAGES, Plugin
 from rig.effects.framework.effect import MOTION_STAGES, Effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.framework.effect_parameters_and_covariates import Context, Parameter
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
-    check_effect_place_and_parameter_bounds,
-)
 from rig.errors import FileError, RigError
 from rig.formats.user_python_file import UserModule, line_of_class, line_within, read_user_text, run_user_text
 from rig.model.effect_places_and_part_tolerances import AXES
@@ -52,7 +50,7 @@ def effects_of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
     """Effect classes defined by a source text. path : its name in errors. Raises FileError."""
     found: list[type[Effect]] = UserModule(path, text, "", run_user_text(text, path)).classes(Effect)
     if not found:
-        raise FileError(path, "defines no effect: a dataclass derived from rig.effects.base.Effect")
+        raise FileError(path, "defines no effect: a dataclass derived from rig.effects.user_effect_base.Effect")
     for kind in found:
         taken = next((name for name in _field_names(kind) if name in RESERVED), None)
         if taken is not None:
