@@ -159,8 +159,7 @@ class Written:
             "",
             "import numpy as np",
             "",
-            "from rig.effects.user_effect_base import "
-            f"{'REFERENCE_TEMPERATURE, ' if uses else ''}Effect, Motion, Parameter",
+            f"from rig.effects.base import {'REFERENCE_TEMPERATURE, ' if uses else ''}Effect, Motion, Parameter",
             "",
             "",
             "@dataclass(frozen=True, slots=True)",

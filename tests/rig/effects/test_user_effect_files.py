@@ -28,7 +28,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.user_effect_base import Effect, Motion, Parameter
+from rig.effects.base import Effect, Motion, Parameter
 
 
 @dataclass(frozen=True, slots=True)
