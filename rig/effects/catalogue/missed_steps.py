@@ -1,14 +1,15 @@
 """Missed steps: from one moment on, an axis is off by whole motor steps."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter, time_covariate
+from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_parameters_and_covariates import Context, Covariate, Parameter, time_covariate
 from rig.effects.framework.machine_motion_and_play import Motion
+from rig.model.effect_places_and_part_tolerances import Place
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,3 +39,11 @@ class MissedSteps(Effect):
 
     def covariate(self, motion: Motion) -> Covariate:
         return time_covariate(motion)
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        found = super(MissedSteps, cls).candidates(place, context)
+        if Place.parse(place).is_axis:
+            return found
+        axes = len(context.moved().places)  # that all miss the same steps at once is a coincidence for each of them
+        return [replace(candidate, extra=candidate.extra + axes - 1) for candidate in found]
