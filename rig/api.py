@@ -1,4 +1,7 @@
-"""The entry points of rig: a recording loaded and saved, configurations planned, mistakes that its files show."""
+"""Python entry points of rig.
+
+A recording loaded and saved, configurations planned, mistakes that its files show.
+"""
 
 import tempfile
 from collections.abc import Callable, Mapping

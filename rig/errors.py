@@ -1,4 +1,7 @@
-"""Error classes (RigError) of what can go wrong with a machine, its physics or its files, with the numbers."""
+"""Error classes (RigError).
+
+Of what can go wrong with a machine, its physics or its files, with the numbers.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The entry points of synthetic: a recording of a simulated rig, and a diagnosed recording simulated again."""
+"""Python entry points of synthetic.
+
+A recording of a simulated rig, and a diagnosed recording simulated again.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Blind cases of arms drawn at random: makes, instruments, protocols, unmodelled physics.
+"""Blind cases of arms, drawn at random.
+
+Makes, instruments, protocols, unmodelled physics.
 
 A third is made hard.
 """

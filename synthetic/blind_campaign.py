@@ -1,4 +1,7 @@
-"""A campaign of blind cases in a folder: what makes it, which cases are drawn and diagnosed, and its score."""
+"""Campaign of blind cases in a folder.
+
+What makes it, which cases are drawn and diagnosed, and its score.
+"""
 
 import json
 import re

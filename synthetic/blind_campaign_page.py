@@ -1,4 +1,7 @@
-"""Page of a blind campaign: score, verdict, confusion matrix and wrong answers; the same as a dict for JSON."""
+"""HTML page of a blind campaign.
+
+Score, verdict, confusion matrix and wrong answers; the same as a dict for JSON.
+"""
 
 from __future__ import annotations
 

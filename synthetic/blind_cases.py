@@ -1,4 +1,7 @@
-"""Blind cases drawn at random: rigs, protocols, image settings, unmodelled physics; written as recordings and truth."""
+"""Blind cases drawn at random.
+
+Rigs, protocols, image settings, unmodelled physics; written as recordings and truth.
+"""
 
 import tempfile
 from collections.abc import Callable, Sequence

@@ -1,4 +1,7 @@
-"""Cubes to make: paper nets in pieces that fit a sheet, and STL bodies to print or mill."""
+"""Cube nets in paper, and STL bodies.
+
+Nets in pieces that fit a sheet, and bodies to print or mill.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

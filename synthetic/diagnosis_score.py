@@ -1,4 +1,7 @@
-"""Score of diagnoses against the blind truth: verdicts by case, figures of a campaign with exact intervals."""
+"""Score of diagnoses against the blind truth.
+
+Verdicts by case, figures of a campaign with exact intervals.
+"""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

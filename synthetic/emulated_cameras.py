@@ -1,4 +1,7 @@
-"""Emulated cameras: images rendered of the pose that an emulated machine has, by a process of their own."""
+"""Emulated cameras of an emulated machine.
+
+Images are rendered of the pose that it has, by a process of their own.
+"""
 
 import json
 import multiprocessing

@@ -1,4 +1,7 @@
-"""Image sensor model (noise, vignetting, blur), and occlusion of markers by other bodies."""
+"""Image sensor model, and occlusion of markers.
+
+Noise, vignetting and blur of the sensor; markers are occluded by other bodies.
+"""
 
 from functools import lru_cache
 from typing import cast

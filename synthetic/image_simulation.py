@@ -1,4 +1,7 @@
-"""Images of a simulation rendered: exposures in time, rolling shutter, several processes."""
+"""Simulation of a recording's images.
+
+Exposures in time are rendered, with rolling shutter, by several processes.
+"""
 
 import os
 import threading

@@ -1,4 +1,7 @@
-"""Sheets to print, true to scale: cube nets and loose markers with rulers and a legend (PDF)."""
+"""Sheets to print, true to scale.
+
+Cube nets and loose markers with rulers and a legend (PDF).
+"""
 
 import io
 from collections.abc import Iterator

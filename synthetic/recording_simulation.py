@@ -1,4 +1,7 @@
-"""Simulation of a recording: a secret machine run under a plan, written as a folder; the truth stored separately."""
+"""Simulation of a recording.
+
+A secret machine is run under a plan, written as a folder; the truth is stored separately.
+"""
 
 from __future__ import annotations
 

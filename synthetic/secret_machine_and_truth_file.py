@@ -1,4 +1,7 @@
-"""Secret machine of a simulation, drawn at random: geometry, cameras, temperatures, remounted cubes; truth file."""
+"""Secret machine of a simulation, and its truth file.
+
+Drawn at random: geometry, cameras, temperatures, remounted cubes.
+"""
 
 import json
 import zlib

@@ -1,4 +1,7 @@
-"""Rulers and legend of printed sheets, and the page that shows how cubes are assembled and where they stand."""
+"""Rulers of printed sheets, and the assembly page.
+
+Also their legend; the page shows how cubes are assembled and where they stand.
+"""
 
 import textwrap
 

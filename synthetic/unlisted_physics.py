@@ -1,4 +1,6 @@
-"""Physics not listed in the catalogue, and irregular corner noise, that blind cases may hide as unknown.
+"""Physics not listed in the catalogue.
+
+And irregular corner noise, both of which blind cases may hide as unknown.
 
 An effect out of the catalogue is one like any other, only that no diagnosis knows it; `draw_unlisted_effect` makes one
 of a plausible size. A disturbance

@@ -1,4 +1,7 @@
-"""Pictures of frames with what was measured: markers, axes and residuals, as JPEG and PNG."""
+"""Pictures of frames with what was measured.
+
+Markers, axes and residuals, as JPEG and PNG.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,4 +1,6 @@
-"""OpenCV's lens model: projection with Jacobian and undistortion, with their compiled kernels.
+"""OpenCV's lens model.
+
+Projection with Jacobian and undistortion, with their compiled kernels.
 
 Points in the camera's frame (OpenCV axes: x right, y down, z
 ahead).

@@ -1,4 +1,7 @@
-"""Result of a measurement: poses with covariance, held-out residuals, what to look at, and its verdict."""
+"""Result of a measurement.
+
+Poses with covariance, held-out residuals, what to look at, and its verdict.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

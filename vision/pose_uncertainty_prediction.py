@@ -1,4 +1,7 @@
-"""Prediction of the uncertainty of poses not yet measured, and the errors that they share."""
+"""Prediction of the uncertainty of poses.
+
+Of those not yet measured, and the errors that they share.
+"""
 
 from dataclasses import dataclass, replace
 from typing import cast

@@ -1,4 +1,6 @@
-"""Prediction of marker corners in images from poses and cameras, and the map of all markers on their bodies.
+"""Prediction of marker corners in images.
+
+From poses and cameras, and the map of all markers on their bodies.
 
 The one forward model of the cameras.
 

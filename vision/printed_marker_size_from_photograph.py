@@ -1,4 +1,7 @@
-"""Printed marker size from a photograph that shows markers with a sheet or ruler of known size."""
+"""Printed marker size from a photograph.
+
+It shows markers with a sheet or ruler of known size.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,6 @@
-"""Motion of the platform while a rolling shutter reads an image row by row, taken out of measured poses.
+"""Rolling shutter motion, taken out of poses.
+
+Motion of the platform while a rolling shutter reads an image row by row.
 
 A corner in row v is exposed (v - height / 2) * row_time after its frame's time, and the platform has moved on by then,
 at the rate that commands state. Where it speeds up, this rate depends on the clocks of cameras and commands and on the

@@ -1,4 +1,6 @@
-"""Adjustment of a recording's corners: cameras, and the platform's pose in every frame with covariance.
+"""Adjustment of a recording's corners.
+
+Cameras, and the platform's pose in every frame with covariance.
 
 Recordings with hand cameras, stages and remounted cubes are turned into recordings with fixed cameras.
 In the platform's own frame a hand camera stands still and the base's markers move. So it is measured like any rig, with

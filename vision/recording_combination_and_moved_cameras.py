@@ -1,4 +1,7 @@
-"""Recordings of one rig combined, each measured alone first to find the cameras that were moved."""
+"""Combination of recordings, and moved cameras.
+
+Of one rig; each is measured alone first to find the cameras that were moved.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,7 @@
-"""Measurement of a recording from its corners or images: reading, adjustment, reading of missed markers."""
+"""Measurement of a recording.
+
+From its corners or images: reading, adjustment, reading of missed markers.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,4 +1,7 @@
-"""Calibration of a rig from recordings, with its options: geometry, corrections, and what they leave out."""
+"""Calibration of a rig from recordings.
+
+Its options, and its result: geometry, corrections, and what they leave out.
+"""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace

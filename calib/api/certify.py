@@ -1,4 +1,7 @@
-"""Certification of a calibration by held-out recordings: certificate of what is promised in a volume."""
+"""Certification of a calibration by held-out recordings.
+
+The certificate states what is promised in a volume.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,7 @@
-"""Correction of wanted poses: the commands that give them through a calibration."""
+"""Correction of wanted poses.
+
+The commands that give them through a calibration.
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,4 +1,6 @@
-"""Correction over a configuration or pose space, extended from samples at once or as an additional pass.
+"""Correction over a configuration or pose space.
+
+It is extended from samples at once, or as an additional pass.
 
 Source: configuration-space patent, [0035]
 """

@@ -1,4 +1,6 @@
-"""Server on the loopback that answers wanted poses with commands: a line of JSON for each request and each answer.
+"""Server that answers wanted poses with corrected commands.
+
+It listens on the loopback; each request and each answer is a line of JSON.
 
 Every request stands for itself, as one call of `correct`: it states where the axes stand, so that clients do not
 depend on each other and an answer is that of `rig correct`, to the last bit.

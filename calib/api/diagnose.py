@@ -1,4 +1,7 @@
-"""Diagnosis of a rig's recordings: which physical effects the model leaves out, where and how large."""
+"""Diagnosis of a rig's recordings.
+
+Which physical effects the model leaves out, where and how large.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

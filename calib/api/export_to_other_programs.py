@@ -1,4 +1,7 @@
-"""Export of a calibrated geometry, corrections, lookup tables, lenses or a recording to formats of other programs."""
+"""Export of a calibration or recording to other programs.
+
+Geometry, corrections, lookup tables, lenses and recordings, in the formats of those programs.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,4 +1,7 @@
-"""Investigation of a rig: plan, record, diagnose, experiment, again and again; at its end a certificate."""
+"""Investigation of a rig in rounds of experiments.
+
+Plan, record, diagnose, experiment, again and again; at its end a certificate.
+"""
 
 import json
 from collections.abc import Sequence

@@ -1,4 +1,7 @@
-"""Loop closure check of redundant legs: six lengths give the platform's pose, the others are checked against it."""
+"""Loop closure check of redundant legs.
+
+Six lengths give the platform's pose, the others are checked against it.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,7 @@
-"""Run of a plan at the machine, driven and recorded."""
+"""Run of a plan at the machine.
+
+The machine is driven, and the run recorded.
+"""
 
 import hashlib
 from collections.abc import Callable

@@ -1,4 +1,7 @@
-"""Measuring limbs' acceptance by vision, and platform poses from readings of limbs or instruments."""
+"""Measuring limbs' acceptance, and platform poses from their readings.
+
+Vision accepts the limbs; poses come from readings of limbs or of instruments.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,7 @@
-"""Next experiment of a diagnosis: the choice of the plan that answers open questions best."""
+"""Next experiment of a diagnosis.
+
+The choice of the plan that answers open questions best.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,7 @@
-"""Learning of parameters from a recording, pose by pose: the current estimate, and sudden changes."""
+"""On-line learning of parameters from a recording, pose by pose.
+
+The current estimate, and sudden changes.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

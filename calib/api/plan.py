@@ -1,4 +1,7 @@
-"""Plan of configurations for a purpose: to determine parameters best, keep a promise, or separate effects."""
+"""Plan of configurations for a purpose.
+
+To determine parameters best, keep a promise, or separate effects.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

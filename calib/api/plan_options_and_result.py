@@ -1,4 +1,7 @@
-"""Options of a plan, and a plan as result: configurations, what they make visible, the verdict."""
+"""Options of a plan, and a plan as result.
+
+Its configurations, what they make visible, and the verdict.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

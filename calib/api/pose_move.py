@@ -1,4 +1,7 @@
-"""Move of the machine to one pose through a calibration (rig go), and how near it comes."""
+"""Move of the machine to one pose through a calibration.
+
+How near it comes is reported (rig go).
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

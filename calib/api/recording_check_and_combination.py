@@ -1,4 +1,6 @@
-"""Recordings checked and refused if unfit, combined, and the instrument's displacement between them removed.
+"""Check of recordings before use, and their combination.
+
+Unfit recordings are refused, and the instrument's displacement between recordings is removed.
 
 The geometry and, for each further recording, the six numbers of the instrument's place are fitted to all closures at
 once, each strut weighed by its poses' noise and by what it scatters beyond in that recording: what the machine's model

@@ -1,4 +1,7 @@
-"""Verification of a calibration by another recording, and watch over it by repeated small visits."""
+"""Verification and watch of a calibration.
+
+Verification is by another recording, watch by repeated small visits.
+"""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace

@@ -1,4 +1,7 @@
-"""View of a recording: a picture of one frame, a page with the rig in three dimensions, or a file for Rerun."""
+"""View of a recording.
+
+A picture of one frame, a page with the rig in three dimensions, or a file for Rerun.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

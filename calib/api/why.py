@@ -1,4 +1,7 @@
-"""Five lines on why a machine is not where its model says, from its data, by calibration and diagnosis."""
+"""Why a machine is not where its model says, in five lines.
+
+From its data, by calibration and diagnosis.
+"""
 
 import math
 import tempfile

@@ -1,4 +1,7 @@
-"""Data of a machine and what is known beside them (WhyOptions), read or imported as a recording."""
+"""Options of why, and import of its data.
+
+WhyOptions states what is known of the data, which are read, or imported as a recording.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path

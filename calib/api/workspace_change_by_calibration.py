@@ -1,4 +1,7 @@
-"""Workspace change by a calibration: poses lost and gained, room to limits, singularities, error bounds."""
+"""Workspace change by a calibration.
+
+Poses lost and gained, room to limits, singularities, error bounds.
+"""
 
 import hashlib
 import json

@@ -1,4 +1,7 @@
-"""Certificate of a calibration computed from held-out recordings, its verdict and its provenance."""
+"""Computation of a certificate, its verdict and its provenance.
+
+It is computed from held-out recordings.
+"""
 
 import hashlib
 import json

@@ -1,4 +1,7 @@
-"""Contents of a certificate as figures, with the conditions and the volume in which its poses were measured."""
+"""Contents of a certificate as dataclasses.
+
+Figures, with the conditions and the volume in which its poses were measured.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

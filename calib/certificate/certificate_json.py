@@ -1,4 +1,7 @@
-"""certificate.json of a calibration certificate: its contents as JSON."""
+"""Certificate as JSON.
+
+The contents of certificate.json.
+"""
 
 import json
 from dataclasses import asdict

@@ -1,4 +1,7 @@
-"""HTML page of a certificate and its figures: what is promised, on whose scale, and what that rests on."""
+"""HTML page of a certificate.
+
+What is promised, on whose scale, what that rests on, and figures.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,7 @@
-"""Sentences of a certificate: scale, promise, volume, basis, conformity, ISO figures and uncertainties."""
+"""Sentences of a certificate.
+
+Scale, promise, volume, basis, conformity, ISO figures and uncertainties.
+"""
 
 from calib.certificate.certificate_contents import Contents
 from calib.certification.calibration_dataclass_and_claim_sentences import (

@@ -1,4 +1,6 @@
-"""Digital calibration certificate of a machine as XML (PTB's DCC 3.3.0) with values in D-SI units.
+"""Digital calibration certificate as XML.
+
+PTB's DCC 3.3.0, of a machine, with values in D-SI units.
 
 No package carries the schema files; a test holds what is written to those that a folder named by DCC_SCHEMAS has. Who
 calibrated, for whom and where is for the owner to state; what is not stated stands as "not stated".

@@ -1,4 +1,7 @@
-"""Certificate of where a mount points, from held-out directions: what is promised, what it rests on, JSON and page."""
+"""Certificate of where a mount points.
+
+It comes from held-out directions: what is promised, what it rests on, JSON and page.
+"""
 
 import json
 from collections.abc import Sequence

@@ -1,4 +1,7 @@
-"""Calibration data type (correction, covariance, claim, provenance of a machine), and sentences on its claim."""
+"""Calibration dataclass, and sentences on its claim.
+
+A Calibration holds correction, covariance, claim and provenance of a machine.
+"""
 
 import math
 from dataclasses import dataclass, replace

@@ -1,4 +1,7 @@
-"""Evidence for and against a calibration, its verdict, and the check of its claim on a held-out recording."""
+"""Evidence, verdict and claim check of a calibration.
+
+Evidence is for and against it; the check of its claim is on a held-out recording.
+"""
 
 import math
 from collections.abc import Sequence

@@ -1,4 +1,6 @@
-"""Claim of a calibration's error over the whole workspace: a posterior at configurations not recorded.
+"""Claim of a calibration's error over the whole workspace.
+
+A posterior at configurations not recorded.
 
 Machines are drawn that are as the poses have them, where the poses tell, and as the owner's tolerance has them, where
 these do not: so what is promised away from the recorded configurations holds how far it is extrapolated. Each drawn

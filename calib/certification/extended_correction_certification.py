@@ -1,4 +1,7 @@
-"""Certification of corrections extended over the configuration space, on held-out configurations."""
+"""Certification of extended corrections.
+
+Corrections extended over the configuration space, judged on held-out configurations.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,4 +1,6 @@
-"""Held-out pose errors before and after correction, their statistics, and the significance of the gain.
+"""Held-out pose errors before and after correction.
+
+Their statistics, and the significance of the gain.
 
 Nothing is assumed of where the errors come from, so that what no model has (friction, play, sag, gears) is in it. Few
 configurations tell a mean square badly, and badly told it is more often too small: draws are of the mean square over

@@ -1,4 +1,6 @@
-"""Held-out pose errors of recordings with repeatability, and distinct configurations: numbers, folds, mean samples.
+"""Held-out pose errors of recordings, and distinct configurations.
+
+Errors with repeatability; of distinct configurations numbers, folds and mean samples.
 
 Only exposures of a machine at rest count, and of each configuration the first visit alone speaks for poses at large:
 the others are repeats, from which repeatability is read.

@@ -1,4 +1,6 @@
-"""ISO 230-2 tests of single axes, and ISO 9283 accuracy and repeatability of repeated poses.
+"""ISO 230-2 and ISO 9283 tests.
+
+Of single axes, and of accuracy and repeatability of repeated poses.
 
 An axis' deviation is what the calibrated machine would have had to be commanded beyond the command for the pose that
 was measured. The standard requires five positions at least, each come to five times from either side; what a recording

@@ -1,4 +1,6 @@
-"""Measuring limb calibration against vision, agreement with vision on held-out poses, and slips of a limb.
+"""Measuring limb identification, and agreement with vision.
+
+Limbs are calibrated against vision, and agreement is on held-out poses; slips of a limb.
 
 The limbs' own joints and zeros are found as the struts' are, from poses that vision measured. Agreement is judged on
 poses that were not used for that: bias, scatter, and limits of agreement, axis by axis, against a tolerance that is

@@ -1,4 +1,6 @@
-"""Noise-free errors estimated from errors measured with noise, and distribution-free tolerance limits.
+"""Noise-free errors, and tolerance limits.
+
+Errors estimated from errors measured with noise; limits that assume no distribution.
 
 With confidence c at least a share p of a population lies below the r-th smallest of n independent values once
 P(Bin(n, p) <= r - 1) >= c; nothing is assumed of the distribution but that the sample was drawn from it. Between two

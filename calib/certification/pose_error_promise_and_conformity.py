@@ -1,4 +1,6 @@
-"""Promise of a pose error bound from held-out poses, whole and by cell, and conformity with tolerances.
+"""Pose error promise, and conformity with tolerances.
+
+A bound from held-out poses, whole and by cell.
 
 The promise is one statement of position and rotation. Each pose has a depth, the greater of its position error and
 its rotation error, each in a unit that was fixed before the held-out poses were measured; the limit of depth, times

@@ -1,4 +1,6 @@
-"""Redundant measuring limbs checked by loop closure: six give the platform's pose, each other limb checks it.
+"""Checks of redundant measuring limbs by loop closure.
+
+Six give the platform's pose, each other limb checks it.
 
 A check's own joints and zero are fitted to the poses that the six told while vision held them, so that what it does
 not close by later is no matter of vision's frame: the reading of some limb has changed. Source: Merlet, Parallel

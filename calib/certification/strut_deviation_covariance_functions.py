@@ -1,4 +1,6 @@
-"""Covariance functions of strut deviations, by cause beyond the geometry.
+"""Covariance functions of strut deviations.
+
+One for each cause beyond the geometry.
 
 And the sign of each strut's load.
 Each component has a mean square of 1 in use: over the workspace, moves between its configurations, and the

@@ -1,4 +1,6 @@
-"""Sizes of strut deviations by component, and possible machines with their pose errors over the workspace.
+"""Strut deviation sizes, and possible machines.
+
+Sizes by component, and possible machines with their pose errors over the workspace.
 
 Three kinds of machines are weighed: a sound one; one whose struts, most of them, have one component alone, of one size;
 and one whose struts have each their own. A strut's closures are normal, with the variances of the poses, of its own

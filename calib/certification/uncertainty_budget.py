@@ -1,4 +1,6 @@
-"""Uncertainty budget of a pose: contributions of measuring and of the machine, and the expanded uncertainty.
+"""Uncertainty budget of a pose.
+
+Contributions of measuring and of the machine, and the expanded uncertainty.
 
 Each is expanded so that 95 % of the error's lengths lie within it: by a factor of the RMS length that depends on the
 directions of the error, 1.61 where all three are alike and 1.96 where there is one. What is not known is given as not

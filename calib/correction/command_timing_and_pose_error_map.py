@@ -1,4 +1,6 @@
-"""Timing of a sequence of commands (Route), and the map of pose errors in pose space with the pose to request.
+"""Timing of commands (Route), and map of pose errors.
+
+A Route times a sequence of commands; the map in pose space gives the pose to request.
 
 Source: configuration-space patent, [0035] (error maps and compensation in the configuration space, the workspace or
     both)

@@ -1,4 +1,6 @@
-"""The correction of a calibration as one C99 file, for a controller that computes its own commands.
+"""Correction of a calibration as C source.
+
+One C99 file, for a controller that computes its own commands.
 
 The file does what `rig correct` does for poses without times: inverse kinematics of the fitted geometry, the summand
 over the configuration space at its fixed point, maps in pose space, and the effects that say how a controller computes

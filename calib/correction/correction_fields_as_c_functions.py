@@ -1,4 +1,7 @@
-"""Fields of a correction as functions in C99, with their tables: the summand over configurations, and maps of poses."""
+"""Fields of a correction as functions in C.
+
+In C99, with their tables: the summand over configurations, and maps of poses.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

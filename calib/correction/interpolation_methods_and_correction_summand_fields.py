@@ -1,4 +1,6 @@
-"""Interpolation methods by name, and fields over the space that they fit to correction summands at samples.
+"""Interpolation methods by name, and fields of correction summands.
+
+The methods fit these fields over the space to correction summands at samples.
 
 KSF_PM(x) = x - IK(GDK(x)) at each sample x; KSF_KR is its Field over all of the configuration space. It stands alone,
 with the nominal model as IK, or on top of the fitted geometry, where it extends what that leaves.

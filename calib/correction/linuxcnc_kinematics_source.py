@@ -1,4 +1,6 @@
-"""The correction of a hexapod's calibration as a kinematics module of LinuxCNC, in C for its halcompile.
+"""LinuxCNC kinematics source of a calibrated hexapod.
+
+The correction of its calibration as a kinematics module, in C for LinuxCNC's halcompile.
 
 It is the C file for controllers with LinuxCNC's interface around it, linuxcnc_kinematics.c. LinuxCNC calls kinematics
 also for poses that it only considers, so they are without memory: play is left to LinuxCNC's own BACKLASH.

@@ -1,4 +1,6 @@
-"""Compensation of known physics: effects stored with a calibration, and commands that compensate them.
+"""Compensation of known physics in commands.
+
+Effects stored with a calibration, and commands that compensate them.
 
 The one forward model of motion (rig.model.motion_simulation) says what commands become, by their whole history, the
 sensors and the pose. Sought are commands that become what the geometry asks for at every wanted pose: a fixed point

@@ -1,4 +1,6 @@
-"""Joint fit of cameras, lenses and hexapod geometry to corners, and the correction refined by it.
+"""Simultaneous fit of cameras and geometry to corners.
+
+Cameras, lenses and hexapod geometry, and the correction refined by it.
 
 No frame has unknowns of its own: its pose is the forward kinematics of its command. Two steps (poses first,
 parameters after, calib/models/platform/identification.py) agree with this to second order where the poses' shared

@@ -1,4 +1,6 @@
-"""Effects that a calibration omits, found by diagnosing its recording, stated in its claim.
+"""Physics that a calibration leaves out.
+
+Effects found by diagnosing its recording, stated in its claim.
 
 Good needs that nothing is unexplained, which is known where somebody has looked for it: a calibration looks as `rig
 diagnose` does.

@@ -1,4 +1,7 @@
-"""Signal of effects that calibration cannot take up: signal-to-noise of each, separation of two by a plan."""
+"""Signal-to-noise of effects, and their separation by a plan.
+
+The signal of an effect is what calibration cannot take up; separation is of two effects.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace

@@ -1,4 +1,7 @@
-"""Findings of a diagnosis refitted with the geometry for a calibration, on platforms and arms."""
+"""Findings of a diagnosis refitted with the geometry.
+
+For a calibration, on platforms and arms.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,7 @@
-"""Diagnosis of a recording of any machine: effects, places, sizes with uncertainty, and what has no known effect."""
+"""Diagnosis of a recording of any machine.
+
+Effects, places, sizes with uncertainty, and what has no known effect.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,4 +1,6 @@
-"""Evidence of a change between visits: hypotheses, verdict (Shiryaev-Roberts procedure), and sentences on it.
+"""Evidence of a change between visits, and sentences on it.
+
+Hypotheses, and the verdict (Shiryaev-Roberts procedure).
 
 The likelihood of all visits with a change since visit k, over that without, averaged over what may change and how
 much, is summed over k > 1. While nothing changes the sum grows by one a visit in expectation, so that an alarm at A

@@ -1,4 +1,6 @@
-"""Configurations of a visit, chosen and ordered to show and separate changes of the machine.
+"""Configurations of a visit.
+
+They are chosen and ordered to show and separate changes of the machine.
 
 D-optimal for the zeros, the nuts, growth and sag together, whatever the frame of measurement does meanwhile; a nut
 shows by the side from which its strut came, so the order is chosen with the places.

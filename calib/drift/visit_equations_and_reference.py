@@ -1,4 +1,6 @@
-"""Normal equations of a visit in places, geometry and machine changes, and the reference of the first visit.
+"""Normal equations of a visit, and the reference visit.
+
+Equations in places, geometry and machine changes; the first visit is the reference.
 
 Unknowns, in this order: six for each camera and target (or for the instrument), the geometry's 42, the eight of
 calib.drift.change_evidence_and_sentences.

@@ -1,4 +1,7 @@
-"""History of visits, kept in watch.json: each visit compared with those before, the oldest summed."""
+"""History of visits (watch.json).
+
+Each visit is compared with those before, and the oldest are summed.
+"""
 
 import json
 from dataclasses import dataclass, replace

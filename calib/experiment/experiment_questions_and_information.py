@@ -1,4 +1,7 @@
-"""Questions for an experiment (rival hypotheses, odds, predicted outcomes), and information expected of it."""
+"""Questions for an experiment, and information expected of it.
+
+A question has rival hypotheses, their odds and predicted outcomes.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence

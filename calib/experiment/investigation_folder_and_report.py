@@ -1,4 +1,6 @@
-"""Folder of an investigation (plans, recordings, diagnoses of each round), and its notebook and HTML page.
+"""Folder of an investigation, and its report.
+
+Plans, recordings and diagnoses of each round; the report is a notebook and an HTML page.
 
 The folder holds, for look n: planN.csv (what was to be done), recN (what was recorded), diagnosisN (what all recordings
 so far say, and in its next.json what would tell more). Nothing else is kept, so whatever was interrupted goes on from

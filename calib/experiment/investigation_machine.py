@@ -1,4 +1,7 @@
-"""Machine that carries out an investigation's plans: simulated, by the driver, or somebody by hand."""
+"""Executors of an investigation's plans.
+
+A simulated machine, the driver, or somebody by hand.
+"""
 
 import hashlib
 import json

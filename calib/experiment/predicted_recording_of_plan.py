@@ -1,4 +1,7 @@
-"""Predicted recording of a plan by a fitted model: poses, corners with noise, sensor log."""
+"""Predicted recording of a plan by a fitted model.
+
+Poses, corners with noise, sensor log.
+"""
 
 from dataclasses import replace
 

@@ -1,4 +1,7 @@
-"""calibration.json: a calibration saved and loaded, its provenance (inputs, data, versions) and the frames it used."""
+"""Calibration file (calibration.json), saved and loaded.
+
+With its provenance (inputs, data, versions) and the frames it used.
+"""
 
 import hashlib
 import json

@@ -1,4 +1,6 @@
-"""Mechanism and physics entries of calibration.json, written, read and checked.
+"""Mechanism and physics entries of calibration.json.
+
+Written, read and checked.
 
 Pose space maps included.
 """

@@ -1,4 +1,6 @@
-"""Least squares in square-root information form with bounds, robust fits, outliers and excess scatter.
+"""Least squares with bounds, and robust fits.
+
+In square-root information form; outliers and excess scatter.
 
 Over blocks of observations; folds of time blocks, for fits that leave some out.
 A problem hands over whitened residuals and their derivatives, block by block (a block: a pose, a configuration of an

@@ -1,4 +1,6 @@
-"""Placement of an arm's or chain's base and tool in a further recording, estimated against a reference.
+"""Displacement of base and tool between recordings.
+
+Of an arm or chain: where they stand in a further recording, estimated against a reference.
 
 A robot stationed anew or a tracker that was moved displaces all poses of a recording by one rigid motion on the left; a
 probe that was remounted, by one on the right. Six numbers each are estimated by robust least squares, linear about

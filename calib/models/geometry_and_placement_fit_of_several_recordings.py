@@ -1,4 +1,6 @@
-"""Joint fit of an arm's or chain's geometry and of where base and tool stood in each of several recordings.
+"""Geometry and placement fit of several recordings.
+
+Joint fit of an arm's or chain's geometry and of where base and tool stood in each recording.
 
 The first recording's base and tool are the reference. What is still uncertain of the others' places goes on as an error
 that the poses of a recording share, so that all later fits, held-out and of effects too, solve for it.

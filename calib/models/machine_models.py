@@ -1,4 +1,7 @@
-"""Machine models by kind: geometric parameters, covariance of corrected poses, file entries."""
+"""Machine models by kind.
+
+Geometric parameters, covariance of corrected poses, file entries.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,4 +1,6 @@
-"""Commands for wanted poses through a calibration, with approaches and the covariance of each pose.
+"""Commands for wanted poses through a calibration.
+
+With approaches and the covariance of each pose.
 
 Also poses to command a controller that takes poses: it computes strut lengths by its own nominal geometry, that of
 rig.toml, so what is commanded is the nominal forward kinematics of the corrected lengths, in its frames and about its

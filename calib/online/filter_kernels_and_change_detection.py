@@ -1,4 +1,6 @@
-"""Compiled kernels of the square-root information filter, and detection of changes by likelihood ratio.
+"""Kernels of the on-line filter, and change detection.
+
+Compiled, of the square-root information filter; changes are detected by likelihood ratio.
 
 Every hypothesis is held to the same innovations of the last poses: it must explain what is there beyond chance, and
 what it leaves must be no more than noise. The simplest that does wins; where two equally simple ones do, the next pose

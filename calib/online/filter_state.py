@@ -1,4 +1,6 @@
-"""State of the on-line filter, the steps from one state to the next, and its JSON file.
+"""State of the on-line filter.
+
+The steps from one state to the next, and its JSON file.
 
 A step makes a new state: to go back is to keep one.
 

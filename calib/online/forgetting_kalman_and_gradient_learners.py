@@ -1,4 +1,6 @@
-"""Learners of the 42 parameters pose by pose (forgetting, Kalman, gradient), and their JSON file.
+"""Forgetting, Kalman and gradient learners.
+
+They learn the 42 parameters pose by pose, and are kept in a JSON file.
 
 They watch for nothing: each says how far a pose was from what it expected, and follows it.
 """

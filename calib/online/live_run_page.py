@@ -1,4 +1,7 @@
-"""Live run page: verdict, figures in mm and mrad, camera images and the rig in 3-D while a run lasts."""
+"""Live page of a run.
+
+Verdict, figures in mm and mrad, camera images and the rig in 3-D while a run lasts.
+"""
 
 import math
 from collections.abc import Callable

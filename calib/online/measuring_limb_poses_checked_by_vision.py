@@ -1,4 +1,6 @@
-"""Platform poses from measuring limbs, recorded or live, checked by redundant limbs and by vision.
+"""Platform poses from measuring limbs, checked by vision.
+
+Recorded or live, checked by redundant limbs and by vision.
 
 The limbs are learnt on as struts are, from vision's poses, beginning with what their acceptance knows: then what
 detects a strut that missed steps (filter_kernels_and_change_detection.py) detects a limb that slipped. One pose of

@@ -1,4 +1,7 @@
-"""limbs.json: accepted measuring limbs with their geometry, agreement and verdict, saved and loaded."""
+"""Accepted measuring limbs as a JSON file (limbs.json).
+
+With their geometry, agreement and verdict, saved and loaded.
+"""
 
 import json
 from dataclasses import dataclass, replace

@@ -1,4 +1,7 @@
-"""Parameters learnt from the poses of a recording, one at a time: by the filter, or by a simple learner."""
+"""Learning of parameters from a recording's poses.
+
+One pose at a time: by the filter, or by a simple learner.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

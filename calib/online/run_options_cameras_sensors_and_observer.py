@@ -1,4 +1,7 @@
-"""Run options, and a run's equipment opened: kernels compiled, cameras and exposures, sensors, observer."""
+"""Run options, and a run's cameras, sensors and observer.
+
+All are opened: kernels compiled, cameras and their exposures, sensors, observer.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,7 @@
-"""HTML page of a measurement: camera residuals, pictures of frames, platform poses and uncertainty."""
+"""HTML page of a measurement.
+
+Camera residuals, pictures of frames, platform poses and uncertainty.
+"""
 
 import base64
 import html

@@ -1,4 +1,7 @@
-"""HTML pages of on-line learning and of measuring limbs compared with vision."""
+"""HTML pages of on-line learning and of measuring limbs.
+
+Limbs are compared with vision.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

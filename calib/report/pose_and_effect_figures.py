@@ -1,4 +1,7 @@
-"""Figures of poses for pages (plots, 3-D scenes), displacements of poses by one effect, and sketches of effects."""
+"""Figures of poses and of effects for pages.
+
+Plots and 3-D scenes of poses, displacements of poses by one effect, and sketches of effects.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace

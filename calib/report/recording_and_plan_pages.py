@@ -1,4 +1,7 @@
-"""HTML pages of a recording and of a plan: their poses in a 3-D scene, and effects on them."""
+"""HTML pages of a recording and of a plan.
+
+Their poses in a 3-D scene, and effects on them.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,4 +1,7 @@
-"""HTML pages of a verification and of repeated visits: whether a calibration's claim still holds."""
+"""HTML pages of a verification and of repeated visits.
+
+Whether a calibration's claim still holds.
+"""
 
 import math
 from collections.abc import Sequence

@@ -1,4 +1,6 @@
-"""Confounded conditions of a recording: direction, time, temperature or load correlated with place.
+"""Confounded conditions of a recording.
+
+Direction, time, temperature or load correlated with place.
 
 A cause that is a function of place over the poses recorded is absorbed by a correction that is one: its effect then
 looks like geometry, and held-out poses of the same plan agree. Of each axis, a cause is regressed on smooth functions

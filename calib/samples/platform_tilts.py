@@ -1,4 +1,6 @@
-"""Poses of a platform with what tilt sensors on it add: the two angles against gravity, weighted by their covariance.
+"""Platform poses combined with tilt sensor readings.
+
+What tilt sensors on a platform add: the two angles against gravity, weighted by their covariance.
 
 How the sensors are mounted, and where gravity points in the frame of poses, are solved for with the errors that all
 poses share; what these leave uncertain is shared by all poses again. To first order this is the posterior of normal

@@ -1,4 +1,7 @@
-"""Samples of commanded and measured poses, with their conditions: from an instrument's poses, images or poses.csv."""
+"""Samples of commanded and measured poses.
+
+With their conditions: from an instrument's poses, images or poses.csv.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Worked example of two struts and a hinge with four samples, and its figures as SVG.
+"""Four-sample example of two struts, and its figures.
+
+A worked example of two struts and a hinge; the figures are SVG.
 
 Source: configuration-space patent, [0079] to [0091]: two lengths L1 and L2 of either strut make the sample set (L1,
 L1), (L1, L2), (L2, L1), (L2, L2); each gives a theoretical and a measured pose; IK of the measured one gives (L1',

@@ -1,4 +1,6 @@
-"""Workspace map (cells with margins and error bounds), and lost poses: reach lost or gained by correction.
+"""Workspace map, and lost poses.
+
+Cells with margins and error bounds; reach lost or gained by correction.
 
 Source: configuration-space patent, [0029] and claim 5 (the poses that the control function can give, and those that the
     machine really takes)

@@ -1,4 +1,7 @@
-"""HTML page of a workspace: sentences, figures of its cells, and verdict."""
+"""HTML page of a workspace.
+
+Sentences, figures of its cells, and verdict.
+"""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path

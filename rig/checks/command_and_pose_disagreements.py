@@ -1,4 +1,7 @@
-"""Disagreements of a platform's commands and measured poses: wrong struts, joints, clocks, frames, conventions."""
+"""Disagreements of a platform's commands and measured poses.
+
+Wrong struts, joints, clocks, frames, conventions.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

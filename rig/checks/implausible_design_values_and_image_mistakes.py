@@ -1,4 +1,7 @@
-"""Implausible values of rig.toml, and image mistakes: unused cameras, duplicate images, corners outside images."""
+"""Implausible design values, and image mistakes.
+
+Values of rig.toml; unused cameras, duplicate images, corners outside images.
+"""
 
 import tomllib
 from collections import defaultdict

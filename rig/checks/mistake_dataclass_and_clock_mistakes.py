@@ -1,4 +1,6 @@
-"""Mistake of a user as a data type, sorting of mistakes, and mistakes of clocks and times.
+"""Mistake dataclass, and mistakes of clocks and times.
+
+A mistake of a user as a data type, and the sorting of mistakes.
 
 A Mistake says what is wrong in a recording or rig.toml and what to do; times may be in wrong units, repeated or apart,
 or a shift lies between frames' and commands' clocks.

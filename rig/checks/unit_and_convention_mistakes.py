@@ -1,4 +1,7 @@
-"""Unit and convention mistakes of a recording: in sensor channels, environment values, commands and poses."""
+"""Unit and convention mistakes of a recording.
+
+In sensor channels, environment values, commands and poses.
+"""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,7 @@
-"""Mistakes that make a recording unreadable, reported in place of the bare reading error."""
+"""Mistakes that make a recording unreadable.
+
+They are reported in place of the bare reading error.
+"""
 
 import tomllib
 from collections.abc import Iterator

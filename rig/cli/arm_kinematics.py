@@ -1,4 +1,7 @@
-"""rig arm kinematics: forward and inverse kinematics of an arm, all solutions, step by step on request."""
+"""rig arm kinematics: forward and inverse kinematics of an arm.
+
+All solutions, step by step on request.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""rig arm posture: optimal posture of a redundant arm at a fixed hand pose, for sensing or exerting a force."""
+"""rig arm posture: optimal posture of a redundant arm.
+
+At a fixed hand pose, for sensing or exerting a force.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""rig arm wrench: external wrench on an arm's hand, estimated from joint torques or motor currents, with covariance."""
+"""rig arm wrench: external wrench on an arm's hand.
+
+It is estimated from joint torques or motor currents, with covariance.
+"""
 
 from __future__ import annotations
 

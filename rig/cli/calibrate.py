@@ -1,4 +1,7 @@
-"""rig calibrate: calibrate a machine from recordings; writes calibration.json with held-out errors, and a page."""
+"""rig calibrate: calibrate a machine from recordings.
+
+It writes calibration.json with held-out errors, and a page.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""rig calibrate online: learn a recording's parameters pose by pose; report sudden changes of the machine."""
+"""rig calibrate online: learn parameters pose by pose.
+
+Of a recording; sudden changes of the machine are reported.
+"""
 
 from __future__ import annotations
 

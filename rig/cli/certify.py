@@ -1,4 +1,7 @@
-"""rig certify: certify a calibration by held-out recordings; writes the certificate as HTML, JSON, PDF or XML."""
+"""rig certify: certify a calibration by held-out recordings.
+
+It writes the certificate as HTML, JSON, PDF or XML.
+"""
 
 from __future__ import annotations
 

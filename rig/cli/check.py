@@ -1,4 +1,7 @@
-"""rig check: check a recording for mistakes and print them, the likeliest cause first."""
+"""rig check: check a recording for mistakes.
+
+It prints them, the likeliest cause first.
+"""
 
 import argparse
 from pathlib import Path

@@ -1,4 +1,7 @@
-"""Command line `rig`: lists the commands, imports the chosen one, runs it, returns its exit status."""
+"""Command line rig.
+
+It lists the commands, imports the chosen one, runs it, returns its exit status.
+"""
 
 import argparse
 import errno

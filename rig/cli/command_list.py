@@ -1,4 +1,7 @@
-"""Commands of the command line: names, groups and one line on each; earlier names and what they are now."""
+"""List of the commands of the command line.
+
+Names, groups and one line on each; earlier names and what they are now.
+"""
 
 GROUPS = {
     "prepare": {

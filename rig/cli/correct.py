@@ -1,4 +1,7 @@
-"""rig correct: corrected commands for wanted poses by a calibration; or corrected poses of readings."""
+"""rig correct: corrected commands for wanted poses.
+
+By a calibration; or corrected poses of readings.
+"""
 
 from __future__ import annotations
 

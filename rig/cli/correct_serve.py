@@ -1,4 +1,7 @@
-"""rig correct serve: answer wanted poses with corrected commands on a loopback port, for programs of this computer."""
+"""rig correct serve: serve corrected commands for wanted poses.
+
+It answers on a loopback port, for programs of this computer.
+"""
 
 from __future__ import annotations
 

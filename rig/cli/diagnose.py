@@ -1,4 +1,7 @@
-"""rig diagnose: diagnose recordings: which effects the model leaves out, where, how large, the evidence."""
+"""rig diagnose: diagnose recordings.
+
+Which effects the model leaves out, where, how large, the evidence.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""rig doctor: check this computer's installation: packages, OpenGL, cameras, ports, disk space, threads."""
+"""rig doctor: check this computer's installation.
+
+Packages, OpenGL, cameras, ports, disk space, threads.
+"""
 
 from argparse import ArgumentParser, Namespace
 

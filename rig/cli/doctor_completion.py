@@ -1,4 +1,7 @@
-"""rig doctor completion: print the completion script for bash, zsh or fish."""
+"""rig doctor completion: print the shell completion script.
+
+For bash, zsh or fish.
+"""
 
 from argparse import ArgumentParser, Namespace
 

@@ -1,4 +1,7 @@
-"""rig effects: list the effects of the catalogue, print one in full, or write a file for an effect of one's own."""
+"""rig effects: list the effects of the catalogue.
+
+Or print one in full, or write a file for an effect of one's own.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""rig effects document: write the catalogue of effects as a document: model, parameters, experiment, remedy, sketch."""
+"""rig effects document: write the effects as a document.
+
+Of each effect in the catalogue: model, parameters, experiment, remedy, sketch.
+"""
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable

@@ -1,4 +1,7 @@
-"""rig emulate: emulate a controller at a pseudo-terminal or over TCP, with faults on request."""
+"""rig emulate: emulate a controller.
+
+At a pseudo-terminal or over TCP, with faults on request.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""rig export: write a calibrated geometry, lenses or a recording in the formats of other programs.
+"""rig export: write in the formats of other programs.
+
+A calibrated geometry, lenses or a recording.
 
 Formats: genhexkins, URDF, SDF, LinuxCNC, JSON, CSV, a grid, C; of lenses OpenCV and ROS; of a recording TUM and
 Parquet.

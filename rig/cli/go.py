@@ -1,4 +1,7 @@
-"""rig go: move the platform to one pose through a calibration: corrected lengths, checked, read back."""
+"""rig go: move the platform to one pose.
+
+Through a calibration: corrected lengths, checked, read back.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""rig home: homing of all struts by the controller, and their positions printed."""
+"""rig home: homing of all struts.
+
+By the controller, and their positions are printed.
+"""
 
 from argparse import ArgumentParser, Namespace
 

@@ -1,4 +1,7 @@
-"""rig import: import images, tables and camera files as a recording, and write the recipe of it."""
+"""rig import: import foreign files as a recording.
+
+Images, tables and camera files; the recipe of the import is written.
+"""
 
 import argparse
 from pathlib import Path

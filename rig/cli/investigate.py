@@ -1,4 +1,7 @@
-"""rig investigate: plan, record and diagnose in a loop until nothing is ambiguous, then calibrate and certify."""
+"""rig investigate: plan, record and diagnose in a loop.
+
+Until nothing is ambiguous; then it calibrates and certifies.
+"""
 
 import re
 from argparse import ArgumentParser, ArgumentTypeError, Namespace

@@ -1,4 +1,7 @@
-"""rig jog: move struts once, by a distance or to given lengths, checked as any move; nothing is interactive."""
+"""rig jog: move struts once.
+
+By a distance or to given lengths, checked as any move; nothing is interactive.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""rig lens: calibrate one camera's lens from photographs of a board; models compared, [[camera]] block printed."""
+"""rig lens: calibrate one camera's lens.
+
+From photographs of a board; models are compared, and the [[camera]] block is printed.
+"""
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path

@@ -1,4 +1,7 @@
-"""rig limbs closures: find which six legs give the pose, and the closure errors of the others."""
+"""rig limbs closures: closure errors of redundant legs.
+
+It finds which six legs give the pose; the closure errors are those of the others.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""rig limbs test: calibrate measuring limbs in place and check them against vision; accepted ones are saved.
+"""rig limbs test: test measuring limbs against vision.
+
+Limbs are calibrated in place and checked; accepted ones are saved.
 
 Accepted limbs can replace vision as the source of poses.
 """

@@ -1,4 +1,7 @@
-"""rig measure: measure platform poses with covariance from a recording's images; cameras adjusted."""
+"""rig measure: measure platform poses from images.
+
+Of a recording, with covariance; cameras are adjusted.
+"""
 
 from __future__ import annotations
 

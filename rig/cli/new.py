@@ -1,4 +1,7 @@
-"""rig new: create a starting rig.toml in a folder, from four questions or options."""
+"""rig new: create a starting rig.toml.
+
+In a folder, from four questions or options.
+"""
 
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace

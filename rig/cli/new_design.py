@@ -1,4 +1,7 @@
-"""rig new design: write the rig.toml of a new design from a radius, an arm's name, its URDF or its table of rows."""
+"""rig new design: write the rig.toml of a new design.
+
+From a radius, an arm's name, its URDF or its table of rows.
+"""
 
 import sys
 from argparse import ArgumentParser, Namespace

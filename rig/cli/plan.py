@@ -1,4 +1,7 @@
-"""rig plan: plan which configurations to visit, for parameters, a promised accuracy, or to separate effects."""
+"""rig plan: plan which configurations to visit.
+
+For parameters, a promised accuracy, or to separate effects.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""rig print: write the marker cubes of a rig.toml as sheets to print true to scale (PDF), or as STL bodies."""
+"""rig print: write marker cubes to print.
+
+Those of a rig.toml, as sheets to print true to scale (PDF), or as STL bodies.
+"""
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path

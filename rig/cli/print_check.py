@@ -1,4 +1,7 @@
-"""rig print check: check a printed marker sheet by a photograph: the true side of its markers."""
+"""rig print check: check a printed marker sheet.
+
+By a photograph: the true side of its markers.
+"""
 
 from __future__ import annotations
 

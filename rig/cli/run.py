@@ -1,4 +1,7 @@
-"""rig run: run a plan on the real machine: move, settle, expose, journal; frames are measured during the run."""
+"""rig run: run a plan on the real machine.
+
+Move, settle, expose, journal; frames are measured during the run.
+"""
 
 from __future__ import annotations
 

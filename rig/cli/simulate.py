@@ -1,4 +1,7 @@
-"""rig simulate: simulate a recording under a plan, or from a diagnosis; its truth is written separately."""
+"""rig simulate: simulate a recording under a plan.
+
+Or from a diagnosis; its truth is written separately.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""rig simulate blind: diagnose blind cases on simulated rigs, and score the answers."""
+"""rig simulate blind: diagnose blind cases on simulated rigs.
+
+And score the answers.
+"""
 
 from __future__ import annotations
 

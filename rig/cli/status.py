@@ -1,4 +1,7 @@
-"""rig status: controller status, printed; nothing moves."""
+"""rig status: print the controller's status.
+
+Nothing moves.
+"""
 
 from argparse import ArgumentParser, Namespace
 

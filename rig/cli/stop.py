@@ -1,4 +1,6 @@
-"""rig stop: stop the struts immediately, and any process that moves them.
+"""rig stop: stop the struts immediately.
+
+And any process that moves them.
 
 Nothing that takes time is imported before the controller was sent its urgent stop.
 """

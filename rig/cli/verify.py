@@ -1,4 +1,7 @@
-"""rig verify: verify a calibration by a recording not used for it: error before and after correction."""
+"""rig verify: verify a calibration by another recording.
+
+One not used for it: error before and after correction.
+"""
 
 from __future__ import annotations
 

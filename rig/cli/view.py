@@ -1,4 +1,7 @@
-"""rig view: view a recording: a picture of one frame with markers and residuals, or a 3-D page of all poses."""
+"""rig view: view a recording.
+
+A picture of one frame with markers and residuals, or a 3-D page of all poses.
+"""
 
 from __future__ import annotations
 

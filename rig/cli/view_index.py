@@ -1,4 +1,7 @@
-"""rig view index: write the index page of all pages below a folder, each with its verdict."""
+"""rig view index: write an index page of pages.
+
+Of all pages below a folder, each with its verdict.
+"""
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path

@@ -1,4 +1,7 @@
-"""rig watch: watch a calibration's drift by small visits: whether it still holds, what changed."""
+"""rig watch: watch a calibration's drift by small visits.
+
+Whether it still holds, what changed.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""rig why: calibrate and diagnose a machine from data; print how wrong, why, how sure, what to do and measure."""
+"""rig why: why a machine is not where its model says.
+
+It calibrates and diagnoses from data, and prints how wrong, why, how sure, what to do and measure.
+"""
 
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace

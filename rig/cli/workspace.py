@@ -1,4 +1,7 @@
-"""rig workspace: reachable workspace with a calibration: poses lost and gained, limits, singularities."""
+"""rig workspace: reachable workspace with a calibration.
+
+Poses lost and gained, limits, singularities.
+"""
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path

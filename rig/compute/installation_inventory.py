@@ -1,4 +1,7 @@
-"""Inventory of the installation for `rig doctor`: packages, OpenGL, cameras, serial ports, disk space, threads."""
+"""Inventory of the installation.
+
+For `rig doctor`: packages, OpenGL, cameras, serial ports, disk space, threads.
+"""
 
 import os
 import platform

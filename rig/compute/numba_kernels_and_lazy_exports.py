@@ -1,4 +1,6 @@
-"""Numba kernels: lazy compilation and private cache folder; lazy exports of a package's names.
+"""Numba kernels, and lazy exports of packages.
+
+Kernels are compiled lazily, with a private cache folder; exports are a package's names.
 
 Files in the cache are loaded as code, so its folder must be private.
 """

@@ -1,4 +1,6 @@
-"""Parallel map of a function over items: by forked processes, threads, or the workers of a Dask cluster.
+"""Parallel map of a function, and the Dask cluster.
+
+Over items: by forked processes, threads, or the workers of a cluster.
 
 Threads within the products of matrices as small as here cost more than they bring; who calls limits them to one.
 """

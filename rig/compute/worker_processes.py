@@ -1,4 +1,7 @@
-"""Worker processes: pools, their number, mapping over them; they end when their parent process ends."""
+"""Worker processes and their pools.
+
+Their number, and mapping over them; they end when their parent process ends.
+"""
 
 import ctypes
 import gc

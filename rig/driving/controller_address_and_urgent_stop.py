@@ -1,4 +1,6 @@
-"""Controller address as rig.toml states it, and its urgent stop, sent before anything that takes time is imported.
+"""Controller address, and its urgent stop.
+
+As rig.toml states it; the stop is sent before anything that takes time is imported.
 
 What a rig.toml states of its controller is read here as text alone; whoever goes on reads it whole, and refuses it.
 """

@@ -1,4 +1,6 @@
-"""Controller lock: one process drives a controller; who holds the lock, and how that process is stopped.
+"""Controller lock: one process drives a controller.
+
+Who holds the lock, and how that process is stopped.
 
 The lock is a listening socket, named by the device: who listens at the name holds it, until its process ends. On Linux
 sockets are in the abstract namespace: they are no files, so that no folder, environment or umask decides who sees them

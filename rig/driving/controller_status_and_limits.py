@@ -1,4 +1,6 @@
-"""Controller status, advice to the operator, and limits (travel, speed, acceleration) that a controller itself has.
+"""Controller status, and limits of a controller.
+
+With advice to the operator; limits are travel, speed and acceleration that a controller itself has.
 
 Moves are checked against the limits; a warning says where they are tighter than the rig.toml's.
 """

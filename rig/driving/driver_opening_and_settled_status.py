@@ -1,4 +1,7 @@
-"""Driver opening for a design, locked against other processes, and settled status once no axis moves."""
+"""Driver opening for a design, and settled status.
+
+A driver is locked against other processes; status is settled once no axis moves.
+"""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager

@@ -1,4 +1,7 @@
-"""Steps of a run from its plan, checked before motion; progress of the run from its journal."""
+"""Steps of a run, and its progress.
+
+Steps come from its plan and are checked before motion; progress is read from its journal.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field

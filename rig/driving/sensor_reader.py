@@ -1,4 +1,7 @@
-"""Sensors read from a port, a line of numbers per reading, or by a program of the user's own."""
+"""Reader of sensors during a run.
+
+From a port, a line of numbers per reading, or by a program of the user's own.
+"""
 
 from collections.abc import Callable, Mapping
 

@@ -1,4 +1,7 @@
-"""Serial port of a controller, opened for one process alone; it imports nothing that takes time."""
+"""Serial port of a controller.
+
+It is opened for one process alone, and imports nothing that takes time.
+"""
 
 import io
 import os

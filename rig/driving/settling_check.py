@@ -1,4 +1,7 @@
-"""Settling check before an exposure: by time, until images stop changing, or until limb readings agree."""
+"""Settling check before an exposure.
+
+By time, until images stop changing, or until limb readings agree.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

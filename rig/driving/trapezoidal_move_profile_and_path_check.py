@@ -1,4 +1,7 @@
-"""Straight moves of all axes: segment at a share of full speed, trapezoidal profile, check of the path."""
+"""Trapezoidal move profile, and path check.
+
+Moves of all axes are straight: segment at a share of full speed.
+"""
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform

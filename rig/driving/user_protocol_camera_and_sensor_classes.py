@@ -1,4 +1,6 @@
-"""Classes that a user's own file, or the entry point of a package, gives for a protocol, a camera or sensors.
+"""User's own protocol, camera and sensor classes.
+
+A user's own file, or the entry point of a package, gives them.
 
 Both are programs and are run: only by what drives the controller or opens the camera, never by reading a rig.toml.
 """

@@ -1,4 +1,6 @@
-"""Tables in CSV and Parquet files, read and written; the time origin of a recording.
+"""CSV and Parquet tables, and the time origin.
+
+Tables are read and written; the origin is that of a recording.
 
 Errors with line and column; the owner's clock to seconds from the start, and back, without rounding.
 A clock that counts from 1970 stands at 1.7e9 s, where a float resolves 2.4e-7 s; the start is therefore taken off in

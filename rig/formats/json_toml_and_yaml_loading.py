@@ -1,4 +1,7 @@
-"""JSON, TOML and YAML files loaded into Entries with line and column of each value, and values as JSON data."""
+"""Loading of JSON, TOML and YAML files.
+
+Into Entries with line and column of each value; and values as JSON data.
+"""
 
 from __future__ import annotations
 

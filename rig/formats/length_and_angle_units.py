@@ -1,4 +1,7 @@
-"""Length and angle units that the owner of a file states ("mm, deg"), and their conversion to m and rad."""
+"""Length and angle units, and their conversion.
+
+Those that the owner of a file states ("mm, deg"), converted to m and rad.
+"""
 
 import re
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,6 @@
-"""Local and remote input files, opened and read: in folders, or behind a URL (s3, http) by fsspec.
+"""Local and remote input files.
+
+Opened and read: in folders, or behind a URL (s3, http) by fsspec.
 
 `Path("s3://bucket/rec") / "frames.csv"` stands for s3://bucket/rec/frames.csv wherever outside data are read. Files
 come one by one as they are read and are kept nowhere; `filecache::s3://bucket/rec` is fsspec's word for keeping them.

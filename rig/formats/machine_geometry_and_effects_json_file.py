@@ -1,4 +1,7 @@
-"""Machine and its effects as a JSON file: true or identified geometry, cameras, effects."""
+"""Machine geometry and effects as a JSON file.
+
+True or identified geometry, cameras, effects.
+"""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace

@@ -1,4 +1,6 @@
-"""Numbers parsed strictly from text, and rounded to significant digits with a readable unit.
+"""Parsing and rounding of numbers.
+
+Parsed strictly from text, and rounded to significant digits with a readable unit.
 
 Python takes more (1_0, nan, other scripts' digits, spaces).
 """

@@ -1,4 +1,6 @@
-"""A Python file of the user's own, read and run; errors name the file, the line and what is missing.
+"""A Python file of the user's own, read and run.
+
+Errors name the file, the line and what is missing.
 
 The file is run: it is a program, to be trusted as one. A file behind a URL is never run.
 """

@@ -1,4 +1,7 @@
-"""Tilt of a machine's base by a sensor channel, gravity in the base's frame as it turns, and tilt sensors on links."""
+"""Tilt of a machine's base, and tilt sensors.
+
+By a sensor channel, gravity in the base's frame as it turns; sensors are on links.
+"""
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace

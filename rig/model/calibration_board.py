@@ -1,4 +1,7 @@
-"""Calibration boards (ChArUco, ArUco grid, Kalibr's AprilGrid): their printed layout, parsed from their description."""
+"""Calibration boards (ChArUco, ArUco grid, AprilGrid).
+
+Kalibr's AprilGrid; their printed layout, parsed from their description.
+"""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,7 @@
-"""Design of a rig as its owner states it: mechanism, platform, controller, cameras and targets."""
+"""Design of a rig as its owner states it.
+
+Mechanism, platform, controller, cameras and targets.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Contradictions of two designs of one rig, and cubes turned by quarters, with instructions to the operator."""
+"""Comparison of two designs, and cube turning instructions.
+
+Contradictions of two designs of one rig; cubes turned by quarters, with instructions to the operator.
+"""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,4 +1,6 @@
-"""Places where effects act, and tolerances of markers, corner finder, thermometers and cube seats with their reasons.
+"""Places where effects act, and part tolerances.
+
+Tolerances of markers, corner finder, thermometers and cube seats, with their reasons.
 
 Files, JSON and the command line have a place's text. What lies within the tolerances may be there beyond chance and
 still is nobody's fault: a diagnosis mentions it as a remark, with its size.

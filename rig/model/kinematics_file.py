@@ -1,4 +1,6 @@
-"""Kinematics file of a machine's owner: axes, parameters, home, inverse and forward; loaded, run and checked.
+"""Kinematics file of a machine's owner.
+
+Axes, parameters, home, inverse and forward; loaded, run and checked.
 
 The file is run: it is a program, to be trusted as one. What is wrong with it is reported with file and line.
 """

@@ -1,4 +1,7 @@
-"""Checks of a kinematics file's functions: shapes, numbers, round trip, derivatives; and the cached loading of one."""
+"""Checks of a kinematics file.
+
+Of its functions: shapes, numbers, round trip, derivatives; and the cached loading of one.
+"""
 
 from dataclasses import replace
 from functools import lru_cache, partial

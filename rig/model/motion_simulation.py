@@ -1,4 +1,7 @@
-"""Simulation of motion: poses of the machine from commands through time, with effects."""
+"""Simulation of a machine's motion.
+
+Poses of the machine from commands through time, with effects.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace

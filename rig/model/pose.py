@@ -1,4 +1,6 @@
-"""Poses (SciPy's RigidTransform): tangents, translation first, covariances, vectors; rotation increments.
+"""Poses (SciPy's RigidTransform) and their tangents.
+
+Tangents, translation first, covariances, vectors; rotation increments.
 
 Frames: T_a_b maps b's coordinates to a. Tangent xi = (x, y, z, rx, ry, rz) in m and rad stands on the right:
 T = T_mean * exp(xi), so it lives in b's frame.

@@ -1,4 +1,7 @@
-"""Names of controller protocols, of ports and of user programs, and their checks; imports nothing that takes time."""
+"""Names of controller protocols and of ports.
+
+And of user programs, and their checks; imports nothing that takes time.
+"""
 
 PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "linuxcnc", "struts")
 USER_PROGRAMS = ("file", "package")  # KIND:PLACE of a protocol or camera of the user's own

@@ -1,4 +1,6 @@
-"""Balance of visiting order and approach side: neither time nor direction correlates with position.
+"""Balanced visiting order and approach side.
+
+Neither time nor direction correlates with position.
 
 A correction fitted to place absorbs whatever goes with place. A Sobol sequence in its own order comes to the upper half
 of a stroke from below and to the lower half from above, so that play looks like a map; a grid in serpentine order goes

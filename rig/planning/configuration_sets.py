@@ -1,4 +1,7 @@
-"""Sets of configurations to visit: Sobol points, grids, simplices, moves along axes, ISO 9283 poses."""
+"""Generators of configurations to visit.
+
+Sobol points, grids, simplices, moves along axes, ISO 9283 poses.
+"""
 
 from collections.abc import Sequence
 from itertools import product

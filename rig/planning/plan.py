@@ -1,4 +1,6 @@
-"""Plan of a recording, built from named parts: configurations to visit, their order, how long, what payload.
+"""Plan of a recording, built from named parts.
+
+Configurations to visit, their order, how long, what payload.
 
 A plan is written as parts separated by commas, each NAME or NAME:COUNT: sobol:100,ladder,moving:60 visits a hundred
 low-discrepancy configurations, then a ladder of reversals, then exposes sixty times while moving.

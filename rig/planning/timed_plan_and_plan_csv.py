@@ -1,4 +1,7 @@
-"""Construction of a Plan in time (moves, dwells, exposures, payload), and plans as CSV tables."""
+"""Timed Plan, and plans as CSV.
+
+Construction of a Plan in time: moves, dwells, exposures, payload.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,6 @@
-"""Force transmission of an arm's posture to its joints, and the wrench it can exert within torque limits.
+"""Force transmission of an arm, and exertable wrench.
+
+How a posture transmits forces to the joints; the wrench it can exert within torque limits.
 
 Torques within their limits, less what the arm's own weight takes, are a box; forces that map into it by J^T are a
 polytope, so that the greatest force along a direction is where the ray leaves it, the least greatest force the radius

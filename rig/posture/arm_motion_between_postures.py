@@ -1,4 +1,6 @@
-"""Arm motion between postures: hand still, hand on a straight line, or to the best posture visited.
+"""Arm motion between postures.
+
+Hand still, hand on a straight line, or to the best posture visited.
 
 Source: patent on force measurement with redundant manipulators, [0021], [0022].
 

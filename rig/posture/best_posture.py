@@ -1,4 +1,7 @@
-"""Best posture of a redundant arm at a fixed hand pose, and the motion into it: searched for, or of those visited."""
+"""Best posture of a redundant arm at a fixed hand pose.
+
+And the motion into it: searched for, or of those visited.
+"""
 
 from dataclasses import dataclass, field
 from pathlib import Path

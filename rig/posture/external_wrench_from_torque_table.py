@@ -1,4 +1,7 @@
-"""External wrench on an arm's hand from a torque table of its joints, by momentum observer and pseudo-inverse."""
+"""External wrench on an arm's hand from a torque table.
+
+Of its joints, by momentum observer and pseudo-inverse.
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

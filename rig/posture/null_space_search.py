@@ -1,4 +1,6 @@
-"""Search in the null space for a better posture: by gradient, samples or the whole self-motion, hand still.
+"""Search in the null space for a better posture.
+
+By gradient, samples or the whole self-motion, hand still.
 
 Three ways: along the gradient, projected on the null space; over postures sampled at random; and over the whole
 self-motion, traced densely from end to end, which says how good the others' answer is.

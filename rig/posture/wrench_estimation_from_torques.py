@@ -1,4 +1,6 @@
-"""Wrench at an arm's hand estimated from joint torques: by least squares, or in motion by a momentum observer.
+"""Wrench estimation at an arm's hand from joint torques.
+
+By least squares, or in motion by a momentum observer.
 
 A Kalman filter whose state is (joint values, momentum, error of the last torques, wrench): a torque's error acts before
 and after its reading.

@@ -1,4 +1,6 @@
-"""Combined recordings of one rig: one timeline, moved cameras and remounted cubes as separate ones.
+"""Combined recordings of one rig.
+
+One timeline, moved cameras and remounted cubes as separate ones.
 
 What the machine is stays shared. Each recording keeps its own poses, its log and its own beginning: effects that
 remember (a play's side, a lag, how long it has been warm, how far a clock has run) know nothing of the recording

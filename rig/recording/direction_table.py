@@ -1,4 +1,7 @@
-"""Table of directions, as of a telescope at stars: azimuth and elevation, or unit vectors."""
+"""Table of directions, as of a telescope at stars.
+
+Azimuth and elevation, or unit vectors.
+"""
 
 from pathlib import Path
 

@@ -1,4 +1,6 @@
-"""Frame selection of a recording by numbers, and content hashes by which its frames are recognised.
+"""Frame selection of a recording, and content hashes.
+
+Selected by numbers; its frames are recognised by hashes.
 
 What one camera saw in one frame is marked by its content: the image file's bytes, the corners found in it (marker,
 corner, u, v), or, of an outside instrument, the pose's numbers; what measuring limbs read at it likewise. Neither the

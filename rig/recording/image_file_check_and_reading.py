@@ -1,4 +1,7 @@
-"""Check of an image file before decoding: format, size, completeness, location; and its reading."""
+"""Check of an image file, and its reading.
+
+Before decoding: format, size, completeness, location.
+"""
 
 import os
 import re

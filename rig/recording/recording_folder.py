@@ -1,4 +1,7 @@
-"""Loading of a recording's folder into arrays (Recording): commands, exposures, sensors, corners, poses; checked."""
+"""Folder of a recording, loaded into arrays (Recording).
+
+Commands, exposures, sensors, corners, poses; checked.
+"""
 
 import re
 from collections.abc import Sequence

@@ -1,4 +1,7 @@
-"""Loading, with checks, and writing of a recording's tables: exposures, corners, poses and configurations (CSV)."""
+"""Loading and writing of a recording's tables.
+
+With checks: exposures, corners, poses and configurations (CSV).
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,4 +1,7 @@
-"""How a result shows itself: one line in a console, HTML in a notebook."""
+"""Display of results in console and notebook.
+
+One line in a console, HTML in a notebook.
+"""
 
 from collections.abc import Iterable, Sequence
 from html import escape

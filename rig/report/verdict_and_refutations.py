@@ -1,4 +1,6 @@
-"""Verdict of a result, judged from its evidence; refutations of result files by later recordings, loaded and added.
+"""Verdict of a result, and refutations of result files.
+
+A verdict is judged from its evidence; refutations, by later recordings, are loaded and added.
 
 Good needs all of it: a held-out error within AGREES of what noise and claim allow, nothing unexplained, and nothing
 stated beyond what the design of the recording supports. Bad is what was refuted: by a later recording, by an error

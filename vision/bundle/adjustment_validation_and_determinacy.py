@@ -1,4 +1,7 @@
-"""Validation of an adjustment on held-out frames, and determinacy: which unknowns the recording determines."""
+"""Validation of an adjustment, and determinacy of its unknowns.
+
+By held-out frames; determinacy says which unknowns the recording determines.
+"""
 
 import re
 from dataclasses import dataclass, replace

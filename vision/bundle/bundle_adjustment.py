@@ -1,4 +1,6 @@
-"""Bundle adjustment of cameras, lenses, marker places and poses: Gauss-Newton with Schur complement.
+"""Bundle adjustment of cameras, markers and poses.
+
+With lenses and marker places: Gauss-Newton with Schur complement.
 
 Unknowns are shared (each fixed camera's pose, each lens, each marker's and target's place) or belong to one frame (the
 platform's pose, each moving camera's pose). The stated places of the base's markers, all together, hold the base frame,

@@ -1,4 +1,7 @@
-"""Displacements of markers and targets from their stated places, and their effect on the residuals."""
+"""Displacements of markers from their stated places.
+
+And of targets, and their effect on the residuals.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Protocol

@@ -1,4 +1,6 @@
-"""Normal equations of an adjustment, and the Jacobians of predicted corners.
+"""Normal equations of an adjustment, and corner Jacobians.
+
+Derivatives of predicted corners.
 
 In blocks: each frame's unknowns, the shared ones, the cross terms; with the compiled kernels that whiten and sum them.
 """

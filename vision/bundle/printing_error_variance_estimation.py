@@ -1,4 +1,6 @@
-"""Estimation of printing errors from the recording itself: variance components by restricted likelihood.
+"""Estimation of the variance of printing errors.
+
+From the recording itself: variance components by restricted likelihood.
 
 Source: Harville, Maximum likelihood approaches to variance component estimation, JASA 72, 1977; fixed point: MacKay,
     Neural Computation 4, 1992

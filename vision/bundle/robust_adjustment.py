@@ -1,4 +1,7 @@
-"""Robust bundle adjustment: outlying corners and unsupported frames are excluded in rounds."""
+"""Robust bundle adjustment.
+
+Outlying corners and unsupported frames are excluded in rounds.
+"""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,6 @@
-"""Unknowns of an adjustment as columns, their estimate, and printing errors of markers among them.
+"""Estimate of an adjustment's unknowns, and printing errors.
+
+Unknowns as columns, their estimate, and printing errors of markers among them.
 
 The estimate is updated by a step.
 A printing error (place, height, angle, side) is a shared unknown with a prior. Of each marker: its place (x, y on its

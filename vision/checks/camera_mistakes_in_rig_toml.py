@@ -1,4 +1,7 @@
-"""Camera mistakes in rig.toml as trials: exchanged cameras, other pose or focal length."""
+"""Trials of camera mistakes in rig.toml.
+
+Exchanged cameras, other pose or focal length.
+"""
 
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,4 +1,7 @@
-"""Trials of other corner and lens conventions, and the trial measurement of sampled frames that scores every trial."""
+"""Trials of other corner and lens conventions.
+
+And the trial measurement of sampled frames that scores every trial.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

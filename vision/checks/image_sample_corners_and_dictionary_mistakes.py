@@ -1,4 +1,7 @@
-"""Image sample of a recording: corners read from it, dictionary mistakes, and mistakes in corners.csv."""
+"""Corners of an image sample, and dictionary mistakes.
+
+The sample is of a recording, and corners are read from it; also mistakes in corners.csv.
+"""
 
 from collections import Counter
 from collections.abc import Iterator

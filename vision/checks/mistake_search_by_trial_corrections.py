@@ -1,4 +1,7 @@
-"""Mistake search by trial corrections of rig.toml and corners.csv, measured on a recording's corners."""
+"""Mistake search by trial corrections.
+
+Of rig.toml and corners.csv, measured on a recording's corners.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace

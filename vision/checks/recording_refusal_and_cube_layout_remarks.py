@@ -1,4 +1,6 @@
-"""Recording refusal where mistakes spoil its poses, and remarks on uneven cube layouts of a rig.toml.
+"""Recording refusal, and remarks on cube layouts.
+
+Refused where mistakes spoil its poses; remarks are on uneven cube layouts of a rig.toml.
 
 None of what is remarked spoils a result; a rig measures better, and alike in all directions, where it is put right.
 Source: the on-line learning patent for Stewart platforms, [0005], [0010]: targets evenly on circles about the middles

@@ -1,4 +1,7 @@
-"""Target mistakes in rig.toml as trials: wrong size, exchanged or turned targets, wrong faces or pose."""
+"""Trials of target mistakes in rig.toml.
+
+Wrong size, exchanged or turned targets, wrong faces or pose.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace

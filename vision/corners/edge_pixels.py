@@ -1,4 +1,7 @@
-"""Edge pixels collected around a square for its fit, by kind of edge (upright, level, where two meet)."""
+"""Edge pixels of a square, collected for its fit.
+
+By kind of edge: upright, level, where two meet.
+"""
 
 import math
 from typing import NamedTuple

@@ -1,4 +1,6 @@
-"""Edge spread function of one camera's images: a plain blur at first, then learned from fit residuals.
+"""Edge spread function of one camera's images.
+
+A plain blur at first, then learned from fit residuals.
 
 An edge spread function is tabulated over the distance from the edge in edge widths, one table for each direction of the
 edge's normal and each of some widths. It begins as a Gaussian seen through square pixels. What is learnt is added to

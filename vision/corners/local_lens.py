@@ -1,4 +1,6 @@
-"""Local lens near one marker: polynomials from pixels to ideal image coordinates.
+"""Local lens near one marker.
+
+Polynomials from pixels to ideal image coordinates.
 
 They are of fourth degree: a lens's fifth leaves cubic ones off by 0.0005 px over a marker of 120 px, the same in every
 image where it stands there.

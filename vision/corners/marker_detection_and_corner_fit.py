@@ -1,4 +1,6 @@
-"""Detection of markers in an image, read or expected: corners with covariance by the fit of the whole square.
+"""Marker detection in an image, and corner fit.
+
+Markers are read or expected; corners come with covariance, by the fit of the whole square.
 
 Markers are read in the whole image: quadrangles, their bits, the identities of a rig's markers.
 

@@ -1,4 +1,7 @@
-"""Numba compilation of corner kernels, and their small numerics: Cholesky solution, order statistics."""
+"""Numba kernels: Cholesky solution and order statistics.
+
+The compilation of corner kernels, and their small numerics.
+"""
 
 import hashlib
 import math

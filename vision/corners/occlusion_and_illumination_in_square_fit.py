@@ -1,4 +1,6 @@
-"""Occlusion and illumination in a square fit, from its residuals: occluded cells, uneven light, displaced edges.
+"""Occlusion and illumination in a square fit.
+
+From its residuals: occluded cells, uneven light, displaced edges.
 
 A pixel far off counts little; one beside it, where the edge of what covers the square is blurred, fits well enough to
 count and is wrong.

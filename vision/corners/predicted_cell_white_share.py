@@ -1,4 +1,6 @@
-"""Predicted white share (0..1) in and around one cell of a marker, by edge spread functions.
+"""Predicted white share of one marker cell.
+
+From 0 to 1, in and around the cell, by edge spread functions.
 
 Source: bivariate normal, Drezner and Wesolowsky 1990
 """

@@ -1,4 +1,6 @@
-"""Predicted white share at a strip of a square's edge pixels, with its derivatives.
+"""Predicted white share of a strip.
+
+At a strip of a square's edge pixels, with its derivatives.
 
 All numbers are in single precision, a strip is one flat array, and places in it are unsigned: so compilers work out
 many pixels at once.

@@ -1,4 +1,6 @@
-"""Fit of one printed square to its pixels: homography, lens, blur and pixel grid.
+"""Fit of one printed square to its pixels.
+
+Homography, lens, blur and pixel grid.
 
 The whole marker is fitted at once (Gauss-Newton on the pixels near its edges): the homography from image to cells (8
 unknowns), the width of the edges (1), and the grey of black and of white, each a plane over the image (6). How

@@ -1,4 +1,7 @@
-"""Sides of a square as the start of its fit, from profiles across them, and a check of its bits."""
+"""Start of a square fit, and bit check.
+
+Its sides, from profiles across them, and a check of its bits.
+"""
 
 import math
 

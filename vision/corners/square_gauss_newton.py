@@ -1,4 +1,6 @@
-"""Gauss-Newton steps of the square fit: normal equations, step, covariance of the corners.
+"""Gauss-Newton steps of the square fit.
+
+Normal equations, step, covariance of the corners.
 
 Unknowns: the homography from image to cells (8), the logarithm of the edges' width (1), the grey of white and of black,
 each a plane over the image (6).

@@ -1,4 +1,7 @@
-"""Pose of one body from its corners in one or several cameras: consensus of markers, robust refinement."""
+"""Pose of one body from its corners.
+
+In one or several cameras: consensus of markers, robust refinement.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,7 @@
-"""Poses of all bodies in each frame, and camera poses from body poses."""
+"""Poses in each frame, and camera poses.
+
+Of all bodies in each frame; camera poses come from body poses.
+"""
 
 from collections.abc import Callable, Sequence
 from copy import copy

@@ -1,4 +1,6 @@
-"""Places of a body's markers from the images alone: relative poses of markers seen together, averaged over images.
+"""Marker places on a body from sightings.
+
+From the images alone: relative poses of markers seen together, averaged over images.
 
 Every image of a marker gives its pose in the camera, two of them where a plane's image is ambiguous. Two markers in one
 image are a relative pose, whatever the camera does; of all images of a pair the one is retained that most agree with.

@@ -1,4 +1,7 @@
-"""Refinement of one pose from its corners, and ambiguous poses decided by the frames before and after."""
+"""Pose refinement, and resolution of ambiguous poses.
+
+Of one pose from its corners; ambiguity is decided by the frames before and after.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,6 @@
-"""Refit of all markers' corners with the adjusted lenses, where these bend markers otherwise.
+"""Corner refit with the adjusted lenses.
+
+Of all markers, where these lenses bend markers otherwise.
 
 A marker is fitted as a whole, its sides bent as the lens bends them: a lens as its owner states it, a thousandth off,
 moves the corners of a large marker by some thousandths of a pixel, the same in every image where it stands there.

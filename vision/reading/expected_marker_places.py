@@ -1,4 +1,7 @@
-"""Expected places of markers in unread images, by cameras and poses learned from images already read."""
+"""Expected places of markers in unread images.
+
+By cameras and poses learned from images already read.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,6 @@
-"""Live measurement of a growing recording: each frame's corners and pose, cameras adjusted now and then.
+"""Live measurement of a growing recording.
+
+Each frame's corners and pose, cameras adjusted now and then.
 
 The first frames' images are searched whole; from then on only the places are read where markers ought to be. Between
 two adjustments the cameras are held, so that one that has moved shows. Adjusting takes seconds and is done beside:

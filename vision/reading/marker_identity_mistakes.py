@@ -1,4 +1,6 @@
-"""Mistakes of marker identity against rig.toml: turned, exchanged, mirrored, repeated, of another dictionary.
+"""Mistakes of marker identity against rig.toml.
+
+Turned, exchanged, mirrored, repeated, of another dictionary.
 
 A sighting most of whose corners were set aside is held against every place that a marker of the rig has, in every turn
 and mirrored: a marker that is mostly seen where something else should be is that. Nothing is mended here; the sightings

@@ -1,4 +1,7 @@
-"""Parallel image map (threads, processes, cluster), and marker rendering: expected images, PNG, white level."""
+"""Parallel image map, and marker rendering.
+
+By threads, processes or cluster; expected images, PNG, white level.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor

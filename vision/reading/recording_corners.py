@@ -1,4 +1,7 @@
-"""Corners of a recording's images, read in parallel, and the search for missed markers."""
+"""Corners of a recording's images.
+
+Read in parallel, and the search for missed markers.
+"""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence

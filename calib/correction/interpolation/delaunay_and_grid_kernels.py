@@ -1,4 +1,6 @@
-"""Delaunay interpolation of scattered samples, and compiled kernels that interpolate on regular grids.
+"""Delaunay interpolation, and kernels of interpolation on grids.
+
+Delaunay interpolation is of scattered samples; compiled kernels interpolate on regular grids.
 
 Beyond the samples' hull a place takes the value where the way to it from their middle leaves the hull, so that the
 field goes on continuously. Source: configuration-space patent, [0033], [0034]; Devillers, Pion and Teillaud, Walking in

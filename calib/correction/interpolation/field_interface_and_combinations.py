@@ -1,4 +1,6 @@
-"""Field interface of all interpolations (value, gradient, error), and combinations: sums and restricted maps.
+"""Field interface of interpolations, and combinations of fields.
+
+A field has value, gradient and error; combinations are sums and restricted maps.
 
 Source: configuration-space patent, [0035] (corrections in some regions of the configuration space or the workspace)
 

@@ -1,4 +1,6 @@
-"""Interpolation on a grid of samples: n-linear, or barycentric on the simplices of a cell.
+"""Interpolation on a grid of samples.
+
+N-linear, or barycentric on the simplices of a cell.
 
 The levels W(0, i) < W(1, i) < .. < W(Q(i), i) of actuator i may leave out the ends of its stroke. Source:
 configuration-space patent, [0031], [0032], [0144], [0145].

@@ -1,4 +1,7 @@
-"""Score of a candidate: explained chi-square, its chance, its cost in BIC, and the best node of its grid."""
+"""Score of a candidate.
+
+Explained chi-square, its chance, its cost in BIC, and the best node of its grid.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,6 @@
-"""Cross-validation of a selection, and probabilities that chance alone explains a score.
+"""Cross-validation of a selection, and probabilities of chance.
+
+How probable it is that chance alone explains a score.
 
 Where a candidate was searched over a nonlinear parameter that means nothing under the null, its greatest delta
 chi-square is not chi-square: Davies' bound is used (Biometrika 74, 1987, 33-43, eq. 3.4), the search's own variation

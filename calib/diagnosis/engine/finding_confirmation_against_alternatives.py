@@ -1,4 +1,7 @@
-"""Finding confirmation against alternatives: each admitted term against all candidates and smooth functions."""
+"""Finding confirmation against alternatives.
+
+Each admitted term against all candidates and smooth functions.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,6 @@
-"""Inner products of columns frame by frame, and least squares reduced by whitening and nuisance elimination.
+"""Inner products of columns by frame, and reduced least squares.
+
+Least squares are reduced by whitening and nuisance elimination.
 
 The normal equations are made of the products; columns are added one at a time, and sums against sinusoids are fast.
 A candidate moves each frame in a few directions (an axis longer, a camera's mount moved) by weights; so a search over

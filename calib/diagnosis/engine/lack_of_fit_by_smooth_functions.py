@@ -1,4 +1,7 @@
-"""Lack of fit by smooth functions of covariates that residuals follow; excess scatter; covariates ranked."""
+"""Lack of fit, shown by smooth functions of covariates.
+
+Functions that residuals follow; excess scatter; covariates ranked.
+"""
 
 from collections import Counter
 from dataclasses import dataclass, replace

@@ -1,4 +1,7 @@
-"""Selection of terms: forward steps, backward removal, held-out tests, confirmation against alternatives."""
+"""Selection of the terms of a model.
+
+Forward steps, backward removal, held-out tests, confirmation against alternatives.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Any, Generic

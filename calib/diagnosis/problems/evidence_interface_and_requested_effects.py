@@ -1,4 +1,6 @@
-"""Evidence interface: what a machine's recording offers a diagnosis; and which effects a diagnosis requests.
+"""Evidence interface of a diagnosis, and the effects it requests.
+
+Evidence is what a machine's recording offers a diagnosis.
 
 A common core and parts of some machines; effects of the catalogue, at which places, are included or omitted.
 """

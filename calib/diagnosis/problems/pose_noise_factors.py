@@ -1,4 +1,6 @@
-"""Factors by which the noise of measured poses exceeds what is stated, estimated from residuals.
+"""Excess of pose noise over what is stated.
+
+Factors, estimated from residuals, by which the noise of measured poses exceeds the stated noise.
 
 Noise of a pose moves all closures of struts together, as the geometry has them, and all numbers of an arm's pose alike;
 what scatters at one strut or joint moves that one alone. The likelihood of the residuals' covariance distinguishes

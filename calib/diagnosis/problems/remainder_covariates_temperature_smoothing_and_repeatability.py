@@ -1,4 +1,6 @@
-"""Covariates of the remainder, smoothing of logged temperatures, and repeatability of repeated commands.
+"""Covariates of the remainder, temperature smoothing, and repeatability.
+
+Logged temperatures are smoothed; repeatability is that of repeated commands.
 
 Covariates are ranked by what they explain of the remainder, with formulas suggested for it; logged temperatures hold a
 thermometer's noise; repeats show whether the remainder repeats with the commands, or is noise.

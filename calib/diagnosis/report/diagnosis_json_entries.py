@@ -1,4 +1,7 @@
-"""Diagnosis JSON entries (diagnosis.json, schema diagnosis/1) as dataclasses, in SI units, px, made of a Diagnosis."""
+"""Diagnosis JSON entries as dataclasses.
+
+Of diagnosis.json, schema diagnosis/1, in SI units and px, made of a Diagnosis.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass

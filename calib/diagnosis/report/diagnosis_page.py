@@ -1,4 +1,7 @@
-"""The HTML page of a diagnosis: verdict, findings with place, size and evidence, actions, figures."""
+"""HTML page of a diagnosis.
+
+Verdict, findings with place, size and evidence, actions, figures.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Report of a Diagnosis, its verdict, and the diagnosis folder.
+"""Report of a diagnosis, its verdict, and its folder.
 
 The report holds its data, summary, doubts and actions; the folder diagnosis.json, and files to simulate by.
 """

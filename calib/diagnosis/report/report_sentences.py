@@ -1,4 +1,7 @@
-"""Sentences and table rows of a Report for people, in micrometres, microradians and pixels."""
+"""Sentences and table rows of a Report.
+
+For people, in micrometres, microradians and pixels.
+"""
 
 from collections.abc import Sequence
 

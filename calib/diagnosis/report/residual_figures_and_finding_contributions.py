@@ -1,4 +1,6 @@
-"""Figures of residuals before and after, and the contribution of each finding to each pose.
+"""Figures of residuals, and contributions of findings.
+
+Residuals before and after; contributions of each finding to each pose.
 
 Residuals also against the covariate of an effect; position errors.
 """

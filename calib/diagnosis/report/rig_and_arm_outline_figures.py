@@ -1,4 +1,7 @@
-"""Outlines of a rig and of an arm, with the parts marked that a diagnosis points at."""
+"""Outline figures of a rig and of an arm.
+
+The parts are marked that a diagnosis points at.
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple

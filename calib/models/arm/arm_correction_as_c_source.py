@@ -1,4 +1,6 @@
-"""The correction of an arm's calibration as one C99 file: joint commands in, corrected joint commands out.
+"""Correction of an arm's calibration as C source.
+
+One C99 file: joint commands in, corrected joint commands out.
 
 An arm's controller has kinematics of its own, the nominal one. What it commands means a pose, that of the nominal
 figures; the file finds, near these joint values, those that `rig correct` commands for this pose.

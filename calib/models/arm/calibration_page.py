@@ -1,4 +1,7 @@
-"""The page of an arm's calibration: before and after on held-out poses, joint profiles, coverage, parameters, rank."""
+"""HTML page of an arm's calibration.
+
+Before and after on held-out poses, joint profiles, coverage, parameters, rank.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path

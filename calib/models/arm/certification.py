@@ -1,4 +1,7 @@
-"""Certification of an arm's calibration: fit to all samples, errors from stretches held out in turn."""
+"""Certification of an arm's calibration.
+
+Fit to all samples, errors from stretches held out in turn.
+"""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple

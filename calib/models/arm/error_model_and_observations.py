@@ -1,4 +1,6 @@
-"""Error model of an arm: independent parameters, pose Jacobians, and observations by an instrument.
+"""Error model of an arm, and observations by an instrument.
+
+Independent parameters and pose Jacobians.
 
 Parameters stand in one vector of 12 + 5 n: the base (where the arm stands in the instrument's frame; tangent x y z rx
 ry rz on the right, m and rad), then theta, d, a, alpha, beta of every row (rad, m, m, rad, rad), then the tool (where

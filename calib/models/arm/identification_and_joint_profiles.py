@@ -1,4 +1,6 @@
-"""Identification of an arm's parameters by robust least squares, and error profiles of its joints.
+"""Identification of an arm's parameters, and joint profiles.
+
+By robust least squares; profiles are of the errors of its joints.
 
 The six steps of the source: start from the nominal figures; linearise (rows B x = b, eq. 4.65); least squares; correct
 the figures; repeat until the step is small; the errors are what was changed. Around that, weights: scatter beyond the

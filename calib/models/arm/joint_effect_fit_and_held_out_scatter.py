@@ -1,4 +1,6 @@
-"""Joint fit of an arm's geometry and joint effects, and scatter of its held-out poses beyond them.
+"""Joint effect fit of an arm, and held-out scatter.
+
+Geometry and joint effects are fitted together; scatter is of held-out poses beyond them.
 
 Gauss-Newton on the effects' coordinates, all that the geometry can make up for taken out of them: what a joint's own
 effect and a length explain alike goes to the length. A held-out figure is of effects refitted without what is held out.

@@ -1,4 +1,6 @@
-"""Joint-space correction of an arm, and its certification on held-out configurations.
+"""Joint-space correction of an arm, and its certification.
+
+On held-out configurations.
 
 KSF_PM(x) = x - IK(GDK(x)), IK of the nominal model or of the fitted geometry, as near x as may be; KSF_KR is its Field
 over the joint space, by the same ways as of machines on struts. Source: configuration-space patent, [0026] to [0030],

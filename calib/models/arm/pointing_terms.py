@@ -1,4 +1,6 @@
-"""Pointing terms of a two-axis mount: the names, values and uncertainties that astronomers use for what was found.
+"""Pointing terms of a two-axis mount.
+
+The names, values and uncertainties that astronomers use for what was found.
 
 Directions are in a frame with x north, y east and z down. A term is what the direction of the telescope has beyond its
 commanded one, in azimuth A and elevation E, or in hour angle h and declination d. The first order of the terms is

@@ -1,4 +1,6 @@
-"""Tilt sensors on an arm as observations: their residuals and Jacobians, and how they are mounted as nuisances.
+"""Tilt sensors on an arm as observations.
+
+Their residuals and Jacobians, and how they are mounted as nuisances.
 
 A sensor on link k shows by how much two of its axes point above the horizontal. It observes the base's turn and all
 that joints 1 to k and their rows turn; what lies farther out it does not see. How each sensor is mounted (three small

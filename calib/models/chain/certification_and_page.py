@@ -1,4 +1,7 @@
-"""Certification of a chain's calibration by held-out stretches, and its HTML page."""
+"""Certification of a chain's calibration, and its page.
+
+By held-out stretches; the page is HTML.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,6 @@
-"""Error model of a chain of mechanisms (parameters, Jacobian), and identification of all stages from measured poses.
+"""Error model of a chain, and its identification.
+
+Parameters and Jacobian of a chain of mechanisms; all stages are identified from measured poses.
 
 Parameters stand in one vector, stage after stage, as changes from the owner's figures: of a hexapod its 42, of two
 struts their 6, of an arm base, rows and tool in the order of calib.models.arm.error_model_and_observations. tangent =

@@ -1,4 +1,6 @@
-"""Closed-loop equations of struts: residuals and Jacobians, compiled for hexapods, and for others.
+"""Closed-loop equations of struts.
+
+Residuals and Jacobians, compiled for hexapods, and for others.
 
 Each strut closes a loop: commanded length + zero = |R a + t - b|. At constant command a change of the 42 parameters
 moves the pose by J_p = A^-1 D, where A is the struts' Jacobian to the pose and D the loops' to the parameters. Taking

@@ -1,4 +1,6 @@
-"""Parameter combinations that a platform's poses determine, and the tolerance of its stated geometry.
+"""Determined parameters, and tolerance of the stated geometry.
+
+Parameter combinations that a platform's poses determine.
 
 The widths of these draws, one for the joints' coordinates and one for the zeros, are found by the evidence, so that
 what the poses do not tell rests on a tolerance that they bear out, and what is promised of it too. Source: MacKay,

@@ -1,4 +1,6 @@
-"""Identification of a platform's geometry, joint positions and strut zeros, from measured poses.
+"""Identification of a platform's geometry.
+
+Joint positions and strut zeros, from measured poses.
 
 Each strut closes a vector loop: commanded length + zero = |R a + t - b|. The measured pose less the one that the loops
 predict is weighted by the poses' covariance; the errors that all poses share (cameras and lenses) are solved for

@@ -1,4 +1,6 @@
-"""Optimal configurations for a hexapod's parameters: D-optimal, or fewest for a promised accuracy.
+"""Optimal poses to calibrate a hexapod.
+
+D-optimal for its parameters, or the fewest for a promised accuracy.
 
 Criteria: "determinant" (D-optimal: the volume of the parameters' uncertainty), "noise" (the noise amplification index
 of Nahvi and Hollerbach, ICRA 1996: smallest singular value squared over the greatest). Source of the exchange:

@@ -1,4 +1,6 @@
-"""Argument parser of the commands, and options that several commands share.
+"""Argument parser and common options of commands.
+
+Options that several commands share.
 
 With the nearest known word for a mistyped option or command; outputs, calibrations, controllers, numbers of workers.
 """

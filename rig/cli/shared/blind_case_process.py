@@ -1,4 +1,6 @@
-"""A case of a blind campaign in a process of its own: drawn, or handed to a command that cannot read its truth.
+"""Blind case in a process of its own.
+
+A case of a campaign: drawn, or handed to a command that cannot read its truth.
 
 Run as `python -m`: PARENT draw OUT INDEX SETTINGS, or PARENT command TRUTH and the command's own words. It does not
 outlive the process PARENT.

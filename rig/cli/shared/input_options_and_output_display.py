@@ -1,4 +1,7 @@
-"""Options that name input files, and their reading; what commands print: escaped text, and the display of progress."""
+"""Input options of commands, and display of output.
+
+Options that name input files, and their reading; escaped text, and the display of progress.
+"""
 
 from __future__ import annotations
 

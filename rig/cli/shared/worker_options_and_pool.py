@@ -1,4 +1,7 @@
-"""Worker options of the commands (--workers, --scheduler), the pool that works for them, and results as they come."""
+"""Worker options of commands, and the pool.
+
+Options --workers and --scheduler, the pool that works for them, and results as they come.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Camera interface, the offset of its clock, synchronised grabbing of all cameras, and exposure for markers.
+"""Camera interface, and synchronised grabbing of cameras.
+
+The offset of a camera's clock, and exposure for markers.
 
 Each pair of readings of the host's clock, before and after something that the camera stamped, says that offset = host
 - camera lies between them. Bounds of several meet in a narrower one (Cristian, Distributed Computing 3, 1989); old

@@ -1,4 +1,7 @@
-"""OpenCV camera (UVC or GStreamer): fresh frames with driver timestamps; check of GStreamer pipelines."""
+"""OpenCV camera (UVC or GStreamer).
+
+Fresh frames with driver timestamps; check of GStreamer pipelines.
+"""
 
 from __future__ import annotations
 

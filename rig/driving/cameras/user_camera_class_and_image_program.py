@@ -1,4 +1,7 @@
-"""Cameras of the user's own: a class in a file or package, and a program that is run for each image."""
+"""User's own camera class, and image program.
+
+A class in a file or package, and a program that is run for each image.
+"""
 
 import shlex
 import subprocess

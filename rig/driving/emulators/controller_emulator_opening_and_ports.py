@@ -1,4 +1,7 @@
-"""Opening of a controller emulator from the rig's design, and the ports (terminal, TCP) at which it answers."""
+"""Opening of a controller emulator, and its ports.
+
+From the rig's design; it answers at a terminal or over TCP.
+"""
 
 import os
 import select

@@ -1,4 +1,7 @@
-"""Faults of an emulated controller, injected once or at a rate per move."""
+"""Faults of an emulated controller.
+
+They are injected once or at a rate per move.
+"""
 
 from dataclasses import dataclass
 

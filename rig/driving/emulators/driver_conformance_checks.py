@@ -1,4 +1,7 @@
-"""Conformance of a protocol: its driver against its emulator, through each fault, stops, restarts and cut lines."""
+"""Conformance checks of a driver with its emulator.
+
+Of a protocol: through each fault, stops, restarts and cut lines.
+"""
 
 from collections import Counter
 from collections.abc import Callable, Iterator

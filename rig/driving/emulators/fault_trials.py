@@ -1,4 +1,7 @@
-"""Many moves through an emulator with faults; the emulator, which counts what it carried out, is the judge."""
+"""Fault trials: many moves through an emulator with faults.
+
+The emulator, which counts what it carried out, is the judge.
+"""
 
 from collections import Counter
 from collections.abc import Callable, Sequence

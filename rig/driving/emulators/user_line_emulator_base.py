@@ -1,4 +1,7 @@
-"""Base class of the emulator of a user's own protocol: lines, axes, and faults that a driver must meet."""
+"""Base class of the emulator of a user's protocol.
+
+Lines, axes, and faults that a driver must meet.
+"""
 
 from typing import ClassVar
 

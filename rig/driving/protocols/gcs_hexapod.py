@@ -1,4 +1,6 @@
-"""Protocol of a PI hexapod's own controller (C-887): GCS 2.0 with poses, X Y Z in mm and U V W in degrees.
+"""Protocol of a PI hexapod's own controller (GCS).
+
+C-887: GCS 2.0 with poses, X Y Z in mm and U V W in degrees.
 
 The controller computes strut lengths from a pose by its nominal geometry, that of rig.toml. So lengths that are wanted
 are commanded as the pose of which this geometry makes them, in the controller's frames and about its pivot point, and

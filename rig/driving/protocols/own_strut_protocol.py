@@ -1,4 +1,7 @@
-"""Our own strut protocol (docs/protocol.md): numbered frames with checksum, watchdog, single execution."""
+"""Our own strut protocol.
+
+As docs/protocol.md states it: numbered frames with checksum, watchdog, single execution.
+"""
 
 import binascii
 import re

@@ -1,4 +1,7 @@
-"""Interface of controller protocols: dialogues that yield request bytes and receive answer lines."""
+"""Interface of controller protocols.
+
+Dialogues that yield request bytes and receive answer lines.
+"""
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,7 @@
-"""Selection of the protocol that rig.toml states; one of the user's own is loaded, checked, and guarded."""
+"""Selection of the protocol, and user protocols.
+
+The protocol is the one that rig.toml states; a user's own is loaded, checked, and guarded.
+"""
 
 import inspect
 from collections.abc import Callable

@@ -1,4 +1,6 @@
-"""Base class of a user's own protocol: requests and answers are lines of text; the base has what each driver needs.
+"""Base class of a user's own line protocol.
+
+Requests and answers are lines of text; the base has what each driver needs.
 
 A question moves nothing and is asked again where no answer comes. A command is sent once, and its answer decides.
 """

@@ -1,4 +1,7 @@
-"""Base lean: what the machine stands on, a column or a floor, turns elastically under the weight that it carries."""
+"""Base lean under weight.
+
+What the machine stands on, a column or a floor, turns elastically under the weight that it carries.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,4 +1,7 @@
-"""Creep: an axis moves on slowly after each move, its last part arriving exponentially with a time constant."""
+"""Creep: an axis moves on slowly after each move.
+
+Its last part arrives exponentially, with a time constant.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar

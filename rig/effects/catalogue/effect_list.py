@@ -1,4 +1,7 @@
-"""List of all effects (a file and a line here add one everywhere), described as text, JSON and Markdown."""
+"""List of all effects.
+
+A file and a line here add one everywhere. Effects are described as text, JSON and Markdown.
+"""
 
 import textwrap
 from collections.abc import Iterable, Mapping

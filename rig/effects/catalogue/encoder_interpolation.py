@@ -1,4 +1,7 @@
-"""Encoder interpolation: a scale's signals are interpolated wrongly, the same in each of its many periods."""
+"""Encoder interpolation error.
+
+A scale's signals are interpolated wrongly, the same in each of its many periods.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

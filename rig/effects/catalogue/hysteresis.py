@@ -1,4 +1,7 @@
-"""Hysteresis of friction and springs in a drive: nested loops that do not saturate at one gap."""
+"""Hysteresis of friction and springs in a drive.
+
+Nested loops that do not saturate at one gap.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self

@@ -1,4 +1,7 @@
-"""Joint offset: a cardan joint's two axes do not meet, so the strut's end moves as it turns; no zero offset."""
+"""Joint offset: a cardan joint's two axes do not meet.
+
+The strut's end moves as the joint turns; this is no zero offset.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self

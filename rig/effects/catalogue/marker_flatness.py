@@ -1,4 +1,7 @@
-"""Marker flatness: one corner of a marker stands off its plane, since the paper is lifted or bent."""
+"""Marker flatness: a marker is not plane.
+
+One corner stands off its plane, since the paper is lifted or bent.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self

@@ -1,4 +1,7 @@
-"""Transmission error of a screw, gear or encoder: a profile that repeats with an axis' own position."""
+"""Transmission error of a screw, gear or encoder.
+
+A profile that repeats with an axis' own position.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self

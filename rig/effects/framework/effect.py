@@ -1,4 +1,6 @@
-"""Effect, the base class: name, place, parameters with units and bounds, and a hook at the stage where it acts.
+"""Effect, the base class of all effects.
+
+Name, place, parameters with units and bounds, and a hook at the stage where it acts.
 
 Stages, in the order in which a command becomes a corner: `command` (axis commands and their times), `struts` (what
 the axes, struts or joints, do beyond that), `structure` (what the frame and platform do), `targets` (where markers

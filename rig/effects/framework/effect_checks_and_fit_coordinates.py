@@ -1,4 +1,7 @@
-"""Checks of an effect's place and parameters, and the coordinates in which a fit changes its parameters."""
+"""Checks of an effect, and its fit coordinates.
+
+Checks are of place and parameters; in the coordinates a fit changes its parameters.
+"""
 
 import re
 from dataclasses import dataclass

@@ -1,4 +1,7 @@
-"""Effect parameters and covariates as data types, with recording context and linear columns."""
+"""Effect parameters and covariates as data types.
+
+With recording context and linear columns.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

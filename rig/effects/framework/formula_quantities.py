@@ -1,4 +1,7 @@
-"""Quantities of a machine's motion that a formula may use: name, unit, values and Python code of each."""
+"""Quantities that a formula may use.
+
+Of a machine's motion: name, unit, values and Python code of each.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,7 @@
-"""Motion of the machine as effects see it: the commanded path, the state at the exposures, and play along it."""
+"""Motion of the machine as effects see it, and play.
+
+The commanded path, the state at the exposures, and play along it.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,6 @@
-"""Smooth curves that stand for what no effect of the catalogue explains: over time, travel, a loop or a sensor.
+"""Smooth curve for what no effect explains.
+
+Over time, travel, a loop or a sensor: what the catalogue does not hold.
 
 They act as effects do, and are stored with a calibration as such; no search for names knows of them.
 """

@@ -1,4 +1,7 @@
-"""Sketches of effects on motion: an example of usual size run on one hexapod, and its figures."""
+"""Sketches of effects on motion.
+
+An example of usual size run on one hexapod, and its figures.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace

@@ -1,4 +1,7 @@
-"""Effect file written from a formula: the Python source of an effect, which a person can edit."""
+"""Effect file written from a formula.
+
+The Python source of an effect, which a person can edit.
+"""
 
 import re
 import textwrap

@@ -1,4 +1,7 @@
-"""Effects parsed from text (backlash:strut3:gap=40e-6), and checks that their name and place exist."""
+"""Parsing of effects from text.
+
+As backlash:strut3:gap=40e-6; it is checked that their name and place exist.
+"""
 
 import re
 from collections.abc import Mapping

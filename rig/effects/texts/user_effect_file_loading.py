@@ -1,4 +1,6 @@
-"""Loading of a user's effect files: Python files checked, run, and added to the catalogue.
+"""Loading of a user's effect files.
+
+Python files are checked, run, and added to the catalogue.
 
 The file is run: it is a program, to be trusted as one. What is wrong with it, when it is read or while its model is
 computed, is reported with file and line.

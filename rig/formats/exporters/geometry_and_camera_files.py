@@ -1,4 +1,6 @@
-"""Geometry, compensation and cameras for other programs: JSON, CSV, LinuxCNC, ROS and OpenCV.
+"""Geometry and camera files for other programs.
+
+Geometry, compensation and cameras: JSON, CSV, LinuxCNC, ROS and OpenCV.
 
 Source: ROS, camera_calibration_parsers, sensor_msgs/CameraInfo and distortion_models.hpp; OpenCV, FileStorage
 

@@ -1,4 +1,6 @@
-"""Recording as a Rerun file, its poses as a TUM trajectory, its tables as Parquet.
+"""Recording as Rerun, TUM or Parquet files.
+
+All of it as a Rerun file, its poses as a TUM trajectory, its tables as Parquet.
 
 Rerun's image coordinates begin at the first pixel's corner, ours in its middle: half a pixel is added. Its pinhole
 knows no distortion: images are shown as they were taken, corners as they were found in them; a projection into an

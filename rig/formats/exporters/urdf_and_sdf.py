@@ -1,4 +1,6 @@
-"""URDF of an arm, and URDF and SDF of a hexapod.
+"""URDF and SDF of a machine.
+
+URDF of an arm, and URDF and SDF of a hexapod.
 
 A = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta) turns about the z of the frame before it, or slides along it, so that
 joint i's origin is what is fixed behind joint i - 1, times Rz(theta). Source: the URDF specification, <joint>; rpy are

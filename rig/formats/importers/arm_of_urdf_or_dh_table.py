@@ -1,4 +1,7 @@
-"""Arm read from a URDF or a table of Denavit-Hartenberg rows (columns in any order), and the rig.toml text of it."""
+"""Arm read from a URDF or a Denavit-Hartenberg table.
+
+Columns of the table stand in any order; also the rig.toml text of the arm.
+"""
 
 import json
 from dataclasses import dataclass

@@ -1,4 +1,7 @@
-"""Foreign tables of commands and of sensors read into a recording's commands.csv and sensors.csv."""
+"""Foreign tables of commands and of sensors.
+
+Read into a recording's commands.csv and sensors.csv.
+"""
 
 import re
 from collections.abc import Callable

@@ -1,4 +1,7 @@
-"""Columns of foreign tables: cells as text and numbers, columns found by their headers, headers and times added."""
+"""Columns of foreign tables.
+
+Cells as text and numbers, columns found by their headers, headers and times added.
+"""
 
 import difflib
 import re

@@ -1,4 +1,7 @@
-"""Times of imported frames: of image names, a table or the commands' rows; one clock with the commands."""
+"""Times of imported frames.
+
+Of image names, a table or the commands' rows; one clock with the commands.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace

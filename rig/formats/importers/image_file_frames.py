@@ -1,4 +1,7 @@
-"""Frames from image files: camera, frame number and time from names, grouped into exposures."""
+"""Exposures grouped from image file names.
+
+Camera, frame number and time from names of image files, grouped into exposures.
+"""
 
 import itertools
 import re

@@ -1,4 +1,7 @@
-"""Import recipe: what is stated about foreign files, from options or TOML; written back completed."""
+"""Recipe of an import of foreign files.
+
+What is stated about them, from options or TOML; written back completed.
+"""
 
 import os
 from collections.abc import Sequence

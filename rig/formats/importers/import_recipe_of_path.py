@@ -1,4 +1,7 @@
-"""Import recipe of the data of one machine at a path: a table, a bag, or a folder of either or of images."""
+"""Import recipe of the data at a path.
+
+The data of one machine: a table, a bag, or a folder of either or of images.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path

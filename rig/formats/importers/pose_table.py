@@ -1,4 +1,7 @@
-"""Pose table of another program: units, rotation vectors, quaternions or Euler angles."""
+"""Pose table of another program.
+
+Units, rotation vectors, quaternions or Euler angles.
+"""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace

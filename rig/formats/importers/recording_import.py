@@ -1,4 +1,7 @@
-"""Import of a recording: all foreign files of a recipe assembled and written as one recording."""
+"""Import of a recording.
+
+All foreign files of a recipe are assembled and written as one recording.
+"""
 
 import shlex
 from dataclasses import dataclass, replace

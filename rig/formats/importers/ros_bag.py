@@ -1,4 +1,6 @@
-"""ROS 1 and 2 bags and MCAP files unpacked into images and tables, topics selected by type.
+"""ROS bags unpacked into images and tables.
+
+ROS 1 and 2 bags and MCAP files, topics selected by type.
 
 Source: ROS, common_interfaces (sensor_msgs, geometry_msgs, nav_msgs) and REP 103: m, rad, quaternions x y z w; read by
     the package rosbags

@@ -1,4 +1,6 @@
-"""ROS messages written as image files (raw as PNG, compressed unchanged) and as table rows.
+"""ROS messages as image files and table rows.
+
+Raw images are written as PNG, compressed ones unchanged.
 
 Rows are of joints, poses and temperatures.
 

@@ -1,4 +1,6 @@
-"""TPOINT's pointing data (observed and telescope places of stars) read, and written as a recording of directions.
+"""TPOINT's pointing data, imported.
+
+Observed and telescope places of stars are read, and written as a recording of directions.
 
 A file has a caption, option records that begin with a colon, one record of run parameters (latitude in degrees, minutes
 and seconds, date, weather), a record for each star, and END; remarks begin with an exclamation mark. Read are three

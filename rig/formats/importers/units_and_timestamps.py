@@ -1,4 +1,7 @@
-"""Units of columns and timestamps of foreign tables; an error that lists all readings where ambiguous."""
+"""Units and timestamps of foreign tables.
+
+Of columns; an error lists all readings where they are ambiguous.
+"""
 
 import re
 from collections.abc import Callable, Iterable, Sequence

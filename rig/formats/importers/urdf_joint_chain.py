@@ -1,4 +1,6 @@
-"""URDF files: the joints from a root link to a tip link, read with checks; what they are, in words.
+"""Joint chain read from a URDF.
+
+The joints from a root link to a tip link, read with checks; what they are, in words.
 
 Sources: the URDF specification, <joint>, <origin>, <axis>, <limit>, <mimic>; xacro, "Command line"
 """

@@ -1,4 +1,7 @@
-"""Files written whole or not at all, and the manifest of the files that a command wrote into a folder."""
+"""Atomic writing of files, and the manifest.
+
+Files are written whole or not at all; the manifest lists the files that a command wrote into a folder.
+"""
 
 import errno
 import json

@@ -1,4 +1,6 @@
-"""Locks of files and folders between processes; a lock ends with the process that holds it, however that ends.
+"""Locks of files and folders between processes.
+
+A lock ends with the process that holds it, however that ends.
 
 Where the system locks open files and folders themselves (flock), nothing is left behind and every user is kept out.
 Elsewhere (Windows) a lock is a file in the user's temporary folder, named by what it locks.

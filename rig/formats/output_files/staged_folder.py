@@ -1,4 +1,7 @@
-"""Staged folder: files written aside, then moved into the folder together with its manifest."""
+"""Staged folder of outputs.
+
+Files are written aside, then moved into the folder together with its manifest.
+"""
 
 import os
 import secrets

@@ -1,4 +1,7 @@
-"""Table [dynamics] of an arm's rig.toml: link masses, joint torque limits, friction, sensor noise."""
+"""Arm dynamics entries of rig.toml, table [dynamics].
+
+Link masses, joint torque limits, friction, sensor noise.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,7 @@
-"""Tables [[camera]], [instrument], [experiment] and [turned] (cubes) of rig.toml, read; [[camera]] written."""
+"""Camera, instrument and cube entries of rig.toml.
+
+Tables [[camera]], [instrument], [experiment] and [turned] (cubes), read; [[camera]] written.
+"""
 
 import math
 import re

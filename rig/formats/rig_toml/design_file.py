@@ -1,4 +1,7 @@
-"""Design file (rig.toml) read into a Design: every value checked, errors with file, line and column."""
+"""Reader of rig.toml into a Design.
+
+Every value is checked; errors have file, line and column.
+"""
 
 from dataclasses import fields, replace
 from pathlib import Path

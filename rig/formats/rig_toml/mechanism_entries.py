@@ -1,4 +1,7 @@
-"""Table [mechanism] of rig.toml: hexapod, planar pair, arm, chain or free, read with checks."""
+"""Mechanism entries of rig.toml, table [mechanism].
+
+Hexapod, planar pair, arm, chain or free, read with checks.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields

@@ -1,4 +1,7 @@
-"""rig.toml text in m and rad, rewritten in the units that its owner reads ("mm, deg"), remarks included."""
+"""Text of rig.toml in other units.
+
+From m and rad, rewritten in the units that its owner reads ("mm, deg"), remarks included.
+"""
 
 import re
 from collections.abc import Iterator

@@ -1,4 +1,6 @@
-"""Arm of any number of turning or sliding joints: forward and inverse kinematics, Jacobian, limits, loads.
+"""Arm of any number of joints.
+
+Turning or sliding joints: forward and inverse kinematics, Jacobian, limits, loads.
 
 Distal Denavit-Hartenberg with Hayati's extra turn: A_i = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta), of a slide
 Rz(theta) Tz(d + q) ..

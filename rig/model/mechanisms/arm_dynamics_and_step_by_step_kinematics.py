@@ -1,4 +1,6 @@
-"""Dynamics of an arm (joint torques, mass matrix, momentum rate), and its kinematics step by step for a reader.
+"""Arm dynamics, and kinematics step by step.
+
+Joint torques, mass matrix, momentum rate; the steps are for a reader.
 
 Source: Luh, Walker and Paul, On-line computational scheme for mechanical manipulators, 1980 (sliding joints: there
     too).

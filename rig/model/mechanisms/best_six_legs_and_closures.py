@@ -1,4 +1,6 @@
-"""Redundant leg closures of a platform (more than six legs): best six for the pose, closure errors of the others.
+"""Best six of redundant legs, and closures.
+
+Of a platform with more than six legs: best six for the pose, closure errors of the others.
 
 Legs are driven struts and measuring limbs alike. What a closure is expected to be follows from every leg's own error
 and from how well its geometry is known; one leg that is off by the same all along shows in all closures that depend on

@@ -1,4 +1,6 @@
-"""Inverse kinematics of arms: closed form of six joints (all eight branches), and numerical from many starts.
+"""Closed-form and numerical inverse kinematics of arms.
+
+Closed form of six joints (all eight branches), and numerical from many starts.
 
 The frame stands at the crossing of axes 1 and 2 (or where 1 comes nearest to 2), z along axis 1, y along axis 2. It
 serves arms whose axes 4, 5, 6 cross (spherical wrist) with 2 parallel to 3, and arms with 2, 3, 4 parallel and 5

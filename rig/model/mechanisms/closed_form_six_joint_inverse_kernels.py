@@ -1,4 +1,6 @@
-"""Compiled closed-form inverses of six-joint arms: spherical wrist, or three parallel axes.
+"""Kernels of closed-form inverses of six-joint arms.
+
+Compiled: spherical wrist, or three parallel axes.
 
 All branches: two shoulders, two elbows, two wrists. Points and axes are those at zero, in the global frame. Each joint
 is read from a point or a direction that the joints behind it cannot move, and then turned back before the next is read.

@@ -1,4 +1,7 @@
-"""Denavit-Hartenberg rows of an arm from the lines of its joint axes, and from a table in Craig's convention."""
+"""Denavit-Hartenberg rows of an arm's joint axes.
+
+From the lines of its axes, and from a table in Craig's convention.
+"""
 
 from typing import NamedTuple
 

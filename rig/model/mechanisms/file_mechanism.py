@@ -1,4 +1,6 @@
-"""Mechanism whose kinematics its owner states in a file: forward by Newton or the file's own, Jacobians, limits.
+"""Mechanism whose kinematics its owner states in a file.
+
+Forward by Newton or the file's own, Jacobians, limits.
 
 The axes follow from the pose by the file's inverse; all else is derived from that, by derivatives of it. A platform of
 fewer than six freedoms keeps its other coordinates as at home, or as the file's forward gives them; the inverse

@@ -1,4 +1,7 @@
-"""Hexapod (Gough-Stewart platform): forward and inverse kinematics, Jacobian, strut limits and loads."""
+"""Hexapod (Gough-Stewart platform).
+
+Forward and inverse kinematics, Jacobian, strut limits and loads.
+"""
 
 from functools import lru_cache
 from typing import cast

@@ -1,4 +1,6 @@
-"""Compiled kernels of hexapod kinematics: strut lengths of poses, and poses of strut lengths by Newton.
+"""Compiled kernels of hexapod kinematics.
+
+Strut lengths of poses, and poses of strut lengths by Newton.
 
 Newton on the pose as in `hexapod`, with a unit quaternion for the turn and the rows eliminated in one order for all,
 chosen at the start:

@@ -1,4 +1,6 @@
-"""Mechanism chain, each on the platform of the one before: forward and inverse kinematics, Jacobian.
+"""Chain of mechanisms, each on the one before.
+
+Each stands on the platform of the one before: forward and inverse kinematics, Jacobian.
 
 T_base_platform = T_1(x_1) T_2(x_2) .. T_n(x_n): the platform of each stage is the base of the next. More axes than six
 leave the inverse a choice: the configuration nearest to the middle of all travels, each axis in shares of its own.

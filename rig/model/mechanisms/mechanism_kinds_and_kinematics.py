@@ -1,4 +1,6 @@
-"""Mechanism kinds, as predicates and requirements, and the kinematics module of each kind.
+"""Mechanism kinds, and the kinematics of each.
+
+Predicates and requirements of kinds, and the kinematics module of each kind.
 
 Their common interface, axis names and units; singularity of a hexapod's geometry, and its cardan twist.
 """

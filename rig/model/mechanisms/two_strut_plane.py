@@ -1,4 +1,7 @@
-"""Two struts to one hinge in the plane z = 0: kinematics of the configuration-space patent's example."""
+"""Two struts to one hinge in the plane.
+
+Plane z = 0: kinematics of the configuration-space patent's example.
+"""
 
 from typing import cast
 

@@ -1,4 +1,7 @@
-"""rig.toml layouts of a hexapod or two struts from a few dimensions; placement of cameras and cubes in layouts."""
+"""Hexapod layouts, and placement of cameras.
+
+rig.toml layouts of a hexapod or two struts from a few dimensions; cameras and cubes are placed in layouts.
+"""
 
 from collections.abc import Iterable
 from typing import NamedTuple

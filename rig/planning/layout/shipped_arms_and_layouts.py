@@ -1,4 +1,6 @@
-"""Shipped arms (rig/arms): names, files, and rig.toml layouts with cameras and cubes.
+"""Shipped arms (rig/arms), and their layouts.
+
+Names, files, and rig.toml layouts with cameras and cubes.
 
 The arm is to move about one posture, far from its singular ones, in which hand and cubes stay in view: its limits are
 narrowed to that.

@@ -1,4 +1,7 @@
-"""Figures of the image plane (arrows, outlines, cells), and the interactive 3-D view of a rig in a page."""
+"""Image plane figures, and 3-D views, of pages.
+
+Arrows, outlines, cells; the 3-D view of a rig is interactive.
+"""
 
 import json
 from collections.abc import Callable, Sequence

@@ -1,4 +1,7 @@
-"""Templates of HTML pages, HTML and SVG elements of pages and figures, and the index page with verdicts."""
+"""Page templates and elements in HTML.
+
+HTML and SVG elements of pages and figures, and the index page with verdicts.
+"""
 
 import html
 import math

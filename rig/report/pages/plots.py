@@ -1,4 +1,7 @@
-"""Plots as SVG: panels of dots, lines and intervals over two axis scales, and bar charts."""
+"""Plots as SVG.
+
+Panels of dots, lines and intervals over two axis scales, and bar charts.
+"""
 
 import math
 from collections.abc import Sequence

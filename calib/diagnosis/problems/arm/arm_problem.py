@@ -1,4 +1,7 @@
-"""The arm as a Problem of the diagnosis engine: effects at its joints, linear about the geometry; nested selection."""
+"""The arm as a Problem of the diagnosis engine.
+
+Effects at its joints, linear about the geometry; nested selection.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,4 +1,7 @@
-"""Evidence of an arm's recording for its diagnosis: measured poses, linearised about the calibrated geometry."""
+"""Evidence of an arm's recording for its diagnosis.
+
+Measured poses, linearised about the calibrated geometry.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace

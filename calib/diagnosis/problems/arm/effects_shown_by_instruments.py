@@ -1,4 +1,7 @@
-"""Effects that an arm's instruments show by themselves, fitted with the geometry before anything is searched for."""
+"""Effects that an arm's instruments show by themselves.
+
+They are fitted with the geometry before anything is searched for.
+"""
 
 import numpy as np
 

@@ -1,4 +1,6 @@
-"""Parameters of findings at an arm's joints, with intervals, and optimisation of nonlinear parameters.
+"""Parameters of findings with intervals, and nonlinear optimisation.
+
+Of findings at an arm's joints; nonlinear parameters are optimised.
 
 Intervals allow for how residuals scatter and for what thermometers leave open; nonlinear parameters are optimised
 between grid values.

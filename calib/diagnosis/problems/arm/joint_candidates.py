@@ -1,4 +1,7 @@
-"""Candidate effects at an arm's joints: every effect of the catalogue, at each place, on a grid of parameters."""
+"""Candidate effects at an arm's joints.
+
+Every effect of the catalogue, at each place, on a grid of parameters.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,4 +1,7 @@
-"""Lack of fit of an arm's model, and effects at its joints that the catalogue does not list."""
+"""Lack of fit of an arm's model, and unlisted effects.
+
+Effects at its joints that the catalogue does not list.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,6 @@
-"""Measured poses of an arm linearised about its calibrated geometry, and whitened columns of its parameters.
+"""Linearised poses of an arm, and whitened columns of parameters.
+
+Measured poses, linearised about its calibrated geometry.
 
 The columns are of its freedoms and terms, stored as joint directions times pose weights; of a chain too.
 A term of hundreds of numbers at one joint moves each pose along one direction, so that products of two such terms are

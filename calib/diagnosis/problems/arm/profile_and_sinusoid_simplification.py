@@ -1,4 +1,7 @@
-"""Simplification of profiles, sinusoids and scales of one joint to the simplest of them that explains as much."""
+"""Simplification of a joint's profiles and sinusoids.
+
+Of profiles, sinusoids and scales of one joint, the simplest that explains as much is retained.
+"""
 
 from dataclasses import replace
 

@@ -1,4 +1,7 @@
-"""Scores of all candidates on an arm's linearised model: each at the best node of its grid."""
+"""Scores of all candidates on an arm's linearised model.
+
+Each at the best node of its grid.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,4 +1,7 @@
-"""Candidates of a platform: every effect of the catalogue at every place that the recording can test."""
+"""Candidate effects of a platform.
+
+Every effect of the catalogue at every place that the recording can test.
+"""
 
 from dataclasses import dataclass
 from enum import Enum

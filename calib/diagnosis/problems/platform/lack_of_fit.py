@@ -1,4 +1,7 @@
-"""Lack of fit of a platform beyond all candidates: smooth functions, excess scatter, covariates of the rest."""
+"""Lack of fit of a platform beyond all candidates.
+
+Smooth functions, excess scatter, covariates of the rest.
+"""
 
 from collections.abc import Callable
 from functools import partial

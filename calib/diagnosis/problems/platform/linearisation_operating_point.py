@@ -1,4 +1,7 @@
-"""Linearisation's operating point for a platform: cameras, geometry, poses and the effects admitted so far."""
+"""Operating point of a platform's linearisation.
+
+Cameras, geometry, poses and the effects admitted so far.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,6 @@
-"""Residuals of corners and loop closures, linearised, with calibration's freedoms projected out.
+"""Linearised residuals of corners and loop closures.
+
+With calibration's freedoms projected out.
 
 Corners say what is left when every frame's pose is free; closures say what the poses so found ask of the struts against
 the commands. Corners' noise splits into the two without correlation, so together they are the whole likelihood, and a

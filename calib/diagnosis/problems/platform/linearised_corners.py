@@ -1,4 +1,7 @@
-"""Corners linearised at an operating point: whitened residuals and derivatives, freedoms of cubes and edges."""
+"""Corners linearised at an operating point.
+
+Whitened residuals and derivatives, freedoms of cubes and edges.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

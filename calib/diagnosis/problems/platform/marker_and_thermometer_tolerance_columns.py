@@ -1,4 +1,7 @@
-"""Columns of marker and thermometer tolerances, each with its prior: what they do to corners and struts."""
+"""Columns of marker and thermometer tolerances.
+
+Each with its prior: what they do to corners and struts.
+"""
 
 from dataclasses import dataclass, replace
 

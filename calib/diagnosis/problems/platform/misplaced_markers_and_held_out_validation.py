@@ -1,4 +1,6 @@
-"""Misplaced markers and frames of a platform found before any search, and held-out validation of its effects.
+"""Misplaced markers of a platform, and held-out validation of effects.
+
+Misplaced markers and frames are found before any search.
 
 Wild poses, misread or exchanged markers; validation in px of corners or m of closures.
 """

@@ -1,4 +1,7 @@
-"""Evidence of a platform's recording for its diagnosis: corners and closures about an operating point."""
+"""Evidence of a platform's recording for its diagnosis.
+
+Corners and closures about an operating point.
+"""
 
 from dataclasses import dataclass, field, replace
 

@@ -1,4 +1,6 @@
-"""Simultaneous refinement of cameras, geometry, poses and effects' parameters, by Gauss-Newton.
+"""Simultaneous refinement of all of a platform's unknowns.
+
+Cameras, geometry, poses and effects' parameters, by Gauss-Newton.
 
 Parameters stay within their bounds: one that the data pull beyond stands at its bound, and the others make the best of
 it there.

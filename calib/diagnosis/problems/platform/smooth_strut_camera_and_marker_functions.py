@@ -1,4 +1,7 @@
-"""Smooth strut, camera and marker functions without a name: of pose, time, history, speed and sensors."""
+"""Smooth functions of struts, cameras and markers.
+
+They have no name, and are functions of pose, time, history, speed and sensors.
+"""
 
 from dataclasses import replace
 

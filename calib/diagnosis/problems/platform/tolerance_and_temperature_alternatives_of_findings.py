@@ -1,4 +1,6 @@
-"""Tolerances and temperatures as alternatives of a platform's findings.
+"""Tolerances and temperatures as alternatives of findings.
+
+Of a platform's findings.
 
 Findings no larger than tolerances may cause are separated as remarks; temperature effects, where a temperature log is
 missing or wrong, are added to the alternatives.

@@ -1,4 +1,7 @@
-"""Frequency of a vibrating platform: a coarse spectrum of all directions, then the exact score near its peak."""
+"""Frequency of a vibrating platform.
+
+A coarse spectrum of all directions, then the exact score near its peak.
+"""
 
 from typing import cast
 

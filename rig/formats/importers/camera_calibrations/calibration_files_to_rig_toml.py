@@ -1,4 +1,7 @@
-"""Camera calibration files of other programs read, and their cameras written into a rig.toml."""
+"""Camera calibration files written into a rig.toml.
+
+Files of other programs are read, and their cameras written.
+"""
 
 import tomllib
 from collections.abc import Sequence

@@ -1,4 +1,6 @@
-"""Camera calibrations of Kalibr, multical, Caliscope, Anipose, ROS and OpenCV recognised and read.
+"""Camera calibrations by program.
+
+Kalibr, multical, Caliscope, Anipose, ROS and OpenCV, recognised and read.
 
 Source: Kalibr, wiki, "yaml formats" and "supported models"; its pixels are OpenCV's, the first one's centre is 0, 0.
 

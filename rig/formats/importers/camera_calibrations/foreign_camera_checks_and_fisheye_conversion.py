@@ -1,4 +1,6 @@
-"""Foreign camera (ForeignCamera) with checks of its values, and conversion of a fisheye lens to a rational one.
+"""Checks of a foreign camera, and fisheye conversion.
+
+ForeignCamera checks its values; a fisheye lens is converted to a rational one.
 
 Distorted radius theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8), theta the angle off the axis.
 Source: Kannala and Brandt, 2006; OpenCV, fisheye camera model
