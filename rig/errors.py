@@ -18,7 +18,10 @@ FOLDED = re.compile(rf"^({SCHEME})/(?=[^/])")  # what pathlib makes of SCHEME//
 
 
 def path_text_with_url_slashes(path: str | PathLike[str]) -> str:
-    """Text of a path as its user wrote it: with both slashes after the scheme where it is a URL."""
+    """Text of a path as its user wrote it.
+
+    With both slashes after the scheme where it is a URL.
+    """
     return FOLDED.sub(r"\1//", str(path))
 
 

@@ -179,10 +179,12 @@ def simulate(rig_toml: Path | str, options: SimulateOptions = SimulateOptions())
 def simulate_with_and_without_findings(
     diagnosis: Path | str, options: SimulateOptions = SimulateOptions()
 ) -> dict[str, SimulationResult]:
-    """Simulate a diagnosed recording with and without its findings: SimulationResults.
+    """Simulate a diagnosed recording with and without its findings.
 
     Of a folder that `rig diagnose` wrote: the recording drawn anew with the effects found, and with none. options : of
     them noise, seed, kinds, images and drawing count
+
+    Returns SimulationResults
     Raises FileError for a folder that holds no diagnosed recording, RigError where nothing was commanded
     """
     folder = Path(diagnosis)

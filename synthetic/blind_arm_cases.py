@@ -85,8 +85,9 @@ def _arm_makes() -> dict[str, str]:
 def draw_arm_case(
     seed: int, index: int, frames: int = FRAMES, kinds: Sequence[str] = KINDS, effects: Sequence[str] = ()
 ) -> DrawnArmCase:
-    """Arm case `index` of a blind campaign, drawn at random. effects : names of the catalogue's to use
+    """Arm case `index` of a blind campaign, drawn at random.
 
+    effects : names of the catalogue's to use
     Raises RigError where nothing comes up in TRIES draws, or no effect of the catalogue is left
     """
     catalogue = [

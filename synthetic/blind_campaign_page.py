@@ -37,7 +37,10 @@ OUTCOMES = ("named and placed", "named", "allowed", "taken for another", "unknow
 
 
 def campaign_dict(cases: list[Case]) -> Json:
-    """Dict of a campaign for JSON: verdict, figures, medians, by_effect, by_strength, confusion, cases."""
+    """Dict of a campaign for JSON.
+
+    Verdict, figures, medians, by_effect, by_strength, confusion, cases.
+    """
     return {
         "verdict": campaign_verdict(diagnosis_score.campaign_figures(cases)).tree(),
         "figures": [asdict(f) for f in diagnosis_score.campaign_figures(cases)],
@@ -83,7 +86,10 @@ def _outcome(case: Case, hidden: Hidden) -> str:
 
 
 def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
-    """Write the page of a campaign: figures with intervals, by effect, by strength, confusion, wrong answers."""
+    """Write the page of a campaign.
+
+    Figures with intervals, by effect, by strength, confusion, wrong answers.
+    """
     said = ", ".join(
         f"{name} {', '.join(map(str, value)) if isinstance(value, list) else value}"
         for name, value in settings.items()
@@ -142,7 +148,10 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
 
 
 def campaign_verdict(figures: list[Figure]) -> Verdict:
-    """Verdict on a campaign: which figures reach their goal, and which certainly do not."""
+    """Verdict on a campaign.
+
+    Which figures reach their goal, and which certainly do not.
+    """
     asked = [f for f in figures if f.goal is not None and f.trials]
     missed = [f for f in asked if f.hits < (f.goal or 0) * f.trials]
     if not asked:

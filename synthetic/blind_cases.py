@@ -61,7 +61,10 @@ class Printing(Effect):
 def draw_printing_errors(
     design: Design, rng: np.random.Generator, shift_sigma: float, relative_side_sigma: float
 ) -> Printing:
-    """Printing errors of a design's markers drawn at random: shifts (sigma m), and sides (sigma as a share)."""
+    """Printing errors of a design's markers drawn at random.
+
+    Shifts (sigma m), and sides (sigma as a share).
+    """
     count = len(marker_map(design).id)
     scales = relative_side_sigma * (rng.normal() + rng.normal(size=count))
     return Printing("markers", tuple((shift_sigma * rng.normal(size=2 * count)).tolist()), tuple(scales.tolist()))
@@ -182,7 +185,10 @@ class DrawnCase:
 def schedule_effects(
     seed: int, index: int, kinds: Sequence[str] = KINDS, catalogue: int = len(ALL)
 ) -> tuple[str, list[int], np.random.Generator]:
-    """Schedule the effects of case `index` of a campaign: (kind, their numbers in the catalogue, rng)."""
+    """Schedule the effects of case `index` of a campaign.
+
+    Returns (kind, their numbers in the catalogue, rng)
+    """
     deck = np.concatenate([[k] * TIMES[name] for k, name in enumerate(KINDS) if name in kinds])
     shuffled = np.random.default_rng([seed, 1]).permutation(deck)
     kind = KINDS[shuffled[index % len(deck)]]
@@ -203,8 +209,9 @@ def draw_case(
     effects: Sequence[str] = (),
     images: bool = False,
 ) -> DrawnCase:
-    """Blind case `index` of a campaign, drawn at random. effects : names of the catalogue's to use
+    """Blind case `index` of a campaign, drawn at random.
 
+    effects : names of the catalogue's to use
     Raises RigError where nothing that the rig survives comes up in TRIES draws.
     """
     every = [e for e in ALL if not e.instrumented]

@@ -45,7 +45,10 @@ PACKAGES = "libegl1 libgl1"
 
 
 def import_pyrender() -> types.ModuleType:
-    """Import pyrender without its viewer. Raises MissingLibrary where there is no OpenGL."""
+    """Import pyrender without its viewer.
+
+    Raises MissingLibrary where there is no OpenGL.
+    """
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     if "pyrender" not in sys.modules:
         viewer: Any = types.ModuleType("pyrender.viewer")  # the real one pulls in pyglet and X11

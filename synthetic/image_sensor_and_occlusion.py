@@ -86,8 +86,9 @@ OWN_DEPTH = 2e-3  # m; what is nearer to the marker than this is the marker itse
 
 
 def is_occluded(design: Design, stages: list[RigidTransform], frame: Integers, eye: Floats, points: Floats) -> Booleans:
-    """Whether each point (k,) is occluded from an eye: the straight line between them is blocked.
+    """Whether each point (k,) is occluded from an eye.
 
+    The straight line between them is blocked.
     design : Design as it really is; stages : where each stage's platform stands, RigidTransform (F,), the last alone
         but of a chain
     frame : (k,) index

@@ -93,8 +93,9 @@ def stage_poses_of_run(run: motion_simulation.MachineRun) -> list[RigidTransform
 def simulate_world(
     world: worlds.World, plan: Plan, rng: np.random.Generator, known_sensors: Sensors | None = None
 ) -> Simulation:
-    """Simulate a World under a plan: cubes remounted, temperatures drawn, the machine run.
+    """Simulate a World under a plan.
 
+    Cubes remounted, temperatures drawn, the machine run.
     known_sensors : Sensors as they truly are and as they are logged, in place of drawn temperatures and the plan's
         payload, or None
     """
@@ -160,7 +161,10 @@ def _tilt_channels(
 def visible_marker_sightings_and_corners(
     simulation: Simulation, max_viewing_angle: float = STEEPEST
 ) -> tuple[Sightings, Floats]:
-    """Visible markers: (Sightings, corners (k, 4, 2) px) facing a camera, inside its image, not occluded."""
+    """Visible markers.
+
+    Returns (Sightings, corners (k, 4, 2) px) facing a camera, inside its image, not occluded
+    """
     world = simulation.world
     stated = real = marker_map(world.true)
     for effect in world.effects:
@@ -346,7 +350,10 @@ def _write_measured_poses(
 
 
 def truth_corners(simulation: Simulation) -> list[list[int | str | float]]:
-    """True corners as rows [frame, camera, marker, corner, u, v] of every visible marker, for a truth file."""
+    """True corners as rows [frame, camera, marker, corner, u, v] of every visible marker.
+
+    For a truth file.
+    """
     c = noisy_corners(simulation, 0.0, np.random.default_rng(0))
     return [
         [int(f), name, int(m), int(k), round(float(u), 5), round(float(v), 5)]

@@ -72,7 +72,9 @@ def _project_jacobian_kernel(
 def transform_platform_points(
     points: Floats, Ts_base_platform: Floats, frame: Integers, on_platform: Booleans, out: Floats
 ) -> None:
-    """Transform the points on the platform by the pose of their frame, into out (n, 3) m; others are copied.
+    """Transform the points on the platform by the pose of their frame, into out (n, 3) m.
+
+    Others are copied.
     points : (n, 3) m; Ts_base_platform : (F, 4, 4); frame : (n,); on_platform : (n,) bool
     """
     for n in range(len(points)):

@@ -124,8 +124,9 @@ class MeasurementResult(OneLineRepr):
 
 
 def focal_length_alarms(stated: Sequence[Camera], adjusted: Sequence[Camera]) -> list[str]:
-    """Alarms of cameras whose focal length was adjusted by more than ZOOMED times what its stated one is taken to be
-    worth: one sentence for each.
+    """Alarms of cameras whose focal length was adjusted too far.
+
+    That is by more than ZOOMED times what its stated one is taken to be worth. One sentence for each.
     """
     out = []
     for before, after in zip(stated, adjusted):

@@ -32,9 +32,9 @@ class Rates:
 
 
 def commanded_rates(recording: Recording) -> Rates | None:
-    """Rates of the platform by a recording's commands; None where no camera is stated to expose row by row, nothing is
-    commanded, or nothing moves.
+    """Rates of the platform by a recording's commands.
 
+    None where no camera is stated to expose row by row, nothing is commanded, or nothing moves.
     Raises what `simulate_machine_run` does
     """
     design, commands, (_, t) = recording.design, recording.commands, recording.exposures.times()

@@ -55,7 +55,7 @@ def measure_recording(
     places: str = "stated",
     check_corners: Callable[[Corners], None] | None = None,
 ) -> tuple[Measurement, Collected | None]:
-    """Measure a recording: (Measurement, Collected or None).
+    """Measure a recording.
 
     free : what is adjusted, see vision.bundle.bundle_adjustment; places : whether the markers' places on their bodies
     are adjusted too: "stated", "free", or "auto": where the stated ones contradict what is seen in more than REFUSED of
@@ -63,6 +63,7 @@ def measure_recording(
     read_images : read the images even where corners.csv is there
     progress : called with (label, done, of), or None; check_corners : called with the Corners before they are measured,
         or None; what it raises ends it
+    Returns (Measurement, Collected or None)
     Raises NotEnoughData for a recording with neither corners nor images, and what reading and measuring raise
     """
     recording = recording_with_unstated_markers_placed(recording, read_images, progress)
@@ -199,7 +200,10 @@ def _measured(
 
 
 def refuse_free_marker_places_on_stages(places: str) -> None:
-    """Raise RigError where the places of markers are to be free, on a rig with targets on stages of a chain."""
+    """Raise RigError where the places of markers are to be free.
+
+    On a rig with targets on stages of a chain.
+    """
     if places == "free":
         raise RigError(
             "positions of markers cannot be adjusted on a rig with targets on stages of a chain: the stated "

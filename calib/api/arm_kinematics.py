@@ -96,8 +96,9 @@ class ArmKinematics:
 
 
 def load_arm_kinematics(text: str) -> ArmKinematics:
-    """Load ArmKinematics by a text: path of a rig.toml or calibration.json, or a shipped arm's name.
+    """Load ArmKinematics by a text.
 
+    Path of a rig.toml or calibration.json, or a shipped arm's name.
     Raises RigError for other kinds
     """
     if Path(text).suffix != ".json":

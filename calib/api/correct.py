@@ -209,8 +209,9 @@ class CorrectionResult(OneLineRepr):
 def correct(
     calibration: Calibration, wanted: WantedPoses | RigidTransform, options: CorrectOptions = CorrectOptions()
 ) -> CorrectionResult:
-    """CorrectionResult for wanted poses T_base_platform in their order, all known effects compensated.
+    """CorrectionResult for wanted poses T_base_platform in their order.
 
+    All known effects compensated.
     wanted : RigidTransform (n,) or (), each held until all has come to rest; or Wanted, with frames and with times
     Raises Unreachable listing the poses that leave the axes' ranges or come too soon, NotConverged where no commands
         are found, RigError for a log of sensors that does not cover the poses

@@ -74,8 +74,9 @@ class LookupTable:
 def correction_lookup_table(
     calibration: Calibration, wanted: WantedPoses, channels: Mapping[str, Sequence[float]]
 ) -> LookupTable:
-    """LookupTable of a calibration for wanted poses, at every combination of values of sensor channels.
+    """LookupTable of a calibration for wanted poses.
 
+    At every combination of values of sensor channels.
     channels : {name: (k,) values in the channel's unit, ascending}; others stand as when calibrated, and their spread
         is in the covariance
     Every pose is held until all has come to rest. Where axes remember their way, a pose is not approached from one

@@ -47,10 +47,12 @@ VERIFYING = 1000  # added to the seed for the new poses
 
 
 def certify_investigation(out: Path, rig: InvestigatedRig, rounds: Sequence[InvestigationRound]) -> tuple[str, ...]:
-    """Calibration, verification and certificate at the end of an investigation; returns lines on what was done.
+    """Calibration, verification and certificate at the end of an investigation.
 
     Verified on new poses; the lines say too what could not be done. Raises Waiting as `InvestigatedRig.record` does
     Where a command refuses, what follows from it is left out, and that is a line
+
+    Returns lines on what was done
     """
     said = []
     recordings = [str(recording_path(out, look.number)) for look in rounds]

@@ -125,7 +125,9 @@ def learn(
     progress: Progress = lambda *_: None,
     notice: Notice = ignore_notice,
 ) -> LearningResult:
-    """LearningResult of a recording's poses, learnt one at a time, as `rig calibrate online` makes it.
+    """LearningResult of a recording's poses.
+
+    Learnt one at a time, as `rig calibrate online` makes it.
 
     Poses that have been learnt before are left out.
     progress : called with (label, done, of); notice : with what is found on the way, in words

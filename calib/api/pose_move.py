@@ -103,8 +103,9 @@ class PoseMove:
 def plan_pose_move(
     design: Design, calibration: Calibration, wanted: RigidTransform, uncorrected: bool = False
 ) -> PoseMove:
-    """PoseMove to a wanted pose T_base_platform (), checked; what nobody logs is taken as when calibrated.
+    """PoseMove to a wanted pose T_base_platform (), checked.
 
+    What nobody logs is taken as when calibrated.
     Raises Unreachable for lengths out of range
     """
     correction = calibration.correction
@@ -118,7 +119,10 @@ def plan_pose_move(
 
 
 def require_same_rig(design: Design, calibration: Calibration, design_path: Path, calibration_path: Path) -> None:
-    """Raise RigError where a calibration is of another rig than a design. The paths are for the message."""
+    """Raise RigError where a calibration is of another rig than a design.
+
+    The paths are for the message.
+    """
     nominal, mechanism = calibration.correction.nominal, require_hexapod(design.mechanism)
     names = [name for name in mechanism.geometry_arrays if name != "strut_zeros"]
     if nominal.kind != mechanism.kind or not all(

@@ -255,8 +255,9 @@ def watch(
     refutations: Sequence[Refutation] = (),
     progress: Progress = silent_progress,
 ) -> WatchResult:
-    """Watch over a calibration by visits (small recordings, in order): whether it holds and what changed.
+    """Watch over a calibration by visits (small recordings, in order).
 
+    Whether it holds and what changed.
     history : of the visits before, `History(calibration_digest(path))` where there are none; refutations : what later
     recordings found against the calibration
     Raises ValueError without visits, and what measuring raises

@@ -40,9 +40,10 @@ def view(
     links: Sequence[Link] = (),
     progress: Callable[[str, int, int], None] | None = None,
 ) -> tuple[str, ...]:
-    """Write a view of a recording to a file, as `rig view` does; returns sentences on what it shows.
+    """Write a view of a recording to a file, as `rig view` does.
 
     links : of a page; progress : called with (label, done, of), or None
+    Returns sentences on what it shows
     Raises RigError for a frame or an effect that the recording cannot have, FileError for a picture's unknown format
     """
     if options.frame is not None:

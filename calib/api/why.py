@@ -262,8 +262,9 @@ def why(
     notice: Notice = ignore_notice,
     links: Sequence[Link] = (),
 ) -> WhyResult:
-    """WhyResult of data: a recording's folder, a table of joint values and poses, a bag, or a folder of such.
+    """WhyResult of data.
 
+    A recording's folder, a table of joint values and poses, a bag, or a folder of such.
     folder : gets the imported recording, calibration.json, diagnosis.json and diagnosis.html; None to keep nothing
     progress : called with (label, done, of), or None; notice : called with lines on what was read and is unlikely
     links : of the page

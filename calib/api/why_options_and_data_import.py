@@ -50,8 +50,9 @@ class WhyOptions:
 
 
 def recording_of_data(data: Path, options: WhyOptions, folder: Path, notice: Notice) -> tuple[Recording, bool]:
-    """(the Recording of data, whether its poses' noise is assumed): loaded as it is, or imported to a folder.
+    """Recording of data, and whether its poses' noise is assumed.
 
+    It is loaded as it is, or imported to a folder.
     folder : gets a folder `recording`; notice : called with lines on what was read
     Raises as `why`
     """

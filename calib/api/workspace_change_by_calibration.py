@@ -112,7 +112,10 @@ def analyse_workspace(path: Path, certificate: Path | None = None, notice: Notic
 
 
 def load_certificate(path: Path, calibration: Path) -> Entries:
-    """Entries of a certificate. Raises FileError for a file that is none, or one of another calibration"""
+    """Entries of a certificate.
+
+    Raises FileError for a file that is none, or one of another calibration
+    """
     tree = json_toml_and_yaml_loading.load_json(path, "certificate", "certificate/1")
     marks = tree.table("inputs_sha256")
     mine = hashlib.sha256(read_bytes(calibration)).hexdigest()

@@ -77,7 +77,10 @@ def measured_volume(poses: HeldPoses, mechanism: Commanded) -> Volume:
 
 
 def measuring_conditions(poses: HeldPoses, recordings: Sequence[Recording], sources: Sequence[str]) -> Conditions:
-    """Measuring conditions of HeldPoses. sources : where each recording's poses came from, in words"""
+    """Measuring conditions of HeldPoses.
+
+    sources : where each recording's poses came from, in words
+    """
     logged: dict[str, list[Floats]] = {}
     for k, recording in enumerate(recordings):
         for name in recording.sensors.channels if recording.sensors is not None else ():

@@ -19,7 +19,10 @@ SCHEMA = "certificate/1"
 
 
 def certificate_dict(certificate: Certificate) -> Json:
-    """dict of a certificate as certificate.json holds it; null where something was not measured or is not known."""
+    """dict of a certificate as certificate.json holds it.
+
+    Null where something was not measured or is not known.
+    """
     v = certificate.volume
     out = {
         "schema": SCHEMA,

@@ -105,8 +105,9 @@ def _cell_bound_figures(certificate: Certificate) -> str:
 
 
 def visible_rectangles(boxes: Floats, values: Floats) -> list[tuple[tuple[float, ...], float]]:
-    """Visible rectangles of boxes seen along an axis: without overlap, each with the greatest value behind it.
+    """Visible rectangles of boxes seen along an axis.
 
+    Without overlap, each with the greatest value behind it.
     boxes : (n, 2, 2), low and high corner; values : (n,)
     Returns [((x low, y low, x high, y high), value)]
     """
@@ -147,7 +148,10 @@ NOT_KNOWN = "not known"
 
 
 def write_certificate_page(path: Path, certificate: Certificate, links: Sequence[Link] = ()) -> None:
-    """Write a certificate's HTML page: one file, usable offline."""
+    """Write a certificate's HTML page.
+
+    One file, usable offline.
+    """
     parts = [
         *_promise(certificate),
         *_against(certificate),

@@ -60,7 +60,10 @@ Uncertainty = Standard | Expanded | Interval | None  # None : of a number that i
 
 
 def si_element(value: float, unit: str, uncertainty: Uncertainty) -> ET.Element:
-    """D-SI XML element of a value: si:real with its uncertainty, si:constant of an exact one."""
+    """D-SI XML element of a value.
+
+    The element is si:real with its uncertainty, or si:constant of an exact value.
+    """
     root = ET.Element(_name("constant" if uncertainty is None else "real"))
     _add(root, "value", f"{value:.9g}")
     _add(root, "unit", unit)

@@ -64,7 +64,10 @@ ALONE = OfCalibrations()  # of a recording from which none was made
 
 
 def calibration_verdict(calibration: Calibration, refutations: Sequence[Refutation] = ()) -> Verdict:
-    """The Verdict on a calibration. refutations : of its file, by later recordings"""
+    """The Verdict on a calibration.
+
+    refutations : of its file, by later recordings
+    """
     return judge_evidence(calibration_evidence_verdict_and_claim_check(calibration, refutations))
 
 
@@ -157,7 +160,9 @@ def verify_claim_on_samples(
 def evidence_with_confounds(
     evidence: Evidence, calibration: Calibration, confounds: Sequence[Confounds | None], recording_names: str
 ) -> Evidence:
-    """Evidence with what the designs of held-out recordings confound, where its own recording's is not known.
+    """Evidence with what the designs of held-out recordings confound.
+
+    Where its own recording's is not known.
 
     Only what that does not separate can have gone into the correction. recording_names : the recordings, in words
     """

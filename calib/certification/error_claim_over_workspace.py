@@ -191,8 +191,9 @@ def _counted(distinct: int) -> str:
 
 
 def draw_variance_ratio(cost: float, freedom: int, count: int, rng: np.random.Generator) -> Floats:
-    """Draws (count,) of the ratio of true to stated variances, by a cost and its degrees of freedom.
+    """Draws (count,) of the ratio of true to stated variances.
 
+    By a cost and its degrees of freedom.
     cost : whitened squares of a fit, its priors' included; freedom : how many numbers were fitted
     """
     return (TRUSTED + cost) / rng.chisquare(TRUSTED + freedom, count)
@@ -246,7 +247,10 @@ def error_claim_over_workspace(
 
 
 def workspace_samples(correction: AnyCorrection) -> tuple[Floats, RigidTransform]:
-    """Samples of the workspace: (commands (m, axes) m, poses (m,) of the corrected machine)."""
+    """Samples of the workspace.
+
+    Returns (commands (m, axes) m, poses (m,) of the corrected machine)
+    """
     ranges = axis_travel_limits(correction.nominal)
     return solvable_commands_and_poses(sobol_configurations(ranges, PLACES, FILL), correction)
 

@@ -103,7 +103,11 @@ def best_six_limbs(stated: MeasuringLimbs, home: RigidTransform, T: RigidTransfo
 
 
 def stated_limb_legs(stated: MeasuringLimbs, home: RigidTransform) -> best_six_legs_and_closures.RedundantLegs:
-    """Legs of all limbs as stated in rig.toml. home : T_base_platform. Raises RigError for fewer than six"""
+    """Legs of all limbs as stated in rig.toml.
+
+    home : T_base_platform.
+    Raises RigError for fewer than six
+    """
     _require_six_limbs(stated)
     n = len(stated.channels)
     return best_six_legs_and_closures.combine_leg_sets(
@@ -132,7 +136,10 @@ def has_six_measuring_limbs(design: Design) -> bool:
 
 
 def fit_redundant_limb_checks(limbs: Limbs, stated: MeasuringLimbs, lengths: Floats) -> Checks:
-    """Redundant limb checks: joints and zeros of all limbs but the six, fitted to lengths (n, limbs) m."""
+    """Redundant limb checks.
+
+    Joints and zeros of all limbs but the six, fitted to lengths (n, limbs) m.
+    """
     others = np.setdiff1d(np.arange(len(stated.channels)), limbs.chosen)
     T = limbs.pose(lengths)
     start = Checks(
@@ -210,7 +217,10 @@ def _closures(limbs: Limbs, checks: Checks, lengths: Floats) -> best_six_legs_an
 
 
 def held_out_check_errors(limbs: Limbs, stated: MeasuringLimbs, lengths: Floats) -> tuple[Floats, Floats]:
-    """Held-out errors (n, k) m of the redundant limbs and their expected sigma, joints fitted elsewhere."""
+    """Held-out errors (n, k) m of the redundant limbs and their expected sigma.
+
+    Joints fitted elsewhere.
+    """
     fold, count = time_block_folds(len(lengths), FOLDS), len(stated.channels) - best_six_legs_and_closures.SIX
     error, sigma = np.zeros((len(lengths), count)), np.ones((len(lengths), count))
     for k in np.unique(fold) if count else ():  # of six alone nothing is over to be checked
@@ -241,8 +251,9 @@ def limbs_sigmas_and_covariance(limbs: Limbs, stated: MeasuringLimbs) -> tuple[M
 
 
 def first_unclosed_limb(limbs: Limbs, lengths: Floats) -> UnclosedLimb | None:
-    """First UnclosedLimb of poses in a row by lengths read (n, limbs) m; None where all close.
+    """First UnclosedLimb of poses in a row by lengths read (n, limbs) m.
 
+    None where all close.
     Raises NotConverged for readings that close on no pose
     """
     checks = limbs.checks

@@ -44,8 +44,9 @@ class Closures(NamedTuple):
 def draw_strut_deviation_component_sizes(
     struts: list[Closures], scattered: Callable[[Floats], Floats], count: int, rng: np.random.Generator
 ) -> list[Floats]:
-    """Draws (count, components) m of the sizes of each strut's deviation components, a row a machine.
+    """Draws (count, components) m of the sizes of each strut's deviation components.
 
+    A row a machine.
     scattered : (k,) m -> (k,) by how much the log likelihood of all closures grows where all struts scatter by so much
     """
     n, axes = len(struts[0].values), len(struts)

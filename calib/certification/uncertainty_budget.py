@@ -94,13 +94,18 @@ def _coverage_factor(covariance: Floats) -> float:
 
 
 def rms_position_and_rotation_uncertainty(covariance: Floats) -> tuple[float, float]:
-    """RMS standard uncertainty (m, rad) of the lengths of position and rotation errors, of covariances (n, 6, 6)."""
+    """RMS standard uncertainty (m, rad) of the lengths of position and rotation errors.
+
+    Of covariances (n, 6, 6).
+    """
     position, rotation = (float(np.sqrt(np.trace(covariance[:, p, p], axis1=1, axis2=2).mean())) for p in PARTS)
     return position, rotation
 
 
 def camera_and_lens_covariance(measured: Sequence[tuple[Samples, Measurement | None]]) -> tuple[Floats, Floats] | None:
-    """Covariances (n, 6, 6) of poses by the uncertainty of cameras and of lenses; None without images.
+    """Covariances (n, 6, 6) of poses by the uncertainty of cameras and of lenses.
+
+    None without images.
 
     Where a camera stands and what its lens does go together: cameras' part is what is left were all lenses known,
     lenses' part the rest, so that both make up what all poses share

@@ -257,7 +257,10 @@ AnyCorrection = Correction[Any, Any]  # of any kind of machine: which one is kno
 
 
 def solvable_commands_and_poses(commands: Floats, correction: AnyCorrection) -> tuple[Floats, RigidTransform]:
-    """Commands whose forward kinematics has a solution, and these poses (k,). Raises NotConverged where none has."""
+    """Commands whose forward kinematics has a solution, and these poses (k,).
+
+    Raises NotConverged where none has.
+    """
     index, T = indices_and_poses_of_solvable_commands(commands, correction.predict)
     return commands[index], T
 
@@ -323,13 +326,15 @@ def calibrate_correction(
     geometry: Identified | None = None,
     axes_with_remainder: Booleans | None = None,
 ) -> tuple[Correction[Parallel, Radial], Identified]:
-    """Correction calibrated on samples: geometry fitted, then its remainder extended; (Correction, Identified).
+    """Correction calibrated on samples.
 
+    Geometry fitted, then its remainder extended.
     samples : Samples; nominal : the owner's
     remainder : "find" keeps a strut's where it stands out of the noise; "none" fits the geometry alone; a tuple of
     Radial or None takes over size and smoothness from there; geometry : `identify_geometry` of the same, where it is
     known already
     axes_with_remainder : (axes,) bool, the struts that may have one where it is to be found; all by default
+    Returns (Correction, Identified)
     Raises RigError for a machine without struts, NotEnoughData as `identify`
     """
     nominal = require_parallel(nominal)

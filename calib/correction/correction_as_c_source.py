@@ -173,7 +173,11 @@ def joined_c_parts(*texts: str) -> str:
 def c_file_opening(
     call: CCall, correction: AnyCorrection, effects: EffectsInC, gaps: Floats, origin: str
 ) -> tuple[str, str, str]:
-    """What a C file begins with: its head comment, its interface, home and channels. gaps : (axes,) m or rad, play"""
+    """What a C file begins with.
+
+    Its head comment, its interface, home and channels.
+    gaps : (axes,) m or rad, play
+    """
     home = mechanisms.kinematics_of(correction.nominal).home_values(correction.nominal)
     interface = f"enum {{ RIG_AXES = {len(home)} }};\n\n{c_source_part('api')}"
     return _head(call, correction, effects, gaps, origin), interface, _constants(effects.channels, home)
@@ -246,8 +250,9 @@ def _constants(channels: dict[str, float], home: Floats) -> str:
 
 
 def controller_terms_of_compensable_effects(correction: AnyCorrection, physics: Physics | None) -> EffectsInC:
-    """EffectsInC of a calibration's effects that commands undo. Raises RigError for one that has no such form, and for
-    two plays of an axis.
+    """EffectsInC of a calibration's effects that commands undo.
+
+    Raises RigError for one that has no such form, and for two plays of an axis.
     """
     places = mechanisms.axis_place_texts(correction.fitted)
     effects = () if physics is None else physics.compensable_effects()
@@ -297,9 +302,10 @@ def commands_of_effects(effects: EffectsInC) -> tuple[str, ...]:
 
 
 def define_remainder(tables: CTables, extension: Field | None, axis_functions: list[list[str]]) -> bool:
-    """Define the summand over the configuration space, add_remainder; returns whether there is any.
+    """Define the summand over the configuration space, add_remainder.
 
     axis_functions : names of the functions that add the remainder of each axis that has one
+    Returns whether there is any
     """
     names = [name for names in axis_functions for name in names]
     if extension is not None:

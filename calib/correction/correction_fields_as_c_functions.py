@@ -78,7 +78,10 @@ def _nested(numbers: list[str], width: int) -> list[str]:
 
 
 def field_functions(tables: CTables, one: Field) -> list[str]:
-    """Names of the functions that add a Field, which are defined. Raises RigError for a kind that no C file states."""
+    """Names of the functions that add a Field, which are defined.
+
+    Raises RigError for a kind that no C file states.
+    """
     if isinstance(one, SummedPasses):
         return [name for part in one.fields for name in field_functions(tables, part)]
     if isinstance(one, RadialMap):

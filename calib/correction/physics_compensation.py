@@ -167,8 +167,9 @@ class Physics:
 def samples_with_effects(
     design: Design, samples: Samples, commands: Commands, effects: Sequence[Effect], sensors: Sensors | None
 ) -> Samples:
-    """Samples with effects applied to their commands, or taken off an arm's poses beyond its joints, in place of those
-    that were before.
+    """Samples with effects applied to their commands, or taken off an arm's poses beyond its joints.
+
+    In place of those that were before.
     """
     t, T = samples.t, samples.T_base_platform
     if is_parallel(design.mechanism):
@@ -265,7 +266,9 @@ class Machine:
 
 
 def compensated_commands_at_poses(machine: Machine, T: RigidTransform, route: Route, guess: Floats) -> Floats:
-    """Commands (n, axes) m or rad at the poses T (n,) of a Route, with effects and their history compensated.
+    """Commands (n, axes) m or rad at the poses T (n,) of a Route.
+
+    With effects and their history compensated.
     guess : (n, axes), near
 
     Raises NotConverged with index, commands and residual of the poses for which none is found, to 1e-10 m or rad
@@ -296,7 +299,10 @@ def compensated_commands_at_poses(machine: Machine, T: RigidTransform, route: Ro
 
 
 def travel_until_earlier_path_is_forgotten(machine: Machine) -> Floats:
-    """Length (axes,) of path memory: travel one way after which an axis' earlier path no longer matters."""
+    """Length (axes,) of path memory.
+
+    Travel one way after which an axis' earlier path no longer matters.
+    """
     places = mechanisms.axis_place_texts(machine.correction.fitted)
     return np.max([e.axes(places) * e.forgets() for e in machine.effects] or [np.zeros(len(places))], axis=0)
 

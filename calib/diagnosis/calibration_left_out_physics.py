@@ -64,8 +64,9 @@ class Refutation(NamedTuple):
 def calibration_with_left_out_physics(
     calibration: Calibration, recording: Recording, sampled: Sampled, progress: Progress | None = None
 ) -> Calibration:
-    """The Calibration with the effects it omits, found by diagnosing its recording, stated in its claim.
+    """The Calibration with the effects it omits.
 
+    Found by diagnosing its recording, stated in its claim.
     sampled : Sampled that it was made from; progress : called with (label, done, of), or None
     """
     if calibration.claim is None or calibration.claim.after is None:
@@ -145,8 +146,9 @@ def _no_better(three: tuple[float, ...], errors: Floats, covariance: Floats) -> 
 def refuted_calibrations(
     report: Report, marks: Marks, paths: Iterable[Path], samples: Samples | None
 ) -> list[Refutation]:
-    """Calibrations of a recording that are refuted, since they leave out what a Report of it finds ([Refutation]).
+    """Calibrations of a recording that are refuted.
 
+    Since they leave out what a Report of it finds ([Refutation]).
     marks : marks of the recording; paths : files that may be calibrations, all else is passed over; samples : Samples
         of
     the recording, None where nothing was commanded
@@ -181,8 +183,9 @@ def refuted_calibrations(
 def unexplained_findings_and_refutations(
     marks: Marks, paths: Iterable[Path], include_later_refutations: bool
 ) -> OfCalibrations:
-    """What calibrations of a recording leave unexplained, and which of them are refuted, by its marks.
+    """What calibrations of a recording leave unexplained, and which of them are refuted.
 
+    By its marks.
     include_later_refutations : whether what other recordings found against them counts, as for what is learnt from the
         recording itself
     """

@@ -112,8 +112,9 @@ class _Choice(NamedTuple):
 
 
 def choose_curve(views: Sequence[AxisRows], candidates: Sequence[Candidate]) -> ChosenCurve | None:
-    """The curve that explains an axis' residual best, None where none holds on held-out stretches.
+    """The curve that explains an axis' residual best.
 
+    None where none holds on held-out stretches.
     views : the same by scatters that the axis may have, which is chosen with the curve
     """
     frames = len(views[0].level)

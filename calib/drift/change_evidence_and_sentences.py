@@ -160,8 +160,9 @@ def change_verdict(
     evidence: Sequence[Hypothesis],
     first_visit_count: int,
 ) -> Verdict:
-    """Verdict on changes from visits in order, the first of which may stand for several older ones.
+    """Verdict on changes from visits in order.
 
+    The first of which may stand for several older ones.
     squares : innovation and count of each visit, the last's included; scale : by which squares exceed what covariances
         say, from quiet visits
     prior : (p, p) information in the constants; first_visit_count : how many visits the first stands for

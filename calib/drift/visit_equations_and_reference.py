@@ -122,7 +122,10 @@ AT_ORIGIN = Platform(
 
 
 def fitted_hexapod(calibration: Calibration) -> Hexapod:
-    """The fitted hexapod. Raises RigError for a calibration of another mechanism."""
+    """The fitted hexapod.
+
+    Raises RigError for a calibration of another mechanism.
+    """
     return require_hexapod(
         calibration.correction.fitted, "watching requires a hexapod, not a mechanism of kind {kind!r}"
     )
@@ -136,7 +139,10 @@ def _expected_poses(calibration: Calibration, samples: Samples) -> RigidTransfor
 def machine_change_columns(
     mechanism: Hexapod, design: Design, commands: Commands, t: Floats, T: RigidTransform
 ) -> Floats:
-    """Columns (n, 6, 8) of machine changes: pose tangents (m, rad) per unit of each change, at exposures t (n,) s."""
+    """Columns (n, 6, 8) of machine changes.
+
+    Pose tangents (m, rad) per unit of each change, at exposures t (n,) s.
+    """
     stated = (
         design.platform
         if design.platform.payload_centre_of_mass is not None and design.platform.mass is not None
@@ -201,8 +207,9 @@ class _Seen:
 def visit_equations(
     recording: Recording, calibration: Calibration, reference: Reference | None
 ) -> tuple[Equations, Reference]:
-    """Equations of a visit, and the Reference that they refer to: the visit itself where none is given.
+    """Equations of a visit, and the Reference that they refer to.
 
+    The visit itself where none is given.
     Raises RigError for another machine than the calibration's or other cameras and targets than the reference's, and
         what measuring raises
     """
@@ -242,7 +249,10 @@ def _by_instrument(samples: Samples, T: RigidTransform) -> _Seen:
 
 
 def base_motion_columns(T: RigidTransform) -> Floats:
-    """Columns (n, 6, 6) of base motion: tangents of poses T (n,) per motion of the base (m, rad)."""
+    """Columns (n, 6, 6) of base motion.
+
+    Tangents of poses T (n,) per motion of the base (m, rad).
+    """
     matrix = T.as_matrix()
     back = np.swapaxes(matrix[:, :3, :3], 1, 2)
     out = np.zeros((len(matrix), 6, 6))

@@ -168,7 +168,10 @@ def is_ruled_out(finding: Finding[C], alternative: Alternative[C], size: int) ->
 
 
 def data_log_odds(finding: Finding[C], alternative: Alternative[C], size: int) -> float:
-    """Log odds of an alternative against its finding by the data alone, without complexity cost (-2 log)."""
+    """Log odds of an alternative against its finding by the data alone.
+
+    Without complexity cost (-2 log).
+    """
     return float(alternative.behind - alternative.score.complexity(size) + finding.score.complexity(size))
 
 
@@ -220,7 +223,10 @@ def choose_exposures(questions: Sequence[PerFrame], count: int) -> Floats:
 
 
 def camera_information_shares(open_questions: Sequence[Question[object]], plan: Plan) -> dict[str, float]:
-    """Share {camera: share} of the information on the questions that each camera's images give, the greatest first."""
+    """Share {camera: share} of the information on the questions that each camera's images give.
+
+    The greatest first.
+    """
     parts: dict[str, float] = {}
     for question in open_questions:
         for name, squares in (
@@ -247,8 +253,9 @@ class Information:
 
 
 def experiment_information(odds: Floats, predictions: Prediction, data_log_odds: Floats) -> Information:
-    """Information expected of an experiment, from drawn outcomes. odds : (h,) of the hypotheses
+    """Information expected of an experiment, from drawn outcomes.
 
+    odds : (h,) of the hypotheses
     data_log_odds : (h,) how much less likely the data so far make each, as minus twice a logarithm
     One is left alone where all others are less likely by the odds from which a diagnosis tells apart; those that do
     nearly the same, by what the data so far and the experiment say

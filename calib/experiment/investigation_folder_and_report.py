@@ -100,13 +100,19 @@ def diagnosis_path(folder: Path, number: int) -> Path:
 
 
 def duration_of_plan_in_minutes(plan: Path) -> float:
-    """Minutes that a plan takes. Raises FileError for what is no table in time."""
+    """Minutes that a plan takes.
+
+    Raises FileError for what is no table in time.
+    """
     t = csv_and_parquet_tables_and_time_origin.read_csv_table(plan, ("frame", "t")).numbers("t")
     return float(t.max() - t.min()) / 60 + SETTING_UP
 
 
 def read_investigation_rounds(folder: Path) -> list[InvestigationRound]:
-    """Investigation rounds (recording and diagnosis each) read from an investigation's folder, in order."""
+    """Investigation rounds (recording and diagnosis each) read from an investigation's folder.
+
+    In order.
+    """
     out: list[InvestigationRound] = []
     while (diagnosis_path(folder, len(out) + 1) / "next.json").exists():
         out.append(_look(folder, len(out) + 1))
@@ -171,7 +177,10 @@ def _of(finding: Entries) -> str:
 def notebook_text(
     rig: str, rounds: Sequence[InvestigationRound], budget: float, end_reason: str, final_action: Sequence[str]
 ) -> str:
-    """Laboratory notebook of an investigation, as Markdown. rig : its name; budget : min"""
+    """Laboratory notebook of an investigation, as Markdown.
+
+    rig : its name; budget : min
+    """
     out = [
         f"# Investigation of {rig}",
         "",
@@ -263,7 +272,10 @@ def write_investigation_page(
 
 
 def investigation_verdict(rounds: Sequence[InvestigationRound], end_reason: str) -> Verdict:
-    """Verdict of an investigation: good where nothing is unmodelled, to be examined otherwise."""
+    """Verdict of an investigation.
+
+    Good where nothing is unmodelled, to be examined otherwise.
+    """
     last = rounds[-1]
     named = ", ".join(last.findings) or "; ".join(last.unknown) or "nothing is unmodelled"
     left = list(last.doubts) or [

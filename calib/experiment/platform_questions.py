@@ -291,8 +291,9 @@ def _prior_standard_deviations(coordinates: list[Coordinate], effects: tuple[Eff
 
 
 def platform_questions(diagnosis: Diagnosis) -> list[PlatformQuestion]:
-    """Questions ([PlatformQuestion]) that a platform's diagnosis leaves open, none where it is clear.
+    """Questions ([PlatformQuestion]) that a platform's diagnosis leaves open.
 
+    None where it is clear.
     Raises RigError for a rig of which no plan can be foretold.
     """
     d, fit = diagnosis, diagnosis.selection.fit

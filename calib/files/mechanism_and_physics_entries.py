@@ -39,7 +39,10 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 
 
 def require_text(tree: Entries, key: str, known_texts: Sequence[str]) -> None:
-    """Raise FileError where a key's text is not one of those known: units, frames and orders."""
+    """Raise FileError where a key's text is not one of those known.
+
+    Units, frames and orders.
+    """
     found = tree.text(key)
     if found not in known_texts:
         differs = next(
@@ -167,7 +170,11 @@ def mechanism_dict(mechanism: Commanded) -> Json:
 
 
 def mechanism_from_entries(table: Entries, stated: bool = False) -> Commanded:
-    """Mechanism from its JSON entries. stated : whether it is the nominal one. Raises FileError for anything else."""
+    """Mechanism from its JSON entries.
+
+    stated : whether it is the nominal one.
+    Raises FileError for anything else.
+    """
     if "file" in table.tree:
         return file_mechanism_from_entries(table)
     if table.text("kind", (*READERS, CHAIN)) == CHAIN:
@@ -179,7 +186,10 @@ def mechanism_from_entries(table: Entries, stated: bool = False) -> Commanded:
 
 
 def file_mechanism_dict(mechanism: FileMechanism) -> Json:
-    """dict of a mechanism of a kinematics file, as JSON holds it: the file by name and hash, and its parameters."""
+    """dict of a mechanism of a kinematics file, as JSON holds it.
+
+    The file by name and hash, and its parameters.
+    """
     stated = mechanism.stated
     return {
         "kind": mechanism.kind,
@@ -191,7 +201,10 @@ def file_mechanism_dict(mechanism: FileMechanism) -> Json:
 
 
 def file_mechanism_from_entries(table: Entries) -> FileMechanism:
-    """Mechanism of a kinematics file from its JSON entries, the file beside. Raises FileError for another file."""
+    """Mechanism of a kinematics file from its JSON entries, the file beside.
+
+    Raises FileError for another file.
+    """
     table.text("kind", (FileMechanism.kind,))
     nominal = mechanism_of_file(table, "file", table.text("file"))
     if table.text("sha256") != nominal.stated.sha256:

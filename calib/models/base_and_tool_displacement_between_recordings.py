@@ -123,7 +123,10 @@ def _along(vector: Floats, covariance: Floats) -> float:
 
 
 def placement_columns(predicted: RigidTransform, origin: Floats) -> Floats:
-    """Columns (n, 6, 12): tangents of predicted poses (n,) per step of base and tool, in the predicted frames."""
+    """Columns (n, 6, 12).
+
+    Tangents of predicted poses (n,) per step of base and tool, in the predicted frames.
+    """
     back = np.swapaxes(predicted.rotation.as_matrix(), 1, 2)
     out = np.zeros((len(back), 6, 12))
     out[:, :3, :3] = out[:, 3:, 3:6] = back
@@ -176,15 +179,19 @@ def _white(predicted: RigidTransform, samples: Samples, placement: Placement, sc
 
 
 def asked_numbers(ends: tuple[bool, bool], measured: str) -> Booleans:
-    """(12,) bool, the numbers that are estimated of ends; positions tell no rotation of the tool."""
+    """(12,) bool, the numbers that are estimated of ends.
+
+    Positions tell no rotation of the tool.
+    """
     return np.repeat([ends[0], ends[0], ends[1], ends[1] and measured == "pose"], 3)
 
 
 def estimate_placement(
     predicted: RigidTransform, samples: Samples, origin: Floats, scatter: Floats, ends: tuple[bool, bool]
 ) -> Placement:
-    """Placement of the ends asked for, by samples (n,) against predicted poses (n,), wherever they stand.
+    """Placement of the ends asked for.
 
+    By samples (n,) against predicted poses (n,), wherever they stand.
     origin : (3,) m, where the base stood; scatter : (6,) m, rad beyond the poses' noise
     Its covariance is that of the noise, enlarged where the poses scatter by more
     """
@@ -267,7 +274,10 @@ def is_clear(predicted: RigidTransform, samples: Samples, placement: Placement, 
 
 
 def has_placements(mechanism: object, measured: str) -> bool:
-    """Whether base and tool are estimated of such a machine: of arms and chains by poses, or by positions alone."""
+    """Whether base and tool are estimated of such a machine.
+
+    Of arms and chains by poses, or by positions alone.
+    """
     return isinstance(mechanism, (Arm, Chain)) and measured in ("pose", "position")
 
 

@@ -226,7 +226,10 @@ def save_learner(path: Path | str, learner: Learner) -> None:
 
 
 def load_learner(path: Path | str) -> Learner:
-    """Load a Learner from its file. Raises FileError for a file that is missing, cut off or of another kind."""
+    """Load a Learner from its file.
+
+    Raises FileError for a file that is missing, cut off or of another kind.
+    """
     tree = json_toml_and_yaml_loading.load_json(Path(path), "state of a learner", SCHEMA)
     kind = LEARNERS[tree.text("learner", tuple(LEARNERS))]
     nominal = mechanism_from_entries(tree.table("nominal"))

@@ -143,7 +143,10 @@ def limb_poses(recording: Recording, accepted: Accepted) -> LimbPoses:
 
 
 def samples_of_limb_poses(recording: Recording, poses: LimbPoses) -> Sampled:
-    """Samples of commands and limb poses (Sampled). Raises RigError without commands."""
+    """Samples of commands and limb poses (Sampled).
+
+    Raises RigError without commands.
+    """
     return Sampled(
         pair_samples(recording, poses.frames, poses.T_base_platform, poses.own, poses.common), SOURCE, None, None
     )
@@ -171,8 +174,9 @@ def check_limb_poses_by_redundancy_and_vision(
     check_interval: int,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Checked:
-    """Check of limb poses by redundant limbs at each, and by vision at intervals, to the first disagreement.
+    """Check of limb poses by redundant limbs at each, and by vision at intervals.
 
+    To the first disagreement.
     Raises what measuring raises
     """
     open_ = redundant_limb_checks.first_unclosed_limb(accepted.limbs, poses.lengths)
@@ -259,7 +263,10 @@ class LimbSource:
 
 
 def sample_by_limbs(recording: Recording, source: LimbSource, progress: Progress | None, notice: Notice) -> Sampled:
-    """Sampled of a recording from its measuring limbs. Raises as `checked_limb_poses` does"""
+    """Sampled of a recording from its measuring limbs.
+
+    Raises as `checked_limb_poses` does
+    """
     found, accepted = checked_limb_poses(recording, source, progress, notice)
     return replace(
         samples_of_limb_poses(recording, found), files=(source.path,), data=tuple(accepted.provenance.get("data", ()))
@@ -269,9 +276,10 @@ def sample_by_limbs(recording: Recording, source: LimbSource, progress: Progress
 def checked_limb_poses(
     recording: Recording, source: LimbSource, progress: Progress | None, notice: Notice
 ) -> tuple[LimbPoses, Accepted]:
-    """Limb poses of a recording, checked, and the accepted limbs they are from: (LimbPoses, Accepted).
+    """Limb poses of a recording, checked, and the accepted limbs they are from.
 
     notice : called with how many vision looked at
+    Returns (LimbPoses, Accepted)
     Raises RigError for limbs that were not accepted, that are others than rig.toml states, or with which vision no
         longer agrees: their acceptance is withdrawn in their file first
     """

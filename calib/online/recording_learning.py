@@ -98,7 +98,10 @@ def learn_by_simple_learner(
     progress: Progress,
     notice: Notice,
 ) -> Learning:
-    """Learning of a recording's new poses by a simple learner, of this name in LEARNERS; all else as by the filter."""
+    """Learning of a recording's new poses by a simple learner, of this name in LEARNERS.
+
+    All else as by the filter.
+    """
     before = learner.number
     fresh, found, commands = _new_poses(recording, sampler, learner.data, calibration, notice)
     samples = found.samples
@@ -137,8 +140,9 @@ def learn_by_simple_learner(
 def resume_or_start_learner(
     name: str, setting: float | None, state: Path | None, mechanism: Hexapod, calibration: Calibration | None
 ) -> Learner:
-    """Simple Learner of a name: that of a state that is there, else a new one.
+    """Simple Learner of a name.
 
+    That of a state that is there, else a new one.
     Raises RigError where the two differ.
     """
     kind = LEARNERS[name]

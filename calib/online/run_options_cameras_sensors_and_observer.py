@@ -132,7 +132,10 @@ def compile_kernels_for_run(design: Design) -> None:
 
 
 def open_cameras(design: Design, clock: Clock) -> SynchronisedCameras:
-    """Open all cameras of a design. Raises CameraError where one has no source or does not open; the others close."""
+    """Open all cameras of a design.
+
+    Raises CameraError where one has no source or does not open; the others close.
+    """
     opened = []
     try:
         for camera in design.cameras:
@@ -188,10 +191,11 @@ def _move_time_profile(design: Design) -> Callable[[Floats, Floats, float, float
 def set_exposures(
     shutter: SynchronisedCameras, design: Design, stated: float | None, of_run: dict[str, float]
 ) -> tuple[dict[str, float], list[str]]:
-    """Set exposures of all cameras; returns ({camera: s}, lines of a report).
+    """Set exposures of all cameras.
 
     stated : s of all, or None; of_run : {camera: s} that the run had before, which it keeps where none is stated.
     Where there is neither, markers are made bright without clipping.
+    Returns ({camera: s}, lines of a report)
     """
     made, said, markers = dict[str, float](), [], marker_map(design)
     for source in shutter.sources:

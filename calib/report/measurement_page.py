@@ -115,7 +115,10 @@ CELLS = 16  # of a residual map, across the image
 
 
 def write_measurement_page(path: Path | str, result: MeasurementResult, links: Sequence[Link] = ()) -> None:
-    """Write the HTML page of a measurement: residual maps, coverage, uncertainty, cameras, unsolved frames."""
+    """Write the HTML page of a measurement.
+
+    Residual maps, coverage, uncertainty, cameras, unsolved frames.
+    """
     m, collected = result.measurement, result.collected
     rotation = np.sqrt(np.trace(m.covariance[:, 3:, 3:], axis1=1, axis2=2))
     position = np.sqrt(np.trace(m.covariance[:, :3, :3], axis1=1, axis2=2))

@@ -32,8 +32,9 @@ from rig.report.verdict_and_refutations import Evidence, MissingEvidence, State,
 def write_recording_page(
     path: Path | str, recording: Recording, effects: Sequence[Effect] = (), links: Sequence[Link] = ()
 ) -> None:
-    """Write the HTML page of a recording: its poses, its commands or both.
+    """Write the HTML page of a recording.
 
+    Its poses, its commands or both.
     effects : to be tried on it, each by itself
     Raises RigError for a recording with neither, for effects on one without commands, and as their models do
     """
@@ -139,7 +140,10 @@ class PlanFigures(Protocol):
 
 
 def write_plan_page(path: Path | str, file: str, plan_result: PlanFigures, links: Sequence[Link] = ()) -> None:
-    """Write the HTML page of a plan in a file. Raises as forward kinematics does"""
+    """Write the HTML page of a plan in a file.
+
+    Raises as forward kinematics does
+    """
     if not len(plan_result.values):
         write_page(path, Page("plan", f"No plan {file}", plan_result.verdict, [], [], links))
         return

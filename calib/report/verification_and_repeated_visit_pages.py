@@ -78,7 +78,10 @@ class Verified:
 
 
 def write_verification_page(path: Path | str, name: str, verified: Verified, links: Sequence[Link] = ()) -> None:
-    """Write the HTML page of a verification. name : of the recording"""
+    """Write the HTML page of a verification.
+
+    name : of the recording
+    """
     floor = (
         f"The uncertainty of the measured poses is {verified.held.floor[0] * 1e3:.4f} mm and "
         f"{verified.held.floor[1] * 1e3:.4f} mrad."
@@ -305,7 +308,10 @@ def change_alarm_sentence(changes: Changes) -> str:
 
 
 def sentence_on_effect_omitted_by_calibration(visit: Visit) -> str:
-    """Sentence that a first visit shows an effect which the calibration omits, its claim not refuted by it."""
+    """Sentence that a first visit shows an effect which the calibration omits.
+
+    Its claim not refuted by it.
+    """
     named = visit.evidence.named
     like = "" if named is None else f", likeliest {named.name}"
     return f"the calibration omits an effect{like}, present from the beginning or since; its claim is not refuted by it"

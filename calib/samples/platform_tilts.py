@@ -24,8 +24,9 @@ GONE = 1e6  # rad, standard deviation of a reading that is left out
 def poses_with_platform_tilts(
     readings: TiltReadings, T: RigidTransform, own: Floats, common: Floats, measured: str = "pose"
 ) -> tuple[RigidTransform, Floats, Floats]:
-    """(poses (n,), own (n, 6, 6), common (n, 6, j)) of a platform, measured so, with what tilt sensors on it add.
+    """(poses (n,), own (n, 6, 6), common (n, 6, j)) of a platform.
 
+    Measured so, with what tilt sensors on it add.
     own, common : covariance of each pose and factor of what all share; measured : what was, as of Samples
     Readings that scatter more than poses and sensors explain count for less; one that is far off does not count.
     Raises RigError where less than poses was measured

@@ -317,8 +317,9 @@ def sample_recording(
     progress: Callable[[str, int, int], None] | None = None,
     on_corners: Callable[[Corners], None] | None = None,
 ) -> Sampled:
-    """Samples of a recording (Sampled): from its instrument's poses, its corners or images, or poses.csv.
+    """Samples of a recording (Sampled).
 
+    From its instrument's poses, its corners or images, or poses.csv.
     progress : called with (label, done, of), or None; on_corners : called with the Corners before they are measured, or
         None
     Raises RigError without commands, NotEnoughData without poses, and what look raises

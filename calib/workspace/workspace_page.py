@@ -32,7 +32,11 @@ from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdic
 
 
 def workspace_lines(workspace: Workspace, unit: str) -> list[str]:
-    """Lines on a Workspace: poses lost and gained, margin, singularities, error bound. unit : of the axes"""
+    """Lines on a Workspace.
+
+    Poses lost and gained, margin, singularities, error bound.
+    unit : of the axes
+    """
     first = (
         SHORT
         if workspace.lost is None or workspace.gained is None
@@ -150,8 +154,9 @@ SINGULAR = Quantity(
 
 
 def workspace_map_quantity_of_axis_margin(unit: str) -> Quantity:
-    """Quantity to draw on the workspace map: the greatest margin to the nearest axis limit in each cell.
+    """Quantity to draw on the workspace map.
 
+    The greatest margin to the nearest axis limit in each cell.
     unit : of an axis, m or rad
     """
     scale, shown = PLOT_UNITS.get(unit, (1.0, unit))
@@ -170,7 +175,10 @@ def _cell_number_text(value: float) -> str:
 
 
 def cell_views(workspace: Workspace, quantity: Quantity) -> tuple[str, str]:
-    """Views (unit, SVG) of a Quantity over the cells, from above (x, y) and from the side (x, z)."""
+    """Views (unit, SVG) of a Quantity over the cells.
+
+    From above (x, y) and from the side (x, z).
+    """
     parts, height = [], 0.0
     span = workspace.index.max(axis=0) + 1
     planes = [
@@ -222,7 +230,9 @@ def _titled_cells_html(workspace: Workspace, quantity: Quantity) -> list[str]:
 
 
 def workspace_section_html(workspace: Workspace | None, unit: str) -> list[str]:
-    """HTML of the workspace section of a calibration's page; empty without a workspace.
+    """HTML of the workspace section of a calibration's page.
+
+    Empty without a workspace.
     unit : of an axis, m or rad.
     """
     if workspace is None:

@@ -28,7 +28,10 @@ FILES = ("commands.csv", "frames.csv", "sensors.csv")
 
 
 def unreadable_recording_mistakes(folder: Path, error: FileError) -> tuple[Mistake, ...]:
-    """Mistakes that make a recording's folder unreadable, from the FileError raised, in order; may be none."""
+    """Mistakes that make a recording's folder unreadable, from the FileError raised, in order.
+
+    May be none.
+    """
     found: list[Mistake] = []
     for look in (_figures, _times, _numbers, _order, _poses):
         try:

@@ -33,7 +33,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig arm kinematics`: print forward or inverse kinematics of an arm."""
+    """Run `rig arm kinematics`.
+
+    Print forward or inverse kinematics of an arm.
+    """
     from calib.api.arm_kinematics import load_arm_kinematics
     from rig.formats import csv_and_parquet_tables_and_time_origin
     from rig.recording import recording_table_loading_and_writing

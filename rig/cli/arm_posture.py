@@ -127,7 +127,10 @@ def _add_exertion_options(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig arm posture`: search the best posture of an arm and print it."""
+    """Run `rig arm posture`.
+
+    Search the best posture of an arm and print it.
+    """
     from rig.formats.rig_toml import arm_dynamics_entries
     from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
     from rig.planning.layout import shipped_arms_and_layouts

@@ -54,7 +54,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig arm wrench`: estimate the wrench on an arm's hand from torques and print it.
+    """Run `rig arm wrench`.
+
+    Estimate the wrench on an arm's hand from torques and print it.
 
     By a momentum observer, and by the pseudo-inverse for comparison.
     """

@@ -126,7 +126,10 @@ def _write_kinematics_file(arguments: Namespace, mechanism: Mechanism) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig calibrate`: calibrate a machine from recordings and write calibration.json."""
+    """Run `rig calibrate`.
+
+    Calibrate a machine from recordings and write calibration.json.
+    """
     progress = Progress()
     progress("reading the recording", 0, 1)
     recordings, options = read_recordings(arguments), _options(arguments)

@@ -86,7 +86,10 @@ def _add_learner_options(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig calibrate online`: learn parameters from a recording pose by pose, and print sudden changes."""
+    """Run `rig calibrate online`.
+
+    Learn parameters from a recording pose by pose, and print sudden changes.
+    """
     progress = Progress()
     progress("reading the recording", 0, 1)
     limbs = limb_source(arguments)

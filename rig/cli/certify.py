@@ -39,19 +39,28 @@ KINDS = (".json", ".html", ".pdf", ".xml")
 
 
 def parse_share(text: str) -> float:
-    """Parse a share between 0 and 1. Raises ArgumentTypeError"""
+    """Parse a share between 0 and 1.
+
+    Raises ArgumentTypeError
+    """
     return _within(text, 0.5, 0.9999, "a share from 0.5 to 0.9999")
 
 
 def parse_relative_uncertainty(text: str) -> float:
-    """Parse a relative uncertainty. Raises ArgumentTypeError"""
+    """Parse a relative uncertainty.
+
+    Raises ArgumentTypeError
+    """
     return _within(
         text, 0.0, math.nextafter(0.1, 0.0), "a relative standard uncertainty from 0 to 0.1, as 20e-6 for 20 um/m"
     )
 
 
 def parse_rated_load(text: str) -> float:
-    """Parse a rated load, kg. Raises ArgumentTypeError"""
+    """Parse a rated load, kg.
+
+    Raises ArgumentTypeError
+    """
     return _within(text, 0.0, math.nextafter(1e6, 0.0), "a load in kg, 0 or more")
 
 
@@ -131,7 +140,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig certify`: certify a calibration by held-out recordings and write the certificate.
+    """Run `rig certify`.
+
+    Certify a calibration by held-out recordings and write the certificate.
 
     Exit status 3 where the verdict is bad.
     """

@@ -19,7 +19,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run `rig check`: check a recording for mistakes and print them.
+    """Run `rig check`.
+
+    Check a recording for mistakes and print them.
 
     Exit status 1 where results would mean nothing.
     """

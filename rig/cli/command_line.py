@@ -39,7 +39,10 @@ S = TypeVar("S", bound=int | str | None)  # an exit status
 
 
 def name_in_manifests(name: str) -> str:
-    """Name of a command in manifests of outputs: the earlier one if it has one, so that its earlier outputs are its."""
+    """Name of a command in manifests of outputs.
+
+    The earlier one if it has one, so that its earlier outputs are its.
+    """
     return next((earlier for earlier, present in EARLIER_NAMES.items() if present == name), name)
 
 
@@ -49,10 +52,12 @@ def module_of_command(name: str) -> str:
 
 
 def join_command_words(words: list[str]) -> tuple[list[str], str | None]:
-    """Words of a command line with the command's name as one of them: (words, the earlier name if one was used).
+    """Words of a command line with the command's name as one of them.
 
     `new design --radius 0.3` becomes `new design` and the rest, and so does `design --radius 0.3`. The second word is
     the command's where the two together are one: a file of that name is written ./design.
+
+    Returns (words, the earlier name if one was used)
     """
     at = next((i for i, word in enumerate(words) if not word.startswith("-")), None)
     if at is None:
@@ -64,8 +69,9 @@ def join_command_words(words: list[str]) -> tuple[list[str], str | None]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; returns the exit status: 0 done, 1 refused, 2 wrong usage, 130 interrupted.
+    """Run one command.
 
+    Returns the exit status: 0 done, 1 refused, 2 wrong usage, 130 interrupted
     Raises SystemExit where help was asked for or the usage is wrong
     """
     from rig.cli.shared.input_options_and_output_display import escaped_output
@@ -100,7 +106,10 @@ def _main(argv: list[str]) -> int:
 
 
 def command_line_parser(expanded_commands: Collection[str], words: tuple[str, ...] = ()) -> Parser:
-    """Parser of the command line. expanded_commands : those with their own arguments; words : the words to parse"""
+    """Parser of the command line.
+
+    expanded_commands : those with their own arguments; words : the words to parse
+    """
     parser = Parser(
         prog="rig",
         usage="rig [-h] [--version] COMMAND ...",
@@ -131,7 +140,10 @@ def _grouped_commands() -> str:
 
 
 def nested_command_parser() -> Parser:
-    """Parser of all commands for completion: commands of two words are subcommands of the first."""
+    """Parser of all commands for completion.
+
+    Commands of two words are subcommands of the first.
+    """
     parser = Parser(prog="rig")
     commands = parser.add_subparsers(dest="command")
     families: dict[str, argparse._SubParsersAction[Parser]] = {}
@@ -157,7 +169,9 @@ def _add_arguments(parser: Parser, name: str) -> object:
 
 
 def run_script() -> NoReturn:
-    """Entry point of the `rig` script: run `main` and end the process with its exit status.
+    """Entry point of the `rig` script.
+
+    Run `main` and end the process with its exit status.
 
     Products of matrices take one thread unless the environment says otherwise: several wait for each other, for cores
     that other processes use, ten times as long as they save.

@@ -89,7 +89,11 @@ EARLIER_NAMES = {
 
 
 def grouped_command_text(width: int) -> str:
-    """All commands by group, as the help of `rig` lists them; commands of two words below the first. width : columns"""
+    """All commands by group, as the help of `rig` lists them.
+
+    Commands of two words below the first.
+    width : columns
+    """
     from textwrap import wrap
 
     lines = []

@@ -115,7 +115,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig correct`: write corrected commands for wanted poses, or corrected poses of readings."""
+    """Run `rig correct`.
+
+    Write corrected commands for wanted poses, or corrected poses of readings.
+    """
     from calib.api.correct import correct
     from rig.recording.recording_folder import load_wanted_poses
     from rig.recording.recording_table_loading_and_writing import write_poses

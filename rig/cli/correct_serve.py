@@ -24,7 +24,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig correct serve`: answer until interrupted or terminated."""
+    """Run `rig correct serve`.
+
+    Answer until interrupted or terminated.
+    """
     from calib.api.correction_server import CorrectionServer
 
     calibration = input_options_and_output_display.calibration_of_arguments(arguments)

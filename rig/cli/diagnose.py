@@ -108,7 +108,10 @@ def _add_experiment_options(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig diagnose`: diagnose recordings and write what the model leaves out."""
+    """Run `rig diagnose`.
+
+    Diagnose recordings and write what the model leaves out.
+    """
     if arguments.next is None and (arguments.standing or arguments.may):
         raise RigError("--standing and --may are for --next FILE")
     progress = Progress()

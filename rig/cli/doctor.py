@@ -14,7 +14,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig doctor`: check this computer's installation and print it.
+    """Run `rig doctor`.
+
+    Check this computer's installation and print it.
 
     Exit status 1 where something is missing without which a plain installation does not work.
     """

@@ -17,7 +17,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig doctor completion`: print the completion script of a shell."""
+    """Run `rig doctor completion`.
+
+    Print the completion script of a shell.
+    """
     from rig.cli.shared.argument_parser_and_common_options import completion_script
 
     print(completion_script(arguments.all_commands(), arguments.shell))

@@ -36,7 +36,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig effects`: list the effects, print one in full, or write a file for a new one."""
+    """Run `rig effects`.
+
+    List the effects, print one in full, or write a file for a new one.
+    """
     if arguments.new is not None:
         return _new(arguments)
     if arguments.source is not None or arguments.place is not None or arguments.out is not None:

@@ -31,7 +31,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig effects document`: write the catalogue of effects as a document."""
+    """Run `rig effects document`.
+
+    Write the catalogue of effects as a document.
+    """
     from rig.api import effect_catalogue
     from rig.errors import RigError
     from rig.formats.output_files import write_text

@@ -104,7 +104,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig export`: export a calibrated geometry to another format."""
+    """Run `rig export`.
+
+    Export a calibrated geometry to another format.
+    """
     from calib.api.export_to_other_programs import ExportOptions, export
 
     _require_out(arguments)

@@ -54,7 +54,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig go`: move the platform to one pose through a calibration."""
+    """Run `rig go`.
+
+    Move the platform to one pose through a calibration.
+    """
     from calib.api.pose_move import plan_pose_move, require_same_rig
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
@@ -100,7 +103,9 @@ def _print_remainder(move: PoseMove) -> None:
 
 
 def parse_pose(text: str, units: LengthAndAngleUnits) -> RigidTransform:
-    """Parse a pose, six numbers split by commas, as RigidTransform. units : of the numbers
+    """Parse a pose, six numbers split by commas, as RigidTransform.
+
+    units : of the numbers
     Raises RigError for anything else, and for a turn by more than once round
     """
     import numpy as np

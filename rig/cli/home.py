@@ -15,7 +15,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig home`: home all struts and print their positions."""
+    """Run `rig home`.
+
+    Home all struts and print their positions.
+    """
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
 

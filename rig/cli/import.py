@@ -88,7 +88,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Run `rig import`: import foreign files as a recording, and save the recipe."""
+    """Run `rig import`.
+
+    Import foreign files as a recording, and save the recipe.
+    """
     from rig.api import import_recording
     from rig.formats import importers
     from rig.formats.output_files import write_text

@@ -13,7 +13,10 @@ from rig.formats.number_parsing_and_rounding import parse_whole_number
 
 
 def parse_minutes(text: str) -> float:
-    """Parse a duration such as 2h or 90min, in minutes. Raises ArgumentTypeError for anything else"""
+    """Parse a duration such as 2h or 90min, in minutes.
+
+    Raises ArgumentTypeError for anything else
+    """
     found = re.fullmatch(r"([0-9]{1,4}(?:\.[0-9]{1,3})?)(h|min)", text)
     value = float(found[1]) * (60 if found[2] == "h" else 1) if found else 0.0
     if not 0 < value <= 6000:
@@ -68,7 +71,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig investigate`: plan, record and diagnose in a loop, then calibrate and certify."""
+    """Run `rig investigate`.
+
+    Plan, record and diagnose in a loop, then calibrate and certify.
+    """
     from calib.api.investigate import investigate
     from calib.experiment.investigation_machine import InvestigateOptions
 

@@ -44,7 +44,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig jog`: jog struts, checked as any move."""
+    """Run `rig jog`.
+
+    Jog struts, checked as any move.
+    """
     import numpy as np
 
     from rig.cli.shared.run_display_and_controller_status import print_status

@@ -44,7 +44,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig lens`: calibrate a camera's lens from photographs and print its [[camera]] block."""
+    """Run `rig lens`.
+
+    Calibrate a camera's lens from photographs and print its [[camera]] block.
+    """
     import sys
     from dataclasses import replace
 

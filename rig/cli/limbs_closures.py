@@ -51,7 +51,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig limbs closures`: choose six of redundant limbs and print the closure errors of the others.
+    """Run `rig limbs closures`.
+
+    Choose six of redundant limbs and print the closure errors of the others.
 
     Exit status 1 where one is worse than its errors and geometry allow.
     """

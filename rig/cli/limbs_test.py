@@ -65,7 +65,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig limbs test`: test measuring limbs against vision, and save accepted ones."""
+    """Run `rig limbs test`.
+
+    Test measuring limbs against vision, and save accepted ones.
+    """
     from calib.api.measuring_limb_acceptance_and_platform_poses import AcceptLimbsOptions, accept_limbs
     from calib.online.measuring_limbs_file import is_limbs_file
     from rig.cli.shared.measurement_and_calibration_summary import print_online_learning_result

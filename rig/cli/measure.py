@@ -50,7 +50,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig measure`: measure platform poses from a recording and write them."""
+    """Run `rig measure`.
+
+    Measure platform poses from a recording and write them.
+    """
     progress = Progress()
     progress("reading the recording", 0, 1)
     hold, limbs = _hold(arguments.hold), limb_source(arguments)

@@ -48,7 +48,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig new`: write a new rig.toml from questions or options.
+    """Run `rig new`.
+
+    Write a new rig.toml from questions or options.
 
     Prompts for missing values and prints next steps. Raises RigError where something must be asked and nobody is there.
     """

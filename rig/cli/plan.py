@@ -93,7 +93,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig plan`: choose configurations to visit and write them."""
+    """Run `rig plan`.
+
+    Choose configurations to visit and write them.
+    """
     page, out = page_path(arguments), arguments.outputs.file(arguments.out)
     from calib.api.plan import plan
     from rig.formats.rig_toml import design_file

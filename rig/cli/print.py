@@ -43,7 +43,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig print`: write the sheets of a rig's markers to print, or bodies as STL."""
+    """Run `rig print`.
+
+    Write the sheets of a rig's markers to print, or bodies as STL.
+    """
     from rig.formats.rig_toml import design_file
 
     require_matplotlib("sheets to print")

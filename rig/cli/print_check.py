@@ -47,7 +47,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig print check`: check a printed marker sheet by a photograph and print the true side of its markers."""
+    """Run `rig print check`.
+
+    Check a printed marker sheet by a photograph and print the true side of its markers.
+    """
     from rig.formats.rig_toml import design_file
     from vision.printed_marker_size_from_photograph import measure_printed_marker_scale
 

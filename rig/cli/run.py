@@ -84,7 +84,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig run`: run a plan on the machine and record it, or resume such a run."""
+    """Run `rig run`.
+
+    Run a plan on the machine and record it, or resume such a run.
+    """
     from calib.api.machine_run import plan_run
     from rig.driving.driver_opening_and_settled_status import design_with_controller_port
 

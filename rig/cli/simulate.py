@@ -105,7 +105,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig simulate`: simulate a recording and write it, its truth apart."""
+    """Run `rig simulate`.
+
+    Simulate a recording and write it, its truth apart.
+    """
     if arguments.source is not None:
         return _again(arguments)
     if arguments.design is None:

@@ -81,7 +81,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig simulate blind`: draw blind cases, diagnose each without its truth, and score the campaign."""
+    """Run `rig simulate blind`.
+
+    Draw blind cases, diagnose each without its truth, and score the campaign.
+    """
     from synthetic.blind_campaign import Campaign, CampaignOptions, parse_case_numbers
 
     a = arguments

@@ -15,7 +15,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig status`: print the status of the controller.
+    """Run `rig status`.
+
+    Print the status of the controller.
 
     Nothing moves.
     """

@@ -18,7 +18,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig stop`: stop the struts, and any process that moves them.
+    """Run `rig stop`.
+
+    Stop the struts, and any process that moves them.
 
     Its run can be resumed.
     """

@@ -41,7 +41,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig verify`: verify a calibration by another recording and print its errors.
+    """Run `rig verify`.
+
+    Verify a calibration by another recording and print its errors.
 
     Exit status 3 where the verdict is bad.
     """

@@ -53,7 +53,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig view`: draw one frame of a recording, or all its poses in 3-D."""
+    """Run `rig view`.
+
+    Draw one frame of a recording, or all its poses in 3-D.
+    """
     from calib.api.view import ViewOptions, view
 
     _refuse_options_of_other_views(arguments)

@@ -24,7 +24,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig view index`: write the index page of all pages below a folder."""
+    """Run `rig view index`.
+
+    Write the index page of all pages below a folder.
+    """
     from rig.report.pages.page_templates_and_elements import NAME, list_pages_below_folder, write_index_page
 
     if not arguments.folder.is_dir():

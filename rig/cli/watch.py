@@ -58,7 +58,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig watch`: choose a visit's poses, or compare visits with a calibration.
+    """Run `rig watch`.
+
+    Choose a visit's poses, or compare visits with a calibration.
 
     Prints what changed. Exit status 3 where the verdict is bad.
     """

@@ -65,7 +65,9 @@ def _angle(text: str) -> float:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig why`: calibrate and diagnose a machine from its data, and print five lines.
+    """Run `rig why`.
+
+    Calibrate and diagnose a machine from its data, and print five lines.
 
     Exit status 3 where the verdict is bad.
     """

@@ -30,7 +30,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig workspace`: map the workspace of a calibration and print what it changes."""
+    """Run `rig workspace`.
+
+    Map the workspace of a calibration and print what it changes.
+    """
     from calib.api.workspace_change_by_calibration import analyse_workspace
 
     out = arguments.out

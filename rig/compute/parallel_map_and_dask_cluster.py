@@ -202,7 +202,9 @@ def parallel_map(
     items_per_process: int = FEW,
     on_cluster: bool = False,
 ) -> list[R]:
-    """Results of a function mapped over items in parallel, in the items' order; exceptions are raised here.
+    """Results of a function mapped over items in parallel, in the items' order.
+
+    Exceptions are raised here.
 
     It takes one process where the system cannot fork or OMP_NUM_THREADS, which limits the processes as it does threads,
     is 1, and within a process that another call of it forked. A process that is ended from outside costs what it was

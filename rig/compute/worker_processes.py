@@ -58,7 +58,10 @@ def temporary_worker_limit(count: int | None) -> Iterator[None]:
 
 
 def worker_count() -> int:
-    """Number of worker processes: the limit that is set, else the CPU cores, OMP_NUM_THREADS at most."""
+    """Number of worker processes.
+
+    The limit that is set, else the CPU cores, OMP_NUM_THREADS at most.
+    """
     if _asked is not None:
         return _asked
     limit = os.environ.get("OMP_NUM_THREADS", "")
@@ -73,8 +76,9 @@ def executor_map(
     progress: Progress | None = None,
     futures: list[Future[R]] | None = None,
 ) -> list[R]:
-    """Results of a function mapped over items by an executor, in the items' order; the first exception is raised.
+    """Results of a function mapped over items by an executor, in the items' order.
 
+    The first exception is raised.
     progress : called with (done, of), or None; futures : gets the things' Futures, or None
     """
     futures, out = [] if futures is None else futures, []
@@ -119,8 +123,9 @@ def process_map(
     initializer: Callable[..., object] | None = None,
     initializer_arguments: tuple[object, ...] = (),
 ) -> list[R]:
-    """Results of a function mapped over items by a process pool; items of killed processes are repeated.
+    """Results of a function mapped over items by a process pool.
 
+    Items of killed processes are repeated.
     Raises WorkerEnded where ENDED pools in turn came to an end with nothing done
     """
     left = list(enumerate(items))
@@ -198,9 +203,11 @@ def process_pool(
 
 
 def run_child_process(command: Sequence[str | PathLike[str]], env: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    """Run a child process until it ends; returns its exit status and what it printed (CompletedProcess).
+    """Run a child process until it ends.
 
     The child itself is to call `end_when_parent_ends` with this process's id, so that it does not outlive it
+
+    Returns its exit status and what it printed (CompletedProcess)
     """
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env) as child:
         _waited_for.add(child)
@@ -221,7 +228,9 @@ def terminate_child_processes() -> None:
 
 
 def end_when_parent_ends(parent_pid: int) -> None:
-    """Make this process end when its parent process (parent_pid) ends: by the system on Linux, elsewhere by a thread.
+    """Make this process end when its parent process (parent_pid) ends.
+
+    By the system on Linux, elsewhere by a thread.
     Raises OSError where it will not. On Windows that takes a process that multiprocessing started.
     """
     if sys.platform == "linux" and ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, SIGKILL, 0, 0, 0):

@@ -39,8 +39,9 @@ def design_with_controller_port(path: Path, port: str | None) -> Design:
 
 
 def address_of_controller(controller: Controller, mechanism: Mechanism) -> ControllerAddress:
-    """Address of the Controller of a design, for a rig.toml that is no local file. Raises RigError for no port, and for
-    a program of the user's own that cannot be used.
+    """Address of the Controller of a design, for a rig.toml that is no local file.
+
+    Raises RigError for no port, and for a program of the user's own that cannot be used.
     """
     c = controller
     if not (c.port or c.usb):
@@ -90,8 +91,9 @@ def _opener(design: Design, stopped: StoppedController | None, clock: Clock) -> 
 def settled_status(
     driver: Driver, clock: Clock, timeout: float = 60.0, poll_interval: float = 0.05
 ) -> ControllerStatus:
-    """Status once the axes have settled: a move that another process began is awaited.
+    """Status once the axes have settled.
 
+    A move that another process began is awaited.
     Raises RigError where they still move after so long.
     """
     status, end = driver.status(), clock.now() + timeout

@@ -115,5 +115,8 @@ class UserSensorReader(SensorReader):
 
 
 def open_sensors(stated: SensorPort, clock: Clock) -> SensorReader:
-    """The sensors of a rig.toml, opened. Raises LinkLost for a port, FileError or RigError for a program."""
+    """The sensors of a rig.toml, opened.
+
+    Raises LinkLost for a port, FileError or RigError for a program.
+    """
     return UserSensorReader(stated) if is_user_program(stated.port) else SensorReader(stated, clock)

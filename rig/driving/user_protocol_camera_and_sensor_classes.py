@@ -26,8 +26,9 @@ RECORDED = ("journal.jsonl", "frames.csv")  # files that make a folder a recordi
 
 
 def require_own_rig_toml(path: Path, design: Design) -> None:
-    """Raise RigError where a rig.toml that names programs is behind a URL or a part of a recording: whoever wrote that
-    is not the operator of this machine.
+    """Raise RigError where a rig.toml that names programs is behind a URL or a part of a recording.
+
+    Whoever wrote that is not the operator of this machine.
     """
     sources = [design.controller.protocol if design.controller else "", *(c.source or "" for c in design.cameras)]
     sources += [design.sensors.port] if design.sensors else []
@@ -65,7 +66,10 @@ def load_user_class(stated: str, base: type[T], group: str, what: str) -> tuple[
 
 
 def missing_member(kind: type[object], base: type[object], members: tuple[str, ...]) -> str | None:
-    """The first of some members (methods or attributes) that a class does not have of its own; None for none."""
+    """The first of some members (methods or attributes) that a class does not have of its own.
+
+    None for none.
+    """
     return next((name for name in members if getattr(kind, name, None) is getattr(base, name, None)), None)
 
 
@@ -76,7 +80,10 @@ def fail_at_class(path: str, kind: type[object], message: str, field: str | None
 
 
 def guard_call(call: Callable[P, T], path: str, error_kind: type[RigError], owner: str) -> Callable[P, T]:
-    """The same method, whose failures name the file and the line; of a dialogue each of its steps."""
+    """The same method, whose failures name the file and the line.
+
+    Of a dialogue each of its steps.
+    """
 
     def failure(error: Exception) -> RigError:
         line = line_within(error, path) or call.__code__.co_firstlineno

@@ -1,7 +1,4 @@
-"""Checked entries of a TOML or JSON table.
-
-They are read with checks; errors name file, line, column and key.
-"""
+"""Checked entries of a TOML or JSON table; errors name file, line, column and key."""
 
 from __future__ import annotations
 

@@ -282,8 +282,10 @@ def is_parquet(path: Path) -> bool:
 
 
 def read_parquet_cells(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
-    """Read a Parquet file as text cells: (header, rows); timestamps as nanoseconds since 1970.
+    """Read a Parquet file as text cells.
 
+    Timestamps as nanoseconds since 1970.
+    Returns (header, rows)
     Raises MissingLibrary without pyarrow, FileError for what is no such file, for other types and for cells that are
         empty
     """
@@ -312,7 +314,10 @@ def read_parquet_cells(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
 
 
 def parquet_bytes(columns: Mapping[str, Sequence[int] | Sequence[float] | Sequence[str]]) -> bytes:
-    """Bytes of a Parquet file with columns {name: values}. Raises MissingLibrary without pyarrow."""
+    """Bytes of a Parquet file with columns {name: values}.
+
+    Raises MissingLibrary without pyarrow.
+    """
     pa, parquet = _library()
     buffer = pa.BufferOutputStream()
     parquet.write_table(pa.table(dict(columns)), buffer)

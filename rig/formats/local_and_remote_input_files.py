@@ -26,7 +26,10 @@ def is_remote(path: Path) -> bool:
 
 
 def remote_url(path: Path) -> str:
-    """URL of a remote path. Raises ValueError where it stands for none."""
+    """URL of a remote path.
+
+    Raises ValueError where it stands for none.
+    """
     at = _scheme(path)
     if at is None:
         raise ValueError(f"{path} stands for no URL")
@@ -46,7 +49,9 @@ def absolute_path(path: Path) -> Path:
 
 
 def exists(path: Path) -> bool:
-    """Whether a file or a non-empty folder exists at a path. Raises FileError where that is unknown.
+    """Whether a file or a non-empty folder exists at a path.
+
+    Raises FileError where that is unknown.
     Raises FileError where that cannot be asked.
     """
     return (
@@ -57,7 +62,9 @@ def exists(path: Path) -> bool:
 
 
 def is_folder(path: Path) -> bool:
-    """Whether a path is a folder. Raises FileError where that is unknown.
+    """Whether a path is a folder.
+
+    Raises FileError where that is unknown.
     Raises FileError where that cannot be asked.
     """
     return path.is_dir() if not is_remote(path) else bool(_entries(remote_url(path)))
@@ -163,7 +170,9 @@ KINDS = (
 
 
 def open_regular_file(path: Path, missing_message: str = "no such file") -> BinaryIO:
-    """Open a regular file for reading; never waits for a pipe or device.
+    """Open a regular file for reading.
+
+    Never waits for a pipe or device.
     missing_message : what to say where there is none.
 
     Raises FileError where it is missing, no regular file or cannot be opened

@@ -27,7 +27,10 @@ LIMBS = ("base_joints", "platform_joints", "zeros")
 
 
 def machine_dict(design: Design, effects: Iterable[Effect]) -> Json:
-    """Dict of a machine for JSON: effects, geometry by name, cameras, measuring limbs."""
+    """Dict of a machine for JSON.
+
+    Effects, geometry by name, cameras, measuring limbs.
+    """
     m = design.mechanism
     out = {"effects": [effect_to_dict(effect) for effect in effects], **_geometry(m)}
     out["cameras"] = [
@@ -69,7 +72,10 @@ def effect_to_dict(effect: Effect) -> Json:
 
 
 def effect_from_dict(tree: Json, known_effects: Kinds = BY_NAME) -> Effect:
-    """Effect from a dict as `effect_to_dict` writes it, of known kinds. Raises RigError for anything else."""
+    """Effect from a dict as `effect_to_dict` writes it, of known kinds.
+
+    Raises RigError for anything else.
+    """
     if (
         not isinstance(tree, dict)
         or not isinstance(tree.get("effect"), str)
@@ -97,9 +103,12 @@ def effect_from_dict(tree: Json, known_effects: Kinds = BY_NAME) -> Effect:
 def load_machine(
     path: Path, nominal_design: Design, effect_kinds: Kinds = BY_NAME
 ) -> tuple[Design, tuple[Effect, ...]]:
-    """Load a machine: (its Design, its effects); what the file lacks is nominal.
+    """Load a machine.
+
+    What the file lacks is nominal.
     effect_kinds : effects that there are
 
+    Returns (its Design, its effects)
     Raises FileError for a file that is none of this rig
     """
     found, limbs = json_toml_and_yaml_loading.load_json(path, "truth of this rig"), nominal_design.insitu
@@ -154,8 +163,10 @@ def _camera(camera: Camera, table: Entries) -> Camera:
 def effects_from_entries(
     table: Entries, design: Design, kinds: Kinds, has_place: Callable[[Entries], bool] = lambda entry: True
 ) -> tuple[Effect, ...]:
-    """Effects listed under "effects". Raises FileError for an unknown one, or one whose place a design has not.
+    """Effects listed under "effects".
+
     has_place : whether an entry's place is looked up in the design
+    Raises FileError for an unknown one, or one whose place a design has not.
     """
     found = []
     for number, entry in enumerate(table.tables("effects"), 1):

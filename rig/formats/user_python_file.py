@@ -44,7 +44,10 @@ class UserModule:
 
 
 def read_user_text(path: Path) -> tuple[str, str]:
-    """(text, SHA-256 of the bytes) of a user's Python file. Raises FileError, with the line for what is no text."""
+    """(text, SHA-256 of the bytes) of a user's Python file.
+
+    Raises FileError, with the line for what is no text.
+    """
     if is_remote(path):
         raise FileError(path, "is a program behind a URL, and such a program is not run: copy it to this computer")
     try:
@@ -59,7 +62,11 @@ def read_user_text(path: Path) -> tuple[str, str]:
 
 
 def run_user_text(text: str, path: Path) -> ModuleType:
-    """Module that a source text defines once it is run. path : its name in errors. Raises FileError with the line."""
+    """Module that a source text defines once it is run.
+
+    path : its name in errors.
+    Raises FileError with the line.
+    """
     module = ModuleType(f"user_file_{sha256(str(path).encode() + text.encode()).hexdigest()[:16]}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module  # dataclasses look their module up by its name
@@ -73,7 +80,10 @@ def run_user_text(text: str, path: Path) -> ModuleType:
 
 
 def run_user_file(path: Path) -> UserModule:
-    """A user's Python file, run. Raises FileError, with the line, where it cannot be read or run."""
+    """A user's Python file, run.
+
+    Raises FileError, with the line, where it cannot be read or run.
+    """
     text, digest = read_user_text(path)
     return UserModule(path, text, digest, run_user_text(text, path))
 
@@ -85,7 +95,10 @@ def line_within(error: BaseException, path: Path | str) -> int | None:
 
 
 def line_of_class(text: str, name: str, field: str | None = None) -> int | None:
-    """Where a source text defines a class, or a name in its body; None where that is not at its top level."""
+    """Where a source text defines a class, or a name in its body.
+
+    None where that is not at its top level.
+    """
     for node in ast.parse(text).body:
         if isinstance(node, ast.ClassDef) and node.name == name:
             lines = [part.lineno for part in node.body if field in _names(part)] if field else [node.lineno]
@@ -94,7 +107,10 @@ def line_of_class(text: str, name: str, field: str | None = None) -> int | None:
 
 
 def class_literal(text: str, field: str) -> object:
-    """Value of a literal (`urgent_stop = b"!"`) in the first class body of a source text that has one; None for none.
+    """Value of a literal (`urgent_stop = b"!"`) in the first class body of a source text that has one.
+
+    None for none.
+
     Nothing is run.
     """
     try:

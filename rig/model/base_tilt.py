@@ -154,15 +154,19 @@ def has_gravity(channels: Collection[str]) -> bool:
 
 
 def logged_gravity(channel: Callable[[str], Floats]) -> Floats:
-    """(n, 3) m/s^2 of gravity in the base frame. channel : name -> (n,) values"""
+    """(n, 3) m/s^2 of gravity in the base frame.
+
+    channel : name -> (n,) values
+    """
     return np.stack([channel(name) for name in GRAVITY], axis=1)
 
 
 def gravity_at_exposures(
     gravity: Floats, known: Collection[str], channel: Callable[[str], Floats], count: int
 ) -> Floats:
-    """(count, 3) m/s^2 of gravity in the base frame: as logged where the base tilts, else as stated, gravity (3,).
+    """(count, 3) m/s^2 of gravity in the base frame.
 
+    As logged where the base tilts, else as stated, gravity (3,).
     known : names of the sensor channels; channel : name -> (count,) values
     """
     return logged_gravity(channel) if has_gravity(known) else np.broadcast_to(gravity, (count, 3))

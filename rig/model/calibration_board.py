@@ -100,7 +100,9 @@ class Board:
 
 
 def parse_board(text: str, units: LengthAndAngleUnits = SI) -> Board:
-    """Parse a board's description text into a Board. units : of its lengths
+    """Parse a board's description text into a Board.
+
+    units : of its lengths
     Raises RigError saying what is wrong with which part.
     """
     parts = text.split(":")

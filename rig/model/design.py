@@ -1,7 +1,4 @@
-"""Design of a rig as its owner states it.
-
-Mechanism, platform, controller, cameras and targets.
-"""
+"""Design of a rig as its owner states it."""
 
 from __future__ import annotations
 

@@ -78,7 +78,9 @@ def _parsed(text: str) -> Place:
 
 
 def parse_stage_place(text: str, kinds: Collection[str]) -> Place | None:
-    """Parse a Place in a stage of a chain ("stage2strut3"); None for any other text.
+    """Parse a Place in a stage of a chain ("stage2strut3").
+
+    None for any other text.
 
     Axes must be among the kinds of place.
     """
@@ -88,7 +90,10 @@ def parse_stage_place(text: str, kinds: Collection[str]) -> Place | None:
 
 @cache
 def axis_mask(effect_place: Place, places: tuple[str, ...]) -> Floats:
-    """Mask (axes,) of axes (texts of their places): 1.0 for those that a place is or includes, else 0.0."""
+    """Mask (axes,) of axes (texts of their places).
+
+    1.0 for those that a place is or includes, else 0.0.
+    """
     return np.array([float(effect_place.includes(Place.parse(place))) for place in places])
 
 

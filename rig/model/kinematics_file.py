@@ -224,7 +224,10 @@ def freedom_columns(file: KinematicsFile, poses: Floats, p: Floats) -> Floats:
 
 
 def parameter_columns(file: KinematicsFile, poses: Floats, p: Floats, which: Integers) -> Floats:
-    """Change (n, axes, k) of the axes with parameters, those of an index `which` (k,), in their units."""
+    """Change (n, axes, k) of the axes with parameters.
+
+    Those of an index `which` (k,), in their units.
+    """
     out = np.empty((len(poses), len(file.axes), len(which)))
     tolerances = file.tolerances
     for k, j in enumerate(which.tolist()):

@@ -23,8 +23,9 @@ SINGULAR = 1e-6  # of the largest singular value of the axes' change with the fr
 
 @lru_cache(16)
 def kinematics_of_source(source: str, name: str) -> KinematicsFile:
-    """KinematicsFile of a source text, checked. name : of its file, in errors.
+    """KinematicsFile of a source text, checked.
 
+    name : of its file, in errors.
     Raises FileError with the line of what is wrong: what is missing, of another shape, no number, in another unit, or
     no round trip
     """
@@ -179,7 +180,10 @@ def _with_forward(file: KinematicsFile) -> KinematicsFile:
 
 
 def locked_poses(file: KinematicsFile, poses: Floats) -> Floats:
-    """Poses (n, 4, 4) with the coordinates that are no freedoms as at home: the nearest that the platform can take."""
+    """Poses (n, 4, 4) with the coordinates that are no freedoms as at home.
+
+    The nearest that the platform can take.
+    """
     if len(file.freedoms) == 6:
         return poses
     out = np.tile(file.home, (len(poses), 1, 1))

@@ -27,7 +27,11 @@ def _array(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> Floats
 
 
 def freeze_array(instance: object, name: str, shape: tuple[int | None, ...]) -> None:
-    """Freeze an array field of a dataclass instance: read-only floats of a shape. Raises ValueError otherwise."""
+    """Freeze an array field of a dataclass instance.
+
+    Read-only floats of a shape.
+    Raises ValueError otherwise.
+    """
     object.__setattr__(instance, name, _array(getattr(instance, name), shape, name))
 
 

@@ -53,8 +53,9 @@ STANDARD = "moving:30,sobol:120,ladder,zigzag:30,payload:20,sobol:100,moving:30"
 
 
 def plan_of_configurations(configurations: Floats, start: Floats, speed: float | Floats) -> Plan:
-    """Plan that visits configurations (n, axes) from start (axes,), dwells and exposes once settled.
+    """Plan that visits configurations (n, axes) from start (axes,).
 
+    Dwells and exposes once settled.
     speed : of the axes, one or (axes,) m/s or rad/s
     """
     writer = PlanWriter(np.asarray(start, float), speed)
@@ -70,7 +71,9 @@ def build_plan(
     one_sided: bool = False,
     additional_parts: Mapping[str, Floats] | None = None,
 ) -> Plan:
-    """Build the Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD.
+    """Build the Plan of a design from its text, for example "sobol:100,moving:60".
+
+    "standard" stands for STANDARD.
     one_sided : whether every configuration at which the struts settle is reached from shorter struts; own_parts :
         {part:
     configurations (n, axes) that it visits in that order}, besides these configuration at which the struts settle
@@ -324,7 +327,10 @@ TEXTS = ("commands", "division", "turn")  # parts that take more than a number
 
 
 def axis_strokes(design: Design) -> Floats:
-    """Strokes (axes, 2) m or rad of the axes: the lowest and highest command of each."""
+    """Strokes (axes, 2) m or rad of the axes.
+
+    The lowest and highest command of each.
+    """
     return mechanisms.kinematics_of(design.mechanism).travel_ranges(design.mechanism)
 
 

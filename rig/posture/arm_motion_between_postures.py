@@ -28,7 +28,10 @@ THERE = 1e-9  # rad; end of a motion
 
 
 def motion_with_hand_still(q: Floats, goal: Floats, arm: Arm, fixed_hand_part: str = "pose") -> Floats:
-    """Motion (k, n) rad from posture q (n,) to goal (n,) with the hand still. Raises RigError where none exists."""
+    """Motion (k, n) rad from posture q (n,) to goal (n,) with the hand still.
+
+    Raises RigError where none exists.
+    """
     if np.abs(goal - q).max() < THERE:
         return np.array([q])
     if null_space_search.redundant_joint_count(arm, fixed_hand_part) != 1:
@@ -88,7 +91,9 @@ def _greatest_difference_text(apart: Floats, arm: Arm) -> str:
 
 
 def motion_with_straight_hand(q: Floats, goal: Floats, arm: Arm, steps: int = STEPS) -> Floats:
-    """Motion (k, n) rad from posture q (n,) to goal (n,) with the hand on a straight line, turning evenly.
+    """Motion (k, n) rad from posture q (n,) to goal (n,) with the hand on a straight line.
+
+    Turning evenly.
 
     What the elbow has not done when the hand arrives, it does at the end. Raises RigError where the way leaves the
     joint limits or passes too near a singularity to be followed

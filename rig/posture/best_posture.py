@@ -253,7 +253,10 @@ def _figures(arm: Arm, objective: Objective, q: Floats, start: Floats, values: t
 
 
 def exertion_dict(q: Floats, arm: Arm, exertion: ExertionObjective) -> Json:
-    """Dict of an exertion at posture q (n,) rad for JSON: torques, margins, greatest multiple, extreme directions."""
+    """Dict of an exertion at posture q (n,) rad for JSON.
+
+    Torques, margins, greatest multiple, extreme directions.
+    """
     strength = exertion.strength
     weight, load = strength.weight(q, arm), joint_torques_for_wrench(q, arm, exertion.wrench)
     low, high = strength.box(q, arm)

@@ -86,7 +86,10 @@ class ObservedWrench:
 def momentum_observer_model(
     motion: ArmMotion, arm: Arm, links: LinkMasses, gravity: Floats, sigmas: tuple[Floats, Floats, Floats]
 ) -> ObserverModel:
-    """Model of the momentum observer for an ArmMotion, computed once; sigmas : (n,) of torque, angle, speed."""
+    """Model of the momentum observer for an ArmMotion, computed once.
+
+    sigmas : (n,) of torque, angle, speed
+    """
     inverse = np.linalg.inv(arm_dynamics_and_step_by_step_kinematics.mass_matrix(motion.q, arm, links))
     push = motion.torque + arm_dynamics_and_step_by_step_kinematics.torque_free_momentum_rate(
         motion.q, motion.speed, arm, links, gravity
@@ -98,9 +101,10 @@ def momentum_observer_model(
 
 
 def observe_wrench(model: ObserverModel, rates: Floats) -> ObservedWrench:
-    """Observe the external wrench over time by an ObserverModel: ObservedWrench.
+    """Observe the external wrench over time by an ObserverModel.
 
     rates : (6,) N/sqrt(s), Nm/sqrt(s), of the wrench's random walk
+    Returns ObservedWrench
     """
     records, count, n = model.motion.q.shape
     size = 3 * n + 6
@@ -290,8 +294,9 @@ class EstimatedWrench:
 def external_joint_torques(
     measured: Floats, q: Floats, speed: Floats, acceleration: Floats, arm: Arm, links: LinkMasses, gravity: Floats
 ) -> Floats:
-    """External joint torques (..., n) N m: measured ones less those of weight and motion, tau = J^T f.
+    """External joint torques (..., n) N m.
 
+    Measured ones less those of weight and motion, tau = J^T f.
     measured : (..., n) Nm, what the joints exert; f is what the surroundings do to the hand. Others as of
         dynamics.torques
     """

@@ -60,7 +60,10 @@ def require_one_rig(recordings: Sequence[Recording]) -> None:
 
 
 def camera_owner_recordings(recordings: Sequence[Recording]) -> Owners:
-    """Owner recording of each camera: the one that introduced it, a new one where lens or mount differs."""
+    """Owner recording of each camera.
+
+    The one that introduced it, a new one where lens or mount differs.
+    """
     out: list[dict[str, int]] = []
     for k, recording in enumerate(recordings):
         out.append(
@@ -116,7 +119,11 @@ def join_recordings(recordings: Sequence[Recording], owners: Owners) -> Recordin
 
 
 def combined_camera_name(camera: str, owners: dict[str, int]) -> str:
-    """Name of a camera among the combined recordings: NAME or NAME@k. owners : of its recording."""
+    """Name of a camera among the combined recordings.
+
+    NAME or NAME@k.
+    owners : of its recording.
+    """
     return camera if owners[camera] == 0 else f"{camera}@{owners[camera] + 1}"
 
 
@@ -178,7 +185,10 @@ def _exposures(parts: Sequence[RecordingPart], owners: Owners) -> Exposures:
 
 
 def target_owner_recordings(designs: Sequence[Design]) -> Owners:
-    """Owner recording of each target: the one in which it was last remounted."""
+    """Owner recording of each target.
+
+    The one in which it was last remounted.
+    """
     out: list[dict[str, int]] = []
     for k, design in enumerate(designs):
         own = {}

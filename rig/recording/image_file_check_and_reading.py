@@ -45,7 +45,9 @@ def image_file_problem(path: Path, camera: Camera | None = None) -> str | None:
 
 
 def open_image_file_problem(file: BinaryIO, camera: Camera | None = None, max_pixels: int = MOST_PIXELS) -> str | None:
-    """Problem of an open image file as text, or None. max_pixels : px that it may have.
+    """Problem of an open image file as text, or None.
+
+    max_pixels : px that it may have.
     max_pixels : px that it may have. Raises OSError where it cannot be read.
     """
     head = file.read(HEAD)
@@ -125,7 +127,10 @@ def _size_of_tiff(file: BinaryIO, order: str, head: bytes) -> tuple[int, int] | 
 
 
 def image_path_problem(folder: Path, name: str) -> str | None:
-    """Problem of an image's path as text, or None: it must lie in the recording's folder."""
+    """Problem of an image's path as text, or None.
+
+    It must lie in the recording's folder.
+    """
     if not name.isprintable() or len(name) > 1000:
         return "is not a file name"
     if local_and_remote_input_files.is_remote(folder):
@@ -185,8 +190,9 @@ def read_image(path: Path, max_pixels: int = MOST_PIXELS) -> Pixels:
 
 
 def decode_image(data: bytes, path: Path, max_pixels: int = MOST_PIXELS) -> Pixels:
-    """Decode the bytes of an image file to (rows, columns) or (rows, columns, 3). path : its name in errors.
+    """Decode the bytes of an image file to (rows, columns) or (rows, columns, 3).
 
+    path : its name in errors.
     Raises FileError for one that has more than `max_pixels` or cannot be decoded
     """
     import cv2

@@ -1,7 +1,4 @@
-"""Folder of a recording, loaded into arrays (Recording).
-
-Commands, exposures, sensors, corners, poses; checked.
-"""
+"""Folder of a recording, loaded into arrays (Recording) and checked."""
 
 import re
 from collections.abc import Sequence

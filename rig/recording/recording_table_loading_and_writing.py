@@ -1,7 +1,4 @@
-"""Loading and writing of a recording's tables.
-
-With checks: exposures, corners, poses and configurations (CSV).
-"""
+"""Loading and writing of a recording's tables (CSV), with checks."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

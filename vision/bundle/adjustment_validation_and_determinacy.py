@@ -58,8 +58,9 @@ class NotHeldOut:
 def crossvalidate_adjustment(
     observations: Observations, adjustment: Adjustment, folds: int = FOLDS
 ) -> HeldOut | NotHeldOut:
-    """Cross-validation of an adjustment: HeldOut residuals over folds of frames, or NotHeldOut with a reason.
+    """Cross-validation of an adjustment.
 
+    HeldOut residuals over folds of frames, or NotHeldOut with a reason.
     observations : Observations that were adjusted; adjustment : their Adjustment
     Linear about the optimum: leaving a stretch out takes its share from the reduced normal equations, so nothing is
     adjusted anew. A frame's own poses are fitted to it, as they must be; what is tested is what frames share. A stretch
@@ -178,7 +179,10 @@ class DeterminedUnknowns:
 
 
 def determined_combinations(adjustment: Adjustment) -> DeterminedUnknowns:
-    """Determined combinations of an Adjustment's unknowns: its covariance compared with the priors."""
+    """Determined combinations of an Adjustment's unknowns.
+
+    Its covariance compared with the priors.
+    """
     kept = np.flatnonzero(
         ~adjustment.of_prints
     )  # how markers are printed, no recording tells marker by marker: that is said in one line

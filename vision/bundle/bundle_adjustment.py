@@ -106,8 +106,9 @@ def adjust_bundle(
     lens_prior_sigmas: Callable[[Camera], Floats] = stated_lens_prior_sigmas,
     printing: Printing | None = None,
 ) -> Adjustment:
-    """Bundle adjustment: the cameras, places and poses that fit all corners best, weighted by covariance.
+    """Bundle adjustment.
 
+    The cameras, places and poses that fit all corners best, weighted by covariance.
     observations : Observations, outliers taken out; state : State to start from, with its markers where these are free
     free : which of "poses" (of fixed cameras), "lenses", "markers" (each on its target: face misplacement) and
     "targets" (each in its body: cube misplacement) are adjusted; the rest is held and taken as known
@@ -171,7 +172,10 @@ def adjust_bundle(
 def adjustment_cost(
     observations: Observations, estimate: Estimate, stated: State, unknowns: Unknowns, whitening: Whitener
 ) -> float:
-    """Cost of an adjustment: sum of whitened squares with the priors'; infinite with a corner behind a camera."""
+    """Cost of an adjustment.
+
+    Sum of whitened squares with the priors'; infinite with a corner behind a camera.
+    """
     uv, ahead = predict_corners(observations, estimate.state)
     if (ahead[:, 2] <= 0).any():
         return np.inf

@@ -116,7 +116,9 @@ def compare_stated_and_adjusted_places(measurement: Measured, t: Floats) -> Plac
 
 
 def are_stated_places_doubtful(measurement: Measured, markers: MarkerMap) -> bool:
-    """Whether the stated marker places are doubtful: whether most of the corners' scatter comes from them.
+    """Whether the stated marker places are doubtful.
+
+    Whether most of the corners' scatter comes from them.
     markers : MarkerMap as stated
     """
     a, kept = measurement.adjustment, measurement.used()
@@ -132,7 +134,10 @@ def are_stated_places_doubtful(measurement: Measured, markers: MarkerMap) -> boo
 
 
 def adjusted_markers(measurement: Measured) -> dict[str, tuple[Marker, ...]]:
-    """Adjusted markers by target: {target name: (Marker, ...)}."""
+    """Adjusted markers by target.
+
+    Returns {target name: (Marker, ...)}
+    """
     m = measurement.adjustment.state.placed
     out: dict[str, list[Marker]] = {}
     for row, name in enumerate(m.target):

@@ -56,8 +56,9 @@ def adjust_robustly(
     initial_gate: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> RobustAdjustment:
-    """Robust adjustment of all frames: outlying corners and unsupported frames are excluded in rounds.
+    """Robust adjustment of all frames.
 
+    Outlying corners and unsupported frames are excluded in rounds.
     state : over all frames; unsolved : {frame: reason}, added to; stated : State as its owner states it
     single_sighting_bodies : {(frame, body)} for which one sighting is enough; initial_gate : px within which no corner
         is rejected at first
@@ -216,7 +217,10 @@ def _squares(observations: Observations, state: State) -> Floats:
 
 
 def is_within_gate(observations: Observations, state: State, smallest_gate: float = 0.0) -> Booleans:
-    """Whether each corner's residual (n,) is within the gate: GATE robust scales, or the smallest gate px."""
+    """Whether each corner's residual (n,) is within the gate.
+
+    The gate is GATE robust scales, or the smallest gate px.
+    """
     square = _squares(observations, state)
     scale = np.sqrt(np.median(square) / MEDIAN)
     typical = np.median(np.einsum("nii->n", observations.covariance)) / 2

@@ -185,7 +185,10 @@ def target_motion_from_stated(name: str, markers: MarkerMap, stated: MarkerMap, 
 
 
 def marker_motions_relative_to_targets(estimate: Estimate, stated: State, unknowns: Unknowns) -> RigidTransform:
-    """Motions (m,) of markers relative to their targets, without the targets' motion; identity for held markers."""
+    """Motions (m,) of markers relative to their targets, without the targets' motion.
+
+    Identity for held markers.
+    """
     own = (
         stated.placed.T_body_marker.inv()
         * estimated_marker_motions_by_target_motions(estimate, unknowns).inv()
@@ -201,7 +204,10 @@ def do_cameras_hold_base(unknowns: Unknowns, state: State) -> bool:
 
 
 def update_estimate(estimate: Estimate, unknowns: Unknowns, shared_step: Floats, local_step: Floats) -> Estimate:
-    """The updated Estimate after a step of the shared (s,) and the local (F, l) unknowns, in scaled units."""
+    """The updated Estimate after a step of the shared (s,) and the local (F, l) unknowns.
+
+    In scaled units.
+    """
     state, step = estimate.state, shared_step * unknowns.scale
     cameras = list(state.cameras)
     for i, columns in unknowns.poses.items():
@@ -272,15 +278,18 @@ def offset_from_stated(estimate: Estimate, stated: State, unknowns: Unknowns) ->
 
 
 def datum_markers(markers: MarkerMap, rows: Integers) -> Integers:
-    """Rows of the markers that hold their body's frame together: of rows (k,) of one body those whose places are
-    stated, the first where none is.
+    """Rows of the markers that hold their body's frame together.
+
+    Of rows (k,) of one body those whose places are stated, the first where none is.
     """
     stated = markers.stated[rows]
     return rows[stated] if stated.any() else rows[:1]
 
 
 def align_with_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> Estimate:
-    """The Estimate aligned with the datums: seen from the frames that the stated places define.
+    """The Estimate aligned with the datums.
+
+    Seen from the frames that the stated places define.
 
     Corners of all seen markers of a body whose places are stated, taken together, end where they were stated, in the
     least-squares sense; those of the first where none is.

@@ -1,7 +1,4 @@
-"""Mistake search by trial corrections.
-
-Of rig.toml and corners.csv, measured on a recording's corners.
-"""
+"""Mistake search by trial corrections of rig.toml and corners.csv."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace

@@ -85,7 +85,9 @@ class Printed(NamedTuple):
 
 
 def pixel_edge_kinds(cells: Floats) -> Floats:
-    """Kind of edge (NOWHERE + 1,) int8 that pixels of each cell see, by cells (k, k) of a marker.
+    """Kind of edge (NOWHERE + 1,) int8 that pixels of each cell see.
+
+    By cells (k, k) of a marker.
 
     NONE, MANY edges, one: 2 + 4 where it lies across (Y) + 2 where it is the right or lower side + 1 where white comes
     first, or two that meet:
@@ -158,10 +160,11 @@ def _row(quad: Floats, pad: float, y: int, low: int, high: int) -> tuple[int, in
 def collect_edge_pixels(
     crop: Floats, marker: Printed, quad: Floats, g: Floats, s: float, raster: Raster, pixels: EdgePixels
 ) -> int:
-    """Collect the pixels near an edge into EdgePixels; returns how many.
+    """Collect the pixels near an edge into EdgePixels.
 
     crop : (rows, columns), 255ths of white, of marker.box; marker : Printed; quad : (4, 2) px, the corners
     g : (3, 3) homography from local ideal coordinates to cells; s : px, width of the edges; raster : overwritten
+    Returns how many
     """
     cx, cy, scale = marker.centre
     box, lens, seen, n = marker.box, marker.lens, marker.outlook, marker.n

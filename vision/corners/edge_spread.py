@@ -97,7 +97,10 @@ NO_PROFILE = np.zeros((1, 0, 3))
 
 
 def empty_residual_profile() -> Floats:
-    """Empty residual profile (DIRECTIONS, BINS, 3) of edges: count, sum, sum of squares."""
+    """Empty residual profile (DIRECTIONS, BINS, 3) of edges.
+
+    Count, sum, sum of squares.
+    """
     return np.zeros((DIRECTIONS, BINS, 3))
 
 

@@ -71,7 +71,10 @@ def opencv_detector(dictionary_name: str, numbers: tuple[int, ...] = ()) -> cv2.
 
 
 def read_markers(image: Pixels, marker_map: MarkerMap) -> ReadMarkers:
-    """Read the markers of a rig in a whole image (height, width) uint8; repeated ones are excluded."""
+    """Read the markers of a rig in a whole image (height, width) uint8.
+
+    Repeated ones are excluded.
+    """
     image = np.ascontiguousarray(image)
     found: dict[int, list[Floats]] = {}
     for name in dict.fromkeys(marker_map.dictionary):
@@ -151,8 +154,9 @@ class Detection:
 
 
 def grey_image_at_full_depth(image: Pixels) -> Floats:
-    """Grey image (height, width) at full depth, in 255ths, of an image as cv2 reads it: uint8, or float32 of 16 bit.
+    """Grey image (height, width) at full depth, of an image as cv2 reads it.
 
+    In 255ths: uint8, or float32 of 16 bit.
     Raises ValueError for an image that is not grey or colour, or not of 8 or 16 bit.
     """
     if image.ndim == 3 and image.shape[2] in (3, 4):
@@ -163,7 +167,9 @@ def grey_image_at_full_depth(image: Pixels) -> Floats:
 
 
 def grey_images_for_reader_and_fit(image: Pixels) -> tuple[Floats, Floats]:
-    """Grey images (height, width) of an image: 8 bit for the reader, and at full depth for the fit.
+    """Grey images (height, width) of an image.
+
+    8 bit for the reader, and at full depth for the fit.
 
     Of an image of 16 bit, the reader's is stretched to its bright parts. Raises as `grey_image_at_full_depth`
     """
@@ -247,8 +253,9 @@ def fit_read_markers(
     verify: bool = False,
     profile: Floats | None = None,
 ) -> Detection:
-    """Fit the squares of markers that were read in an image: their Detection, corners with covariance.
+    """Fit the squares of markers that were read in an image.
 
+    Their Detection, corners with covariance.
     full : (height, width) in 255ths of white; spread : Spread of the camera's edges
     search_distance : px that the sides may be away from the guess; 0 for one that is better than what profiles across
         them show

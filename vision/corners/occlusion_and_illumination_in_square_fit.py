@@ -70,8 +70,9 @@ def edge_segment_sums(pixels: EdgePixels, g: Floats, rows: Floats, last_step: Fl
 
 @kernel
 def covariance_inflation(sums: Floats, noise: float) -> float:
-    """Inflation factor of the corners' covariance, at least 1, by edges displaced more than noise allows.
+    """Inflation factor of the corners' covariance.
 
+    At least 1, by edges displaced more than noise allows.
     sums : of `edge_segment_sums`; noise : grey levels. White noise leaves a cell's side as far out of place as its
     pixels' slopes say; a blur of another shape, rounding or a renderer's few samples to the pixel move neighbouring
     pixels alike, and sides farther than that.
@@ -91,8 +92,9 @@ def covariance_inflation(sums: Floats, noise: float) -> float:
 def add_to_residual_profile(
     pixels: EdgePixels, square: Square, bowed: Floats, tables: Tables, directions: Floats, limit: float, profile: Floats
 ) -> None:
-    """Add the residuals near single edges to a profile (d, BINS, 3): count, sum, sum of squares.
+    """Add the residuals near single edges to a profile (d, BINS, 3).
 
+    Count, sum, sum of squares.
     pixels : EdgePixels; square : Square; bowed : (3,) sizes as in bowed.Bow; tables : Tables, of which directions (2,)
     are the rows of the profile for the X and the Y edges; limit : grey levels, of a trusted residual. A bin is a
     distance from the edge in widths, negative on the dark side.
@@ -136,8 +138,9 @@ def _at(xi: float, yi: float, g: Floats, top: int) -> tuple[int, int]:
 
 @kernel
 def find_occluded_cells(pixels: EdgePixels, g: Floats, rows: Floats, counts: Floats, occluded: Floats) -> bool:
-    """Whether cells of a square are occluded; these and their neighbours are marked in occluded (k, k) bool.
+    """Whether cells of a square are occluded.
 
+    These and their neighbours are marked in occluded (k, k) bool.
     pixels : EdgePixels; g : (3, 3) homography to cells; rows : as `accumulate` leaves them; counts : (2, k, k)
         overwritten
     """
@@ -163,8 +166,10 @@ def find_occluded_cells(pixels: EdgePixels, g: Floats, rows: Floats, counts: Flo
 
 @kernel
 def remove_occluded_pixels(pixels: EdgePixels, g: Floats, occluded: Floats) -> int:
-    """Remove the EdgePixels in occluded cells (k, k), in place; returns how many remain.
+    """Remove the EdgePixels in occluded cells (k, k), in place.
+
     g : (3, 3) homography to cells
+    Returns how many remain
     """
     kept, top, start = 0, occluded.shape[0] - 1, 0
     for kind in range(KINDS):

@@ -235,7 +235,10 @@ def _lighten(work: Work, light: Floats) -> bool:
 
 @kernel
 def fit_squares(squares: Squares, settings: FitSettings, fits: Fits) -> None:
-    """Fit all marker squares of an image: Squares in the given Manner, into Fits."""
+    """Fit all marker squares of an image.
+
+    Squares in the given Manner, into Fits.
+    """
     boxes, n, width = squares.boxes, squares.cells.shape[1] - 4, settings.width
     largest, widest = 1, 1
     for m in range(len(boxes)):

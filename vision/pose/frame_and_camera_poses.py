@@ -111,7 +111,10 @@ class UndistortedCorners:
 def locate_fixed_cameras(
     undistorted_corners: UndistortedCorners, cameras: Sequence[Camera]
 ) -> dict[int, RigidTransform]:
-    """Locate the fixed cameras by base corners, median over frames: {camera index: T_base_camera}."""
+    """Locate the fixed cameras by base corners, median over frames.
+
+    Returns {camera index: T_base_camera}
+    """
     o, found = undistorted_corners.observations, {}
     for i, camera in enumerate(cameras):
         if camera.mount == "moving":
@@ -129,9 +132,11 @@ def locate_fixed_cameras(
 def locate_cameras_without_base_targets(
     undistorted_corners: UndistortedCorners, cameras: Sequence[Camera]
 ) -> dict[int, RigidTransform]:
-    """Locate fixed cameras without base targets by the body that they all see: {camera index: T_base_camera}.
+    """Locate fixed cameras without base targets by the body that they all see.
 
     Nothing where fewer than two share SHARED frames or some camera sees the base or moves.
+
+    Returns {camera index: T_base_camera}
     """
     o = undistorted_corners.observations
     if not o.on_platform.all() or any(camera.mount == "moving" for camera in cameras):

@@ -93,8 +93,9 @@ def find_suspicious_markers(
     repeated_ids: Iterable[int] = (),
     image_reader: ReadImage | None = None,
 ) -> tuple[Suspect, ...]:
-    """Find the suspicious markers (Suspects) of a Measurement: those not as rig.toml states.
+    """Find the suspicious markers (Suspects) of a Measurement.
 
+    Those not as rig.toml states.
     repeated_ids : identities that one image shows more than once, as often as there are such images; image_reader :
         called with
     (frame number, camera name), returns that image, None where there is none; without it markers that are never seen
@@ -221,7 +222,9 @@ def _reads_at(image: Pixels, place: Floats, name: str) -> int | None:
 
 
 def no_marker_reason(images: Sequence[Pixels], marker_map: MarkerMap) -> str:
-    """Reason why no marker of a rig was found in images [(height, width) uint8]: another dictionary, mirrored.
+    """Reason why no marker of a rig was found in images [(height, width) uint8].
+
+    Another dictionary, mirrored.
 
     "" where none is found.
     """

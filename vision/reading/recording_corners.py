@@ -76,7 +76,10 @@ class Collected:
 
 
 def image_reader(recording: Recording) -> Callable[[int, str], Floats | None]:
-    """Reader of a recording's images: a function of (frame number, camera name) -> image, or None without one."""
+    """Reader of a recording's images.
+
+    A function of (frame number, camera name) -> image, or None without one.
+    """
     e = recording.exposures
     names = {(int(frame), camera): name for frame, camera, name in zip(e.frame, e.camera, e.image) if name}
 
@@ -277,8 +280,9 @@ def search_missed_markers(
     marker_map: MarkerMap,
     progress: Callable[[int, int], None] | None = None,
 ) -> Collected:
-    """Collected with missed markers added: those expected by the measured poses that were not read.
+    """Collected with missed markers added.
 
+    Those expected by the measured poses that were not read.
     measurement : Measurement of the collected corners. A marker is added where its bits are read and it is found within
     FALSE_ALARM of its place.
     """
@@ -355,7 +359,10 @@ def corners_from_detections(detections: Sequence[Found]) -> tuple[Corners, Float
 
 
 def group_corners_by_image(corners: Corners) -> dict[tuple[int, str], tuple[Integers, Floats]]:
-    """Corners grouped by image: {(frame number, camera name): (identities (m,), corners (m, 4, 2) px)}."""
+    """Corners grouped by image.
+
+    Returns {(frame number, camera name): (identities (m,), corners (m, 4, 2) px)}
+    """
     rows: dict[tuple[int, str], list[int]] = {}
     for k, image in enumerate(zip(corners.frame[::4].tolist(), corners.camera[::4])):
         rows.setdefault(image, []).append(k)

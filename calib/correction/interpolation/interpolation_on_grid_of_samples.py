@@ -46,8 +46,9 @@ class Lattice(NamedTuple):
 
 
 def grid_lattice_of_configurations(configurations: Floats, strokes: Floats) -> Lattice | None:
-    """Grid lattice that configurations (n, axes) fill, each vertex at least once; None where they fill none.
+    """Grid lattice that configurations (n, axes) fill, each vertex at least once.
 
+    None where they fill none.
     strokes : (axes, 2), the scale by which levels are told apart
     """
     n, axes = configurations.shape

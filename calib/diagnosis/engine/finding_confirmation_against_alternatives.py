@@ -71,8 +71,9 @@ def find_alternatives(
     progress: Callable[[int, int], None] | None,
     known: tuple[list[Score[C]], Score[C]] | None = None,
 ) -> list[Alternative[C]]:
-    """Find the alternatives to a finding ([Alternative]) on a model without it, by weight, the best of each place.
+    """Find the alternatives to a finding ([Alternative]) on a model without it.
 
+    By weight, the best of each place.
     known : as `Scans.of_same_terms` has it, taken in place of a new scan where that listed all that is asked here
     """
     policy, linear = problem.policy, problem.linear(model)
@@ -167,7 +168,10 @@ class Finding(Generic[C]):
 
 
 def is_significant(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
-    """Whether a Score is significant: too good for chance over all candidates, and worth its parameters."""
+    """Whether a Score is significant.
+
+    Too good for chance over all candidates, and worth its parameters.
+    """
     return score.p_value * count <= policy.alpha and score.delta_bic(size) >= policy.delta_bic
 
 
@@ -189,7 +193,9 @@ def may_become_significant_when_fitted(score: Score[C], count: int, size: int, p
 def confirm_terms(
     problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress: Progress | None
 ) -> tuple[Fit, list[Finding[C]]]:
-    """Confirm each term of a Fit against all candidates: removed, replaced, or retained with its alternatives.
+    """Confirm each term of a Fit against all candidates.
+
+    Removed, replaced, or retained with its alternatives.
 
     The others stay admitted meanwhile. What was replaced does not come back, and after a number of replacements nothing
     is replaced any more: every term of the Fit is a finding in the end. scans : those made so far
@@ -308,7 +314,9 @@ def _likelier_member(
 def refit_with_other_member_of_law(
     problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int, but: Sequence[C] = ()
 ) -> Fit | None:
-    """Refit with another member of a term's law in its place that explains its residuals; None where none does.
+    """Refit with another member of a term's law in its place that explains its residuals.
+
+    None where none does.
 
     It is the last of the terms. A law is a family, and a machine need not follow its first formula. model : without it
     but : members that are not tried

@@ -123,7 +123,10 @@ def delta_chi2_by_column_count(normal: Normal) -> tuple[tuple[float, int], ...]:
 
 
 def significant_lack_of_fit(lacks_of_fit: list[LackOfFit | None], alpha: float = ALPHA) -> list[LackOfFit]:
-    """The LackOfFits that are significant over all tests, the most significant first, functions before scatter."""
+    """The LackOfFits that are significant over all tests.
+
+    The most significant first, functions before scatter.
+    """
     held = [u for u in lacks_of_fit if u is not None]
     functions = Counter(u.place for u in held if u.dispersion is not None)
     held = [
@@ -154,8 +157,9 @@ def detect_excess_scatter(
     tests: int = 1,
     depends_on: tuple[str, ...] = (),
 ) -> LackOfFit | None:
-    """LackOfFit of excess scatter at a place, beyond chance and the stated noise; None where noise suffices.
+    """LackOfFit of excess scatter at a place, beyond chance and the stated noise.
 
+    None where noise suffices.
     noise : in unit, RMS of what is stated; square : sum of squares left, whitened by it, over `freedom` degrees of
         freedom
     tests : how many such are made of one recording

@@ -58,7 +58,10 @@ class Selection(Generic[Fit, C]):
 
 
 def select_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Selection[Fit, C]:
-    """Selection of the terms that a problem needs. progress : called with (label, done, of), or None"""
+    """Selection of the terms that a problem needs.
+
+    progress : called with (label, done, of), or None
+    """
     before = problem.start()
     problem, fit, scans = _chosen(problem, before, progress)
     fit, findings = confirm_terms(problem, fit, scans, progress)

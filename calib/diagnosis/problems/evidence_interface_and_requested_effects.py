@@ -120,7 +120,10 @@ class RequestedEffects:
 def require_assumed_effects_testable(
     stated_terms: StatedTerms, candidates: Sequence[Candidate], untestable_effects: Sequence[NotAsked]
 ) -> StatedTerms:
-    """Require that the recording can test assumed effects, and return the stated terms. Raises RigError otherwise."""
+    """Require that the recording can test assumed effects, and return the stated terms.
+
+    Raises RigError otherwise.
+    """
     there = {(c.name, c.place) for c in candidates}
     for name, place in stated_terms.assumed:
         if (name, place) not in there:

@@ -109,7 +109,10 @@ def noise_parts(count: int) -> dict[str, slice]:
 
 
 def noise_covariance_by_kind(covariance: Floats) -> dict[str, Floats]:
-    """{kind of noise: (F, k, k)} that a covariance (F, k, k) is made of, without what position and rotation share."""
+    """{kind of noise: (F, k, k)} that a covariance (F, k, k) is made of.
+
+    Without what position and rotation share.
+    """
     out = {}
     for name, part in noise_parts(covariance.shape[-1]).items():
         out[name] = np.zeros_like(covariance)

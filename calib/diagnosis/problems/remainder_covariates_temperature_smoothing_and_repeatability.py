@@ -143,8 +143,9 @@ def repeated_pairs(commands: Floats, units: Sequence[str]) -> Integers:
 def repeatability_of_pairs(
     pairs: Integers, poses_of_pairs: tuple[Floats, Floats], residuals_of_pairs: tuple[Floats, Floats], unit: str = "m"
 ) -> Repeats | None:
-    """Repeatability (Repeats) of pairs (p, 2) of poses with one command and of their residuals; None for too few.
+    """Repeatability (Repeats) of pairs (p, 2) of poses with one command and of their residuals.
 
+    None for too few.
     poses_of_pairs : two (p, 6 or 3) m and rad, measured poses of each pair, both less the same; residuals_of_pairs :
         two (p, k) what a model leaves of each; unit : of the first three numbers of a pose, "m" or "rad"
 
@@ -264,7 +265,10 @@ class Suggestion:
 def library_of_quantities(
     motion: Motion, axis: int | None, directions: int = 1, exclude_axis_quantities: bool = False
 ) -> Library:
-    """Library of the quantities that vary: of one axis by its index, of all alike (None), or of the platform."""
+    """Library of the quantities that vary.
+
+    Of one axis by its index, of all alike (None), or of the platform.
+    """
     own = None if axis is None else f"travel of {motion.places[axis]}"
     out = []
     for q in quantities_of_motion(motion, not exclude_axis_quantities):
@@ -278,7 +282,10 @@ def library_of_quantities(
 
 
 def formula_text(formula: Formula, library: Library, axis_word: str, same_for_all_axes: bool) -> Written:
-    """Text of a Formula (Written) in the quantities of its Library. axis_word : strut, joint or slide"""
+    """Text of a Formula (Written) in the quantities of its Library.
+
+    axis_word : strut, joint or slide
+    """
     terms, at = [], 0
     for atom in formula.atoms:
         count, wave, turns = 1, None, 0.0
@@ -300,5 +307,8 @@ def formula_text(formula: Formula, library: Library, axis_word: str, same_for_al
 
 
 def formula_quantities(formula: Formula | None, library: Library) -> tuple[str, ...]:
-    """Names of the quantities in a Formula; none for no Formula."""
+    """Names of the quantities in a Formula.
+
+    None for no Formula.
+    """
     return () if formula is None else tuple(library.quantities[i].name for i in sorted(formula.quantities))

@@ -196,7 +196,10 @@ class EffectsFile:
 
 
 def effect_file_entries(plugins: tuple[Plugin, ...]) -> tuple[EffectsFile, ...]:
-    """Entries of a user's effect files, in their order: file name, hash and effects."""
+    """Entries of a user's effect files, in their order.
+
+    File name, hash and effects.
+    """
     return tuple(
         EffectsFile(plugin.path.name, plugin.sha256, tuple(kind.name for kind in plugin.kinds)) for plugin in plugins
     )
@@ -233,12 +236,18 @@ class RecordingEntry:
 
 
 def recording_entries(parts: tuple[RecordingPart, ...]) -> tuple[RecordingEntry, ...]:
-    """Entries of several recordings' parts; none for one alone."""
+    """Entries of several recordings' parts.
+
+    None for one alone.
+    """
     return tuple(RecordingEntry(part.recording.name, part.frames, part.t) for part in parts)
 
 
 def json_tree(value: object) -> object:
-    """JSON tree of dicts and lists; of dataclasses, optional fields that are None or empty are left out."""
+    """JSON tree of dicts and lists.
+
+    Of dataclasses, optional fields that are None or empty are left out.
+    """
     if is_dataclass(value):
         items = {f.name: getattr(value, f.name) for f in fields(value)}
         return {name: json_tree(v) for name, v in items.items() if v is not None}
@@ -248,7 +257,10 @@ def json_tree(value: object) -> object:
 
 
 def kind_of_statement_beforehand(stated_terms: StatedTerms, effect: str, place: str) -> str | None:
-    r"""Kind of statement made beforehand of an effect at a place: assumed, seen before, or None."""
+    r"""Kind of statement made beforehand of an effect at a place.
+
+    Assumed, seen before, or None.
+    """
     site = (effect, place)
     return ASSUMED if site in stated_terms.assumed else SEEN_BEFORE if site in stated_terms.before else None
 
@@ -302,7 +314,9 @@ def finding_entry(diagnosis: Diagnosis, finding: Finding[Any], proof: CrossValid
 
 
 def negligible_finding_remark_entries(diagnosis: Diagnosis) -> list[RemarkEntry]:
-    """Entries of a Diagnosis' remarks: what is there beyond chance and does not matter.
+    """Entries of a Diagnosis' remarks.
+
+    What is there beyond chance and does not matter.
 
     What was fitted, what was left, what tolerances were seen to be.
     """
@@ -357,7 +371,10 @@ def _size_of(left: LackOfFit) -> dict[str, Value]:
 
 
 def misfit_before_and_after_entry(fit: Misfit) -> FitEntry:
-    """FitEntry of a Misfit: held out, without and with the effects found, and what noise alone leaves."""
+    """FitEntry of a Misfit.
+
+    Held out, without and with the effects found, and what noise alone leaves.
+    """
     return FitEntry(fit.before, fit.after, fit.floor, fit.unit)
 
 

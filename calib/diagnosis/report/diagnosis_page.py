@@ -54,7 +54,10 @@ class MachineFigures(Protocol):
 
 
 def figures_of_arm_or_platform(diagnosis: Diagnosis, recording: Recording, report: Report) -> MachineFigures:
-    """MachineFigures of a Diagnosis, by what was measured. report : its Report"""
+    """MachineFigures of a Diagnosis, by what was measured.
+
+    report : its Report
+    """
     first = len(diagnosis.measured_findings)
     entries = report.findings[first : first + len(diagnosis.findings)]
     if diagnosis.evidence.family == "joints":
@@ -69,7 +72,10 @@ def figures_of_arm_or_platform(diagnosis: Diagnosis, recording: Recording, repor
 def write_diagnosis_page(
     path: Path, report: Report, machine_figures: MachineFigures, links: Sequence[Link] = ()
 ) -> None:
-    """Write the diagnosis page of a Report: one offline HTML file."""
+    """Write the diagnosis page of a Report.
+
+    One offline HTML file.
+    """
     parts: list[str] = []
     main = report.mattering or report.named
     slight = [f for f in report.named if not any(f is m for m in main)]

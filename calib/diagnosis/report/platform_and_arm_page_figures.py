@@ -326,7 +326,10 @@ SCALES, UNITS = {"m": 1e6, "rad": 1e6}, {"m": "µm", "rad": "µrad"}  # in which
 
 
 def repeatability_rows(diagnosis: Diagnosis) -> list[tuple[str, object]]:
-    """Table rows [(what, value)] on how well poses repeat; none where too few commands were repeated."""
+    """Table rows [(what, value)] on how well poses repeat.
+
+    None where too few commands were repeated.
+    """
     again = diagnosis.repeats
     if again is None:
         return []

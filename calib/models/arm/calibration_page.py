@@ -40,7 +40,10 @@ def write_arm_calibration_page(
     certified: CertifiedArm,
     links: Sequence[Link] = (),
 ) -> None:
-    """Write the HTML page of an arm's calibration, as certified on held-out samples; links : to other pages."""
+    """Write the HTML page of an arm's calibration, as certified on held-out samples.
+
+    links : to other pages
+    """
     went = np.concatenate([samples.T_base_platform.translation, samples.T_base_platform.rotation.as_rotvec()], axis=1)
     parts = [
         heading_html("Errors before and after, by pose"),

@@ -156,7 +156,10 @@ def whitened_tilt_rows_and_columns(
 
 
 def require_enough_observations(count: int, numbers_each: int, parameter_count: int) -> None:
-    """Raise NotEnoughData where `count` observations are not enough for the parameters, with how many it takes."""
+    """Raise NotEnoughData where `count` observations are not enough for the parameters.
+
+    With how many it takes.
+    """
     if numbers_each * count <= parameter_count:
         raise NotEnoughData(
             f"{count} observations give {numbers_each * count} equations, too few for {parameter_count} "
@@ -303,7 +306,9 @@ class Profile:
 
 
 def fit_joint_profiles(observations: Observations, identified: Identified) -> tuple[Profile | None, ...]:
-    """Joint profiles fitted to residuals of an Identified arm: a Profile or None per joint.
+    """Joint profiles fitted to residuals of an Identified arm.
+
+    A Profile or None per joint.
 
     The geometry's own freedoms are solved for beside the profiles and thrown away, so that neither takes the other's
     part.

@@ -153,7 +153,10 @@ class JointFit:
 def fit_geometry_and_effects(
     measured: Samples, history: History, start: Arm, effects: tuple[Effect, ...], prior: Prior | None = None
 ) -> JointFit:
-    """Joint fit (JointFit) of an arm's geometry and effects. Raises as `identify_arm`"""
+    """Joint fit (JointFit) of an arm's geometry and effects.
+
+    Raises as `identify_arm`
+    """
     arm, columns = start, None
     for _ in range(ROUNDS):
         arm = history.identified(history.told(measured, effects, arm), arm).arm
@@ -366,8 +369,9 @@ def identification_with_held_out_scatter(
 
 
 def unexplained_scatter_sentences(scatter: Floats, covariance: Floats) -> tuple[str, ...]:
-    """Sentences on scatter unexplained by the instrument's statement, one for positions and one for rotations.
+    """Sentences on scatter unexplained by the instrument's statement.
 
+    One for positions and one for rotations.
     scatter : (k,) m and rad beyond; covariance : (n, k, k) as stated
     """
     out = []

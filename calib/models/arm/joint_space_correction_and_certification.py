@@ -192,7 +192,11 @@ def certify_extended_arm(
 def nominal_arm_correction(
     samples: Samples, nominal: Arm, instrument: Instrument | None, start: Arm
 ) -> tuple[ArmCorrection, Identified]:
-    """Correction of the nominal arm: nothing fitted but the instrument's placement; (ArmCorrection, Identified)."""
+    """Correction of the nominal arm.
+
+    Nothing fitted but the instrument's placement.
+    Returns (ArmCorrection, Identified)
+    """
     o = sample_observations(samples)
     arm = placed_nominal_arm(o, nominal, instrument, start)
     p, k = 12 + 5 * len(arm.joints), o.common.shape[1]
@@ -230,7 +234,10 @@ def _without(samples: Samples, correction: ArmCorrection, found: Identified, alo
 
 
 def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.random.Generator) -> Claim:
-    """Claim of an arm's correction without fitted geometry: its field's error estimate at the middle angles."""
+    """Claim of an arm's correction without fitted geometry.
+
+    Its field's error estimate at the middle angles.
+    """
     correction = certified.correction
     each = mean_sample_per_configuration(
         samples, certified.label, error_model_and_observations.joint_jacobian(samples.commanded, correction.fitted)

@@ -84,7 +84,10 @@ class TiltRows:
 
 
 def tilt_rows(readings: TiltReadings, q: Floats, arm: Arm) -> TiltRows:
-    """TiltRows of readings of an arm at joint values q (n, joints), at the mounting that explains them best."""
+    """TiltRows of readings of an arm at joint values q (n, joints).
+
+    At the mounting that explains them best.
+    """
     sensors = readings.sensors
     links = mechanism.link_frames(q, arm)[:, [sensor.link for sensor in sensors], :3, :3]
     sigma = readings.mounting_sigma
@@ -119,9 +122,10 @@ def link_turns_by_joints(readings: TiltReadings, q: Floats, arm: Arm) -> Floats:
 def planned_tilt_columns(
     sensors: tuple[TiltSensor, ...], gravity: Floats, q: Floats, arm: Arm, pose_jacobian: Floats
 ) -> Floats:
-    """(n, 2 s, p + 3 + 3 s) change of the angles that sensors would show at joint values q (n, joints), with an arm's
-    parameters and with how the sensors are mounted; 0 where an angle would not be used.
+    """Columns (n, 2 s, p + 3 + 3 s) of the angles that tilt sensors would show at planned joint values q (n, joints).
 
+    They are the change of the angles with an arm's parameters and with how the sensors are mounted; 0 where an angle
+    would not be used.
     gravity : (3,) in the frame of poses; pose_jacobian : (n, 6, p) of the target's pose with the parameters
     """
     down = np.tile(gravity / np.linalg.norm(gravity), (len(q), 1))
@@ -135,7 +139,10 @@ def planned_tilt_columns(
 
 
 def tilt_report(readings: TiltReadings | None, weights: TiltWeights | None) -> list[str]:
-    """Lines for a reader: which tilt sensors were used, and how far they scatter beyond the noise stated for them."""
+    """Lines for a reader.
+
+    Which tilt sensors were used, and how far they scatter beyond the noise stated for them.
+    """
     lines = list[str]()
     if readings is None or weights is None:
         return lines

@@ -73,8 +73,10 @@ class CertifiedChain:
 def certify_chain(
     samples: Samples, nominal: Chain, rng: np.random.Generator, progress: Progress | None = None
 ) -> CertifiedChain:
-    """CertifiedChain of a chain: all stages together. rng : numpy Generator, for the bootstrap
+    """CertifiedChain of a chain.
 
+    All stages together.
+    rng : numpy Generator, for the bootstrap
     Raises what `identify_chain` raises
     """
     said = progress or silent_progress
@@ -165,7 +167,10 @@ def write_chain_calibration_page(
     certified: CertifiedChain,
     links: Sequence[Link] = (),
 ) -> None:
-    """Write the HTML page of a chain's calibration, as certified on held-out samples; links : to other pages."""
+    """Write the HTML page of a chain's calibration, as certified on held-out samples.
+
+    links : to other pages
+    """
     parts = [
         heading_html("Errors before and after, by pose"),
         correction_error_figures(

@@ -54,7 +54,10 @@ NEGATIVE = re.compile(r"-\.?\d[^,]*,")  # figures separated by commas, of which 
 
 
 def join_negative_numbers(words: Iterable[str]) -> list[str]:
-    """Join options with negative numbers: `--pose -0.1,0,0` becomes `--pose=-0.1,0,0`, as argparse needs it."""
+    """Join options with negative numbers.
+
+    `--pose -0.1,0,0` becomes `--pose=-0.1,0,0`, as argparse needs it.
+    """
     joined: list[str] = []
     for word in words:
         if NEGATIVE.match(word) and joined and re.fullmatch(r"--[a-z][a-z-]*", joined[-1]):
@@ -106,7 +109,10 @@ class Parser(ArgumentParser):
 
 
 def nearest_word(word: str, known: Iterable[str]) -> str | None:
-    """Nearest known word to a mistyped one; None where none is near, or the word is known or an abbreviation."""
+    """Nearest known word to a mistyped one.
+
+    None where none is near, or the word is known or an abbreviation.
+    """
     found = list(known)
     if word in found or any(word.startswith("--") and name.startswith(word) for name in found):
         return None
@@ -122,7 +128,10 @@ def suggestion_text(word: str, known: Iterable[str]) -> str:
 
 
 def completion_script(parser: ArgumentParser, shell: str) -> str:
-    """Completion script of a shell (bash, zsh, fish) for a parser of all commands, file names where files are named."""
+    """Completion script of a shell (bash, zsh, fish) for a parser of all commands.
+
+    File names where files are named.
+    """
     import shtab
 
     commands = next(action for action in parser._actions if isinstance(action, _SubParsersAction))
@@ -235,7 +244,10 @@ def print_json(tree: object) -> None:
 
 
 def parse_length(text: str) -> float:
-    """Parse a length with its unit, such as 20um, 0.02mm or 2e-5m, in m. Raises ArgumentTypeError for anything else."""
+    """Parse a length with its unit, such as 20um, 0.02mm or 2e-5m, in m.
+
+    Raises ArgumentTypeError for anything else.
+    """
     for unit, scale in (("um", 1e-6), ("mm", 1e-3), ("m", 1.0)):
         if text.endswith(unit):
             try:
@@ -260,7 +272,11 @@ TOLERANCE_UNITS = {
 
 
 def parse_tolerance(text: str) -> tuple[str, float]:
-    r"""Parse a tolerance such as 20um or 0.1mrad: (\"position\", m) or (\"rotation\", rad). Raises ArgumentTypeError"""
+    r"""Parse a tolerance such as 20um or 0.1mrad.
+
+    Returns (\"position\", m) or (\"rotation\", rad)
+    Raises ArgumentTypeError
+    """
     found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*([a-z]+)\s*", text)
     if found is None or found[2] not in TOLERANCE_UNITS or not 0 < float(found[1]) < 1e9:
         units = ", ".join(TOLERANCE_UNITS)
@@ -270,8 +286,9 @@ def parse_tolerance(text: str) -> tuple[str, float]:
 
 
 def length_and_angle(texts: Sequence[str]) -> tuple[float, float]:
-    """Tolerances (m, rad) of an option that takes a length and an angle: 50um 0.2mrad, or two figures in m and rad.
+    """Tolerances (m, rad) of an option that takes a length and an angle.
 
+    50um 0.2mrad, or two figures in m and rad.
     Raises RigError for anything else
     """
     try:

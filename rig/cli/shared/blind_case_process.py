@@ -37,7 +37,10 @@ WATCHED = (
 
 
 def forbid_this_process_to_read_folder(folder: str | Path) -> None:
-    """Forbid this process to read a folder: PermissionError from now on (PEP 578; irrevocable)."""
+    """Forbid this process to read a folder.
+
+    PermissionError from now on (PEP 578; irrevocable).
+    """
     closed = os.path.realpath(folder)
 
     def watch(event: str, given: tuple[object, ...]) -> None:
@@ -107,7 +110,10 @@ def _drawn_arm_case(index: int, settings: Json, folder: Path) -> tuple[Callable[
 
 
 def run_command_without_folder_access(folder: str, command_words: Sequence[str]) -> int:
-    """Run a command of `rig` without access to a folder; returns its exit status."""
+    """Run a command of `rig` without access to a folder.
+
+    Returns its exit status
+    """
     from rig.cli.command_line import main
 
     forbid_this_process_to_read_folder(folder)
@@ -115,9 +121,11 @@ def run_command_without_folder_access(folder: str, command_words: Sequence[str])
 
 
 def main(command_words: Sequence[str]) -> int:
-    """Draw a blind case, or run a command without access to its truth, by command words; returns the exit status.
+    """Draw a blind case, or run a command without access to its truth, by command words.
 
     See the module.
+
+    Returns the exit status
     """
     end_when_parent_ends(int(command_words[0]))
     if command_words[1] == "command":

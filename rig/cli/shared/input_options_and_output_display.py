@@ -387,8 +387,9 @@ def print_refutations(path: Path, refutations: tuple[Refutation, ...]) -> None:
 def write_refutation(
     arguments: Namespace, path: Path, recording: str, finding: str, state: State | None = None
 ) -> None:
-    """Write a refutation of a calibration by a recording's finding into its folder; warns where that fails.
+    """Write a refutation of a calibration by a recording's finding into its folder.
 
+    Warns where that fails.
     finding : a sentence without its full stop; state : BAD (None), or CHECK where it leaves something out
     """
     from rig.report.verdict_and_refutations import NAME, Refutation, State, add_refutation

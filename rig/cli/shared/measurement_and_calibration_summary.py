@@ -153,8 +153,9 @@ def print_calibration_verdict_errors_and_corrections(result: CalibrationResult) 
 
 
 def print_calibration(result: CalibrationResult, promise: float | None) -> None:
-    """Print the summary of a calibration: confounds, promise, workspace and frames without a pose.
+    """Print the summary of a calibration.
 
+    Confounds, promise, workspace and frames without a pose.
     promise : m, whether it is kept
     """
     calibration = result.calibration

@@ -98,7 +98,10 @@ class TerminalBlockDisplay:
 
 
 def run_state_lines(state: RunState) -> list[str]:
-    """Lines of a RunState for the terminal: progress, strut bars, latest pose, alarms."""
+    """Lines of a RunState for the terminal.
+
+    Progress, strut bars, latest pose, alarms.
+    """
     left = f", {_minutes_and_seconds(state.left)} left" if np.isfinite(state.left) and state.left > 0 else ""
     lines = [f"frame {state.frame} of {state.frames}, step {state.step} of {state.steps}{left}", state.phase]
     for i, (length, goal, (low, high)) in enumerate(zip(state.lengths, state.goal, state.ranges), 1):
@@ -147,13 +150,19 @@ def _minutes_and_seconds(seconds: float) -> str:
 
 
 def terminal_display() -> PlainLineDisplay | TerminalBlockDisplay:
-    """Display for the terminal: a block redrawn in place, or plain lines where standard output is a pipe."""
+    """Display for the terminal.
+
+    A block redrawn in place, or plain lines where standard output is a pipe.
+    """
     return TerminalBlockDisplay() if sys.stdout.isatty() else PlainLineDisplay()
 
 
 @contextmanager
 def run_displays(port: int | None, observer: RunObserver) -> Iterator[list[RunDisplay]]:
-    """Displays of a run: terminal, and the page where a port is given, served while the context lasts."""
+    """Displays of a run.
+
+    Terminal, and the page where a port is given, served while the context lasts.
+    """
     if port is None:
         yield [terminal_display()]
         return

@@ -87,7 +87,10 @@ def worker_pool() -> Iterator[Executor]:
 def results_with_progress(
     pool: Executor, function: Callable[..., R], calls: Sequence[tuple[object, ...]], label: str
 ) -> Iterator[R]:
-    """Results of calls as they complete, with progress on standard error. Raises what a call raises."""
+    """Results of calls as they complete, with progress on standard error.
+
+    Raises what a call raises.
+    """
     progress, start = Progress(), time.monotonic()
     waiting = [pool.submit(function, *call) for call in calls]
     for count, future in enumerate(as_completed(waiting), 1):

@@ -26,7 +26,9 @@ CAPS = re.compile(rf"(video|image)/[a-z0-9.+-]+(\(memory:[A-Za-z]+\))?(\s*,\s*[a
 
 
 def gstreamer_pipeline_problem(pipeline: str) -> str | None:
-    """Problem of a GStreamer pipeline as text, None where it only reads, decodes, converts and ends in appsink.
+    """Problem of a GStreamer pipeline as text.
+
+    None where it only reads, decodes, converts and ends in appsink.
 
     Elements are known by name, settings are NAME=VALUE without quotes or blanks, what is asked of the video is as
     video/x-raw,width=640
@@ -220,8 +222,9 @@ OPENING, READING_TIME = 10_000, 5_000  # ms that a network camera may take to an
 
 
 def open_network_camera(name: str, url: str, clock: Clock, size: tuple[int, int]) -> VideoSource:
-    """Open a network camera by its URL: http, https (a stream of JPEG images) or rtsp.
+    """Open a network camera by its URL.
 
+    The URL is http, https (a stream of JPEG images) or rtsp.
     size : (width, height) px, as rig.toml has them. Raises CameraError where it does not answer.
     """
     import cv2

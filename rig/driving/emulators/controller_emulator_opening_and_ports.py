@@ -65,7 +65,10 @@ class EmulatorOptions:
 
 
 def load_emulator(path: Path, options: EmulatorOptions, clock: Clock) -> Emulator:
-    """Emulator of the controller of a rig.toml. Raises RigError for a rig without controller or invalid options."""
+    """Emulator of the controller of a rig.toml.
+
+    Raises RigError for a rig without controller or invalid options.
+    """
     design = design_file.load_design(path)
     if design.controller is None:
         raise RigError(f"{path} has no [controller]; an emulator needs its speeds and zeros")
@@ -128,7 +131,10 @@ def emulator_of_design(
 
 
 def home_lengths(mechanism: Hexapod | Planar2) -> Floats:
-    """Home lengths (n,) m: strut lengths at a Hexapod's home pose; for two struts the middle of their ranges."""
+    """Home lengths (n,) m.
+
+    Strut lengths at a Hexapod's home pose; for two struts the middle of their ranges.
+    """
     home, (base, platform) = mechanism.home_pose, mechanism.strut_joints
     if home is None:
         return mechanism.strut_range.mean(axis=1)

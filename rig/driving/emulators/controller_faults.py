@@ -44,7 +44,9 @@ class FaultOrder:
 
 
 def parse_faults(text: str) -> tuple[FaultOrder, ...]:
-    """Fault orders parsed from text: `KIND` (once) or `KIND:RATE` (chance per move).
+    """Fault orders parsed from text.
+
+    `KIND` (once) or `KIND:RATE` (chance per move).
     Raises RigError.
     """
     kind, _, rate = text.partition(":")

@@ -46,8 +46,9 @@ class ConformanceCheck:
 
 
 def check_conformance(design: Design, protocol: str, moves: int = 300, seed: int = 1) -> Iterator[ConformanceCheck]:
-    """Each ConformanceCheck of a protocol, as it is done; only the first where that fails.
+    """Each ConformanceCheck of a protocol, as it is done.
 
+    Only the first where that fails.
     design : a rig of struts with a controller; protocol : as rig.toml states it; moves : with all faults at 5 %
     Raises FileError or RigError for a program of the user's own that cannot be used
     """
@@ -73,8 +74,10 @@ def check_conformance(design: Design, protocol: str, moves: int = 300, seed: int
 
 
 def conformance_design(path: Path | None) -> Design:
-    """The rig on which a protocol is tested: of a rig.toml, or a hexapod. Raises RigError for one without struts or
-    controller, and FileError.
+    """The rig on which a protocol is tested.
+
+    Of a rig.toml, or a hexapod.
+    Raises RigError for one without struts or controller, and FileError.
     """
     if path is None:
         text = new_rig_toml(LayoutOptions(radius=RADIUS))

@@ -90,8 +90,9 @@ class MoveCounts:
 def emulated_bench(
     design: Design, protocol: str, orders: Sequence[str] = (), seed: int = 1, **controller: object
 ) -> tuple[Driver, Emulator, TrialClock]:
-    """(driver, emulator, clock) of a design's controller on a simulated clock, the struts 1 mm from home.
+    """(driver, emulator, clock) of a design's controller on a simulated clock.
 
+    The struts 1 mm from home.
     protocol : as rig.toml states it; orders : faults, KIND or KIND:RATE; controller : other entries of [controller]
     """
     clock = TrialClock()
@@ -105,8 +106,10 @@ def emulated_bench(
 def move_counts_with_faults(
     design: Design, protocol: str, orders: Sequence[str], moves: int, seed: int, **controller: object
 ) -> MoveCounts:
-    """MoveCounts of moves to places that are all different, with an operator who homes, unlocks and switches off and on
-    where a move was stopped. Raises ControllerFault for a controller that cannot be brought home again.
+    """MoveCounts of moves with faults, to places that are all different.
+
+    Where a move was stopped, an operator homes, unlocks and switches off and on.
+    Raises ControllerFault for a controller that cannot be brought home again.
     """
     driver, emulator, clock = emulated_bench(design, protocol, orders, seed, **controller)
     home, rng, counts = _home(design), np.random.default_rng(seed + 1), MoveCounts()
@@ -143,8 +146,10 @@ def times_executed(emulator: Emulator, before: int, target: Floats) -> int:
 
 
 def bring_home(driver: Driver, emulator: Emulator) -> None:
-    """What an operator does until the rig is at home again: home; where that fails, clear the alarm; at last switch off
-    and on. Raises ControllerFault where nothing helps.
+    """What an operator does until the rig is at home again.
+
+    Home; where that fails, clear the alarm; at last switch off and on.
+    Raises ControllerFault where nothing helps.
     """
     for attempt in range(12):
         try:

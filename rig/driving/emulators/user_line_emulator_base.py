@@ -124,7 +124,11 @@ class LineEmulator(Emulator):
 
 
 def load_user_emulator(stated: str) -> type[LineEmulator]:
-    """Emulator class in a user's file or package: "file:PATH" or "package:NAME". Raises FileError, RigError."""
+    """Emulator class in a user's file or package.
+
+    "file:PATH" or "package:NAME".
+    Raises FileError, RigError.
+    """
     kind, path = load_user_class(stated, LineEmulator, GROUP, "emulator")
     for name in ("protocol", "answer"):
         if getattr(kind, name, None) is getattr(LineEmulator, name, None):

@@ -55,7 +55,9 @@ class Frame:
 
 
 def encode_frame(direction: str, number: int | None, text: str) -> bytes:
-    """Encode a numbered text as a frame. direction : ">" to the controller, "<" from it.
+    """Encode a numbered text as a frame.
+
+    direction : ">" to the controller, "<" from it.
     direction : ">" to the controller, "<" from it.
     """
     body = f"{'-' if number is None else number} {text}"

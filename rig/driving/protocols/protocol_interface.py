@@ -154,14 +154,19 @@ def await_stopped(state: Callable[[], Dialogue[State]], command: str) -> Dialogu
 
 
 def is_never_complete(lines: Sequence[str]) -> bool:
-    """Whether answer lines are complete: never, so that the whole timeout is awaited."""
+    """Whether answer lines are complete.
+
+    Never, so that the whole timeout is awaited.
+    """
     return False
 
 
 def query_dialogue(
     data: bytes, is_complete: Callable[[Sequence[str]], bool], timeout: float | None = None, tries: int = TRIES
 ) -> Dialogue[tuple[str, ...]]:
-    """Dialogue of a query that moves nothing: returns the answer lines, repeated up to `tries` times.
+    """Dialogue of a query that moves nothing.
+
+    Returns the answer lines, repeated up to `tries` times
     Raises NoAnswer with the question.
     """
     for _ in range(tries):

@@ -145,7 +145,10 @@ class LineProtocol:
 
 
 def state_problem(state: object, count: int) -> str | None:
-    """What is wrong with a State that a user's protocol gave, for `count` axes; None where nothing is."""
+    """What is wrong with a State that a user's protocol gave, for `count` axes.
+
+    None where nothing is.
+    """
     if not isinstance(state, State):
         return f"gave {type(state).__name__}, not a State"
     if state.activity not in ACTIVITIES:

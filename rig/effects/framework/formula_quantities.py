@@ -145,7 +145,10 @@ def _own(name: str, unit: str, word: str) -> Quantity:
 
 
 def quantities_of_motion(motion: Motion, per_axis: bool) -> list[Quantity]:
-    """Quantities of a Motion: per axis, or of the platform's pose; with time and logged channels."""
+    """Quantities of a Motion.
+
+    Per axis, or of the platform's pose; with time and logged channels.
+    """
     word = motion.kind.AXIS
     names = [name for name in OWN if name != "own load" or motion.no_loads() is None] if per_axis else []
     names += [f"travel of {place}" for place in motion.places] if per_axis else []

@@ -1,7 +1,4 @@
-"""Motion of the machine as effects see it, and play.
-
-The commanded path, the state at the exposures, and play along it.
-"""
+"""Motion of the machine as effects see it, and play along it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

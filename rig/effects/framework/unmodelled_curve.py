@@ -161,7 +161,10 @@ def _restored(over: str, place: str, values: Mapping[str, object]) -> Unmodelled
 
 @cache
 def unmodelled_curve(over: str) -> type[UnmodelledCurve]:
-    """The class of curves over a covariate: TIME, TRAVEL, HISTORY, one of POSE or a sensor channel."""
+    """The class of curves over a covariate.
+
+    TIME, TRAVEL, HISTORY, one of POSE or a sensor channel.
+    """
     own = {"__slots__": (), "over": over, "name": PREFIX + over, "on_pose": over in POSE, "sudden": over == TIME}
     return type("UnmodelledCurve", (UnmodelledCurve,), own)
 

@@ -82,8 +82,9 @@ def example_run_with_effect(
     design: Design | None = None,
     displaced: Callable[[Effect, Camera], float] = lambda effect, camera: 1.0,
 ) -> ExampleRun:
-    """Example run (ExampleRun) with an effect of a kind at a place, `factor` times its largest usual size.
+    """Example run (ExampleRun) with an effect of a kind at a place.
 
+    `factor` times its largest usual size.
     design : the Design with the cameras and targets that it may sit at, by default none; displaced : see Drawing.
 
         Raises
@@ -321,7 +322,10 @@ def enlargement_text(text: str, factor: float) -> str:
 
 
 def largest_suitable_unit(size: float, units: dict[float, str]) -> tuple[float, str]:
-    """Largest of the units in which a size is 2 or more: (value, unit)."""
+    """Largest of the units in which a size is 2 or more.
+
+    Returns (value, unit)
+    """
     return next(
         ((value, name) for value, name in sorted(units.items(), reverse=True) if size >= 2 * value), min(units.items())
     )

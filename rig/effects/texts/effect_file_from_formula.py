@@ -291,8 +291,9 @@ EXAMPLE = Written(
 
 
 def load_suggested_formula(folder: Path, place: str | None) -> tuple[str, Written]:
-    """Load the formula that a diagnosis in a folder suggests: (place, Written).
+    """Load the formula that a diagnosis in a folder suggests.
 
+    Returns (place, Written)
     Raises RigError where it suggests nothing there, or several things anywhere.
     """
     table = json_toml_and_yaml_loading.load_json(folder / "diagnosis.json", "diagnosis", "diagnosis/1")

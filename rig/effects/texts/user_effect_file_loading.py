@@ -43,13 +43,20 @@ T = TypeVar("T", bound=ArrayLike)
 
 
 def load_effect_file(path: Path) -> Plugin:
-    """Load a user's effect file as a Plugin. Raises FileError, with the line, where it cannot be read, run or used."""
+    """Load a user's effect file as a Plugin.
+
+    Raises FileError, with the line, where it cannot be read, run or used.
+    """
     text, digest = read_user_text(path)
     return Plugin(path, digest, effects_of_source(text, path))
 
 
 def effects_of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
-    """Effect classes defined by a source text. path : its name in errors. Raises FileError."""
+    """Effect classes defined by a source text.
+
+    path : its name in errors.
+    Raises FileError.
+    """
     found: list[type[Effect]] = UserModule(path, text, "", run_user_text(text, path)).classes(Effect)
     if not found:
         raise FileError(path, "defines no effect: a dataclass derived from rig.effects.base.Effect")
@@ -71,7 +78,10 @@ def effects_of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
 
 
 def effect_name_problem(name: str) -> str | None:
-    """Problem with the name of an effect, in words; None for a valid name."""
+    """Problem with the name of an effect, in words.
+
+    None for a valid name.
+    """
     if not name.isidentifier() or keyword.iskeyword(name) or name != name.lower() or name.startswith("_"):
         return f"takes a name of small letters, digits and underscores, not {name!r}"
     return f"collides with the catalogue's {name}: choose another name" if name in BY_NAME else None

@@ -63,7 +63,10 @@ def geometry_json(mechanism: Hexapod | Arm) -> str:
 
 
 def geometry_csv(mechanism: Hexapod | Arm) -> str:
-    """Geometry as CSV: a row per strut of a Hexapod, a row per joint of an Arm."""
+    """Geometry as CSV.
+
+    A row per strut of a Hexapod, a row per joint of an Arm.
+    """
     header: tuple[str, ...]
     parts: Iterable[tuple[Floats, ...]]
     if is_hexapod(mechanism):
@@ -85,7 +88,10 @@ ROS = {5: "plumb_bob", 8: "rational_polynomial"}  # models, by their terms
 
 
 def ros_camera_info(camera: Camera) -> str:
-    """ROS camera_info YAML of a Camera. Raises RigError for a lens that ROS has no model of."""
+    """ROS camera_info YAML of a Camera.
+
+    Raises RigError for a lens that ROS has no model of.
+    """
     terms = np.append(camera.distortion, 0.0) if len(camera.distortion) == 4 else camera.distortion
     if len(terms) not in ROS:
         raise RigError(
@@ -222,8 +228,9 @@ SCALE = {"mm": 1e3, "m": 1.0}
 
 
 def linuxcnc_compensation_file(joint_positions: Floats, corrections: Floats, units: str = "mm") -> str:
-    """LinuxCNC compensation file of one joint: corrections (n,) m at joint positions (n,) m.
+    """LinuxCNC compensation file of one joint.
 
+    Corrections (n,) m at joint positions (n,) m.
     units : of the machine, "mm" or "m". Raises ValueError for more entries than it takes, or none that grow
     """
     if not 2 <= len(joint_positions) <= MOST or not (np.diff(joint_positions) > 0).all():
@@ -235,7 +242,9 @@ def linuxcnc_compensation_file(joint_positions: Floats, corrections: Floats, uni
 
 
 def correction_grid_csv(configurations: Floats, corrections: Floats, axes: tuple[str, ...], unit: str) -> str:
-    """CSV of corrections (n, axes) on a grid of configurations (n, axes), with comment lines that explain them.
+    """CSV of corrections (n, axes) on a grid of configurations (n, axes).
+
+    With comment lines that explain them.
     unit : of both, "m" or "rad".
     """
     lines = [

@@ -130,10 +130,11 @@ def axis_header_names(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
 def find_columns(
     cells: Cells, section: str, header_names: Mapping[str, tuple[str, ...]], required_names: Iterable[str]
 ) -> dict[str, int]:
-    """Columns found by their headers: {our name: column index}.
+    """Columns found by their headers.
 
     header_names : {our name: what a header may be called}; required_names : that must be there. Raises RigError for
         what is missing or there twice
+    Returns {our name: column index}
     """
     stated = dict(cells.table.columns)
     found: dict[str, int] = {}
@@ -255,7 +256,9 @@ class TableWithHeader:
 
 
 def lines_with_missing_header_added(table: ForeignTable, section: str, lines: list[tuple[int, str]]) -> TableWithHeader:
-    """Lines of a table with a header added where it has none: the stated one, or TUM's.
+    """Lines of a table with a header added where it has none.
+
+    The stated one, or TUM's.
     section : of the table's section
 
     Raises FileError where samples were lost and nothing tells when

@@ -64,7 +64,9 @@ class ImportedRecording:
 
 
 def design_with_imported_cameras(recipe: Recipe) -> tuple[Design, str | None, tuple[str, ...]]:
-    """Design with the imported cameras of a recipe: (Design, its rig.toml text, sentences).
+    """Design with the imported cameras of a recipe.
+
+    Returns (Design, its rig.toml text, sentences)
     Raises RigError for what cannot be used.
     """
     design = design_file.load_design(recipe.rig)
@@ -75,7 +77,9 @@ def design_with_imported_cameras(recipe: Recipe) -> tuple[Design, str | None, tu
 
 
 def unpack_recipe_bags(recipe: Recipe, folder: Path) -> Recipe:
-    """Unpack the bags of a recipe into a folder; returns the Recipe of the unpacked files.
+    """Unpack the bags of a recipe into a folder.
+
+    Returns the Recipe of the unpacked files
     Raises RigError.
     """
     if recipe.bag is None:

@@ -214,7 +214,9 @@ def zenith_distances(places: Floats, latitude: float) -> Floats:
 
 
 def refracted_hour_angle_and_declination(places: Floats, latitude: float, weather: Weather) -> Floats:
-    """Hour angle and declination (n, 2) rad of stars as observed through the air, of those without it.
+    """Hour angle and declination (n, 2) rad of stars as observed through the air.
+
+    Of those without it.
 
     By the first two terms of refraction in the tangent of the zenith distance, which hold to an arc second above some
     15 degrees
@@ -234,7 +236,10 @@ def refracted_hour_angle_and_declination(places: Floats, latitude: float, weathe
 
 
 def refraction_terms(latitude: float, weather: Weather) -> tuple[float, float]:
-    """(rad of the tangent of the observed zenith distance, rad of its cube) of refraction. latitude : rad"""
+    """(rad of the tangent of the observed zenith distance, rad of its cube) of refraction.
+
+    latitude : rad
+    """
     t, p, wave = weather.temperature, weather.pressure * 0.750062, weather.wavelength**-2
     vapour = weather.humidity * 4.579 * 10 ** (7.5 * t / (237.3 + t))  # mm of mercury, by Magnus
     index = 64.328 + 29498.1 / (146 - wave) + 255.4 / (41 - wave)
@@ -246,7 +251,10 @@ def refraction_terms(latitude: float, weather: Weather) -> tuple[float, float]:
 
 
 def write_pointing_recording(data: PointingData, sigma: float, folder: Path) -> None:
-    """Write a recording of directions into an empty folder. sigma : rad, noise of a direction along each of two axes"""
+    """Write a recording of directions into an empty folder.
+
+    sigma : rad, noise of a direction along each of two axes
+    """
     q, n = data.telescope, len(data.star)
     limits = np.stack([q.min(axis=0) - MARGIN, q.max(axis=0) + MARGIN], axis=1).round(4).tolist()
     joints = "[[0.0, 0.0, 0.0, -1.5707963267948966], [1.5707963267948966, 0.0, 0.0, 1.5707963267948966]]"

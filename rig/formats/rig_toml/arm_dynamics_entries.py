@@ -57,7 +57,9 @@ class ArmDynamics:
 
 
 def load_arm_dynamics(path: Path | str) -> tuple[Design, ArmDynamics]:
-    """Load (Design, ArmDynamics) of an arm's rig.toml; what [dynamics] lacks is None.
+    """Load (Design, ArmDynamics) of an arm's rig.toml.
+
+    What [dynamics] lacks is None.
     Raises FileError with line and column for figures that cannot be, RigError for a mechanism that is no arm cannot
     be, RigError for a mechanism that is no arm
     """
@@ -70,7 +72,9 @@ def load_arm_dynamics(path: Path | str) -> tuple[Design, ArmDynamics]:
 
 
 def dynamics_of_table(table: Entries, joint_units: tuple[str, ...]) -> ArmDynamics:
-    """ArmDynamics of the table [dynamics] of an arm. joint_units : "rad", of slides "m".
+    """ArmDynamics of the table [dynamics] of an arm.
+
+    joint_units : "rad", of slides "m".
     Raises FileError with line and column for figures that cannot be
     """
     table.refuse_misspelt(design_file.DYNAMICS)

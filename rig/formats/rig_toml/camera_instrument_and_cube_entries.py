@@ -36,7 +36,9 @@ SOURCES = ("uvc", "gstreamer", "genicam", "folder", "emulator", "command", *NETW
 
 
 def cameras_of_tables(tables: list[Entries]) -> tuple[Camera, ...]:
-    """The Cameras of [[camera]] tables. Raises FileError with line and column.
+    """The Cameras of [[camera]] tables.
+
+    Raises FileError with line and column.
     Raises FileError with line and column for anything that is no camera.
     """
     found: list[Camera] = []
@@ -201,7 +203,9 @@ ROTATIONS_ALONE = ("orientation", "direction")
 
 
 def instrument_of_table(table: Entries) -> Instrument:
-    """Instrument of the table [instrument]. Raises FileError for missing or implausible figures.
+    """Instrument of the table [instrument].
+
+    Raises FileError for missing or implausible figures.
     Raises FileError for figures that are missing, implausible or of what its kind does not see.
     """
     table.refuse_misspelt([field.name for field in fields(Instrument)])
@@ -226,7 +230,9 @@ def instrument_of_table(table: Entries) -> Instrument:
 
 
 def experiment_permission(table: Entries, targets: tuple[Target, ...]) -> Permission:
-    """Permission of the table [experiment]: what experiments may do, and to which cubes.
+    """Permission of the table [experiment].
+
+    What experiments may do, and to which cubes.
     Raises FileError for what is none of it.
     """
     table.refuse_misspelt(("may",))
@@ -312,8 +318,9 @@ def camera_toml(camera: Camera, has_pose: bool = False, units: LengthAndAngleUni
 
 
 def replace_target_markers(text: str, markers: dict[str, tuple[Marker, ...]]) -> str:
-    """The rig.toml text with the markers of each target replaced; cubes and boards become lists of markers.
+    """The rig.toml text with the markers of each target replaced.
 
+    Cubes and boards become lists of markers.
     text : a valid rig.toml; markers : {target name: (Marker, ...)}
     A marker that is not among them and whose pose is not stated remains so.
     """
@@ -352,7 +359,10 @@ ENTRY_POINT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")  # of a package's 
 
 
 def user_program_text(table: Entries, key: str, stated: str) -> str:
-    """A stated "file:PATH" with PATH joined to the folder of rig.toml, or "package:NAME" as it is. Raises FileError."""
+    """A stated "file:PATH" with PATH joined to the folder of rig.toml, or "package:NAME" as it is.
+
+    Raises FileError.
+    """
     kind, _, place = stated.partition(":")
     if kind == "package":
         if not ENTRY_POINT.fullmatch(place):

@@ -53,20 +53,27 @@ LARGEST = 1 << 22  # bytes of a rig.toml
 
 
 def load_design(path: str | Path) -> Design:
-    """Load the Design of a rig.toml. Raises FileError with line and column.
+    """Load the Design of a rig.toml.
+
+    Raises FileError with line and column.
     Raises FileError with line and column for anything missing, malformed or implausible.
     """
     return design_of_entries(load_entries(path))
 
 
 def load_entries(path: str | Path) -> Entries:
-    """Load the unchecked Entries of a rig.toml. Raises FileError where it cannot be read or is no TOML."""
+    """Load the unchecked Entries of a rig.toml.
+
+    Raises FileError where it cannot be read or is no TOML.
+    """
     path = Path(path)
     return toml_entries(read_text(path, LARGEST, "no such file; every recording has a rig.toml"), path)
 
 
 def design_of_entries(root: Entries) -> Design:
-    """Design of the Entries of a rig.toml, lengths in m, angles in rad. Raises FileError.
+    """Design of the Entries of a rig.toml, lengths in m, angles in rad.
+
+    Raises FileError.
     Raises FileError as `load` does.
     """
     root.schema("rig.toml", SCHEMA)
@@ -208,7 +215,10 @@ def _port(table: Entries, default: str | Required = REQUIRED) -> str:
 
 
 def base_tilt_of_table(table: Entries) -> BaseTilt:
-    """BaseTilt of an [[environment.tilt]]. Raises FileError for a channel that is no angle, or an axis of no length."""
+    """BaseTilt of an [[environment.tilt]].
+
+    Raises FileError for a channel that is no angle, or an axis of no length.
+    """
     table.refuse_misspelt(("channel", "axis", "zero"))
     channel, axis = table.text("channel"), table.array("axis", (3,))
     if name_problem(channel) or not channel.endswith(tuple(ANGLE_UNITS)):

@@ -127,10 +127,12 @@ def _slides(table: Entries, i: int, row: list[object]) -> bool:
 
 
 def joint_limits(table: Entries, is_prismatic: Booleans) -> Floats:
-    """Joint limits (n, 2) rad, m for prismatic joints. Raises FileError where they are invalid.
+    """Joint limits (n, 2) rad, m for prismatic joints.
+
     is_prismatic : (n,) bool. Raises FileError where they do not run from small to large, or a slide's are beyond any
         rig.
     to large, or a slide's are beyond any rig.
+    Raises FileError where they are invalid.
     """
     rows = table.get("joints")
     if not isinstance(rows, list):
@@ -182,7 +184,10 @@ def _disordered(table: Entries, key: str, limits: tuple[float, float], unit: str
 
 
 def mechanism_of_table(table: Entries) -> Mechanism:
-    """Mechanism of the table [mechanism], lengths in m, angles in rad. Raises FileError."""
+    """Mechanism of the table [mechanism], lengths in m, angles in rad.
+
+    Raises FileError.
+    """
     stated = table.get("kind", "")
     if isinstance(stated, str) and stated.startswith(FILE):
         table.refuse_misspelt(("kind",))
@@ -191,7 +196,11 @@ def mechanism_of_table(table: Entries) -> Mechanism:
 
 
 def mechanism_of_file(table: Entries, key: str, name: str) -> FileMechanism:
-    """Mechanism of a kinematics file beside the file that names it. key : where that is. Raises FileError."""
+    """Mechanism of a kinematics file beside the file that names it.
+
+    key : where that is.
+    Raises FileError.
+    """
     if not name.endswith(".py") or Path(name).name != name:
         table.fail(f"{table.name(key)} names a Python file beside this one, such as file:delta.py, not {name!r}", key)
     path = table.file.parent / name
@@ -200,8 +209,9 @@ def mechanism_of_file(table: Entries, key: str, name: str) -> FileMechanism:
 
 
 def write_kinematics_file(folder: Path, mechanism: Mechanism) -> None:
-    """Write the kinematics file of a mechanism into a folder, beside a file that names it; nothing for other kinds.
+    """Write the kinematics file of a mechanism into a folder, beside a file that names it.
 
+    Nothing for other kinds.
     Raises FileError where another file of that name is there
     """
     for name, text in mechanism.files.items():

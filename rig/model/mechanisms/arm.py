@@ -27,8 +27,9 @@ REACH = 1.0  # m; a radian counts like so much
 
 
 def link_frames(q: Floats, arm: Arm) -> Floats:
-    """Frames (..., n + 2, 4, 4) of the arm's links at joint values, frames 0..n and the platform's.
+    """Frames (..., n + 2, 4, 4) of the arm's links at joint values.
 
+    Frames 0..n and the platform's.
     q : (..., n) rad, of slides m. Frame i - 1 carries axis i (its z). Raises ValueError for another number of joints or
         values not finite
     """
@@ -50,7 +51,10 @@ def link_frames(q: Floats, arm: Arm) -> Floats:
 
 
 def joint_values_with_zero_for_slides(q: Floats, arm: Arm) -> Floats:
-    """Turn angles (..., n) rad of the joints at joint values q (..., n): 0 for slides."""
+    """Turn angles (..., n) rad of the joints at joint values q (..., n).
+
+    0 for slides.
+    """
     return np.where(arm.slides, 0.0, q) if arm.slides.any() else np.asarray(q, float)
 
 
@@ -78,7 +82,11 @@ def link_transform(q: Floats, dh_row: Floats) -> Floats:
 
 
 def forward(q: Floats, arm: Arm, guess: RigidTransform | None = None) -> RigidTransform:
-    """Forward kinematics: T_base_platform (...) of joint values q (..., n) rad or m. guess : unused."""
+    """Forward kinematics.
+
+    T_base_platform (...) of joint values q (..., n) rad or m.
+    guess : unused.
+    """
     return RigidTransform.from_matrix(link_frames(q, arm)[..., -1, :, :])
 
 
@@ -96,7 +104,10 @@ def jacobian(q: Floats, arm: Arm, output_axes: str = "platform") -> Floats:
 
 
 def geometric_jacobian(matrices: Floats, output_axes: str = "platform", slides: Booleans | None = None) -> Floats:
-    """Geometric Jacobian (..., 6, n) of link frames (..., n + 2, 4, 4); slides : (n,) bool, none by default."""
+    """Geometric Jacobian (..., 6, n) of link frames (..., n + 2, 4, 4).
+
+    slides : (n,) bool, none by default
+    """
     z, o = matrices[..., :-2, :3, 2], matrices[..., :-2, :3, 3]
     J = np.concatenate([np.cross(z, matrices[..., -1:, :3, 3] - o), z], axis=-1)
     if slides is not None and slides.any():
@@ -108,18 +119,27 @@ def geometric_jacobian(matrices: Floats, output_axes: str = "platform", slides: 
 
 
 def signed_limit_excess(q: Floats, arm: Arm) -> Floats:
-    """Excess of joint values over their limits, (..., n) rad or m: negative below, positive above, 0 inside."""
+    """Excess of joint values over their limits, (..., n) rad or m.
+
+    Negative below, positive above, 0 inside.
+    """
     low, high = arm.limits.T
     return np.minimum(q - low, 0) + np.maximum(q - high, 0)
 
 
 def travel_ranges(arm: Arm) -> Floats:
-    """Travel (n, 2) rad or m of the joints: their limits."""
+    """Travel (n, 2) rad or m of the joints.
+
+    Their limits.
+    """
     return arm.limits
 
 
 def home_values(arm: Arm) -> Floats:
-    """Home joint values (n,) rad or m: all zero."""
+    """Home joint values (n,) rad or m.
+
+    All zero.
+    """
     return np.zeros(len(arm.joints))
 
 
@@ -129,8 +149,9 @@ def axis_loads(T: RigidTransform, q: Floats, arm: Arm, wrench: Floats) -> Floats
 
 
 def link_weight_loads(T: RigidTransform, q: Floats, arm: Arm, gravity: Floats) -> Floats:
-    """Loads (m, n, 4 n) N m of the links' own weight on the joints, per kg and kg m of each link.
+    """Loads (m, n, 4 n) N m of the links' own weight on the joints.
 
+    Per kg and kg m of each link.
     gravity : (3,), or (m, 3) of each posture, m/s^2 in the frame of poses
     Source: Luh, Walker and Paul's recursion at rest, as a regressor: Gautier and Khalil 1990
     """
@@ -149,8 +170,9 @@ def link_weight_loads(T: RigidTransform, q: Floats, arm: Arm, gravity: Floats) -
 
 
 def link_weight_base_moments(q: Floats, arm: Arm, gravity: Floats) -> Floats:
-    """Moments (m, 3, 4 n) N m of the links' own weight about the base's origin, per kg and kg m of each link.
+    """Moments (m, 3, 4 n) N m of the links' own weight about the base's origin.
 
+    Per kg and kg m of each link.
     gravity : (m, 3) m/s^2 of each posture; both in the frame of poses
     """
     chain, n = link_frames(q, arm), len(arm.joints)
@@ -175,8 +197,9 @@ def axis_deviation_and_sway_by_member_growth(
 
 
 def inverse_kinematics_jacobian(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
-    """Jacobian (m, n, 6) of inverse kinematics: least change of joint values with the pose's tangent.
+    """Jacobian (m, n, 6) of inverse kinematics.
 
+    Least change of joint values with the pose's tangent.
     q : (m, n) rad or m
     """
     return np.asarray(np.linalg.pinv(jacobian(q, arm)))
@@ -191,7 +214,10 @@ def jacobian_rows_by_axis(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
 
 
 def link_points(q: Floats, arm: Arm) -> Floats:
-    """Points (..., n + 2, 3) m of the line along the links at joint values q (..., n), in the frame of poses."""
+    """Points (..., n + 2, 3) m of the line along the links at joint values q (..., n).
+
+    In the frame of poses.
+    """
     return link_frames(q, arm)[..., :3, 3]
 
 
@@ -201,8 +227,9 @@ def strut_ends(T: RigidTransform, arm: Arm) -> None:
 
 
 def inverse(T_base_platform: RigidTransform, arm: Arm, guess: Floats | None = None) -> Floats:
-    """Inverse kinematics: joint values (..., n) rad or m of a pose, within limits if possible, near the guess.
+    """Inverse kinematics.
 
+    Joint values (..., n) rad or m of a pose, within limits if possible, near the guess.
     T_base_platform : RigidTransform (...); guess : (n,) or (..., n) rad or m, the middle of the limits by default
     Raises Unreachable with the index of poses to which no start leads, and how near (m, rad) the arm comes
     """
@@ -217,10 +244,11 @@ def inverse(T_base_platform: RigidTransform, arm: Arm, guess: Floats | None = No
 def solve_inverse(
     T_base_platform: RigidTransform, arm: Arm, guess: Floats | None = None, starts: int = STARTS, seed: int = 0
 ) -> tuple[Floats, Floats]:
-    """Inverse kinematics solved by damped least squares from a guess, then random starts: (q, error left).
+    """Inverse kinematics solved by damped least squares from a guess, then random starts.
 
     left : greater of the position's (m) and rotation's (rad) remaining error; above GOOD means no solution was found
     A solution outside the limits is only given where no start leads to one inside.
+    Returns (q, error left)
     Source: Sugihara, Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method, T-RO 2011 (the
         damping)
     """
@@ -248,7 +276,10 @@ def solve_inverse(
 
 
 def nearest_equivalent_angles(q: Floats, arm: Arm, reference: Floats) -> Floats:
-    """Equivalent angles (..., n), by whole turns within the limits, nearest to a reference; slides unchanged."""
+    """Equivalent angles (..., n), by whole turns within the limits, nearest to a reference.
+
+    Slides unchanged.
+    """
     low, high = arm.limits.T
     if arm.slides.any():
         out, turning = np.array(q, float), ~arm.slides

@@ -72,8 +72,9 @@ class LegClosures:
 def combine_leg_sets(
     leg_sets: list[tuple[str, Hexapod | MeasuringLimbs, Floats, Floats]], home_pose: RigidTransform
 ) -> RedundantLegs:
-    """Combine leg sets into RedundantLegs: each set (letter, geometry, sigma, covariance), about one home pose.
+    """Combine leg sets into RedundantLegs.
 
+    Each set (letter, geometry, sigma, covariance), about one home pose.
     home_pose : T_base_platform, about which they are looked for
     """
     blocks, names, zeros = [], list[str](), []
@@ -111,7 +112,10 @@ def leg_lengths_and_pose_and_base_jacobians(legs: RedundantLegs, T: RigidTransfo
 
 
 def leg_parameter_jacobians(legs: RedundantLegs, T: RigidTransform) -> Floats:
-    """Jacobians (n, k, 7 k) of leg lengths with each leg's parameters: base joint, platform joint, zero."""
+    """Jacobians (n, k, 7 k) of leg lengths with each leg's parameters.
+
+    Base joint, platform joint, zero.
+    """
     own = _slope(leg_lengths_and_pose_and_base_jacobians(legs, T)[2], T)
     return (np.eye(own.shape[1])[:, :, None] * own[:, :, None]).reshape(*own.shape[:2], -1)
 
@@ -145,7 +149,9 @@ def best_six_legs(legs: RedundantLegs, T: RigidTransform) -> Integers:
 
 
 def leg_closures(legs: RedundantLegs, lengths: Floats, chosen_six: Integers) -> LegClosures:
-    """LegClosures of leg lengths (n, k) m: errors of the other legs at poses from the six chosen ones.
+    """LegClosures of leg lengths (n, k) m.
+
+    Errors of the other legs at poses from the six chosen ones.
     Raises RigError where the six leave the platform loose at a pose
     """
     checks = np.setdiff1d(np.arange(len(legs.names)), chosen_six)

@@ -101,8 +101,9 @@ def _nearest(normal: Floats, x: Floats) -> Floats:
 
 
 def distal_rows_of_modified_rows(modified: Floats) -> PlacedRows:
-    """PlacedRows of a table in Craig's (modified) convention: Rx(alpha) Tx(a) Rz(theta + q) Tz(d) for each row.
+    """PlacedRows of a table in Craig's (modified) convention.
 
+    That is Rx(alpha) Tx(a) Rz(theta + q) Tz(d) for each row.
     modified : (n, 4) theta, d, a, alpha, rad and m. The first row's a and alpha are the base; a row here takes those of
     the next. Raises ValueError for another shape. Source: Craig, Introduction to Robotics, ch. 3
     """

@@ -122,7 +122,9 @@ MOVES = np.array(
 
 
 def singular_geometry_problem(hexapod: Hexapod) -> str | None:
-    """Problem of a hexapod that is singular at home or by its architecture, in words; None where it is not.
+    """Problem of a hexapod that is singular at home or by its architecture, in words.
+
+    None where it is not.
 
     Joints on similar hexagons, one plate turned against the other or not, leave it loose wherever it stands.
     Sources: Ma and Angeles, Architecture singularities of parallel manipulators, 1992; Merlet, Parallel Robots, 2nd

@@ -63,7 +63,9 @@ def shipped_arm_names() -> list[str]:
 
 
 def shipped_arm_path(path_or_name: str) -> Path:
-    """Path of the rig.toml of a shipped arm by its name, or the path itself. Raises RigError.
+    """Path of the rig.toml of a shipped arm by its name, or the path itself.
+
+    Raises RigError.
     Raises RigError for what is neither.
     """
     if Path(path_or_name).exists() or Path(path_or_name).suffix:
@@ -84,7 +86,9 @@ def load_shipped_arm_design(path_or_name: str) -> Design:
 
 
 def shipped_arm_rig_toml(name: str) -> str:
-    """rig.toml text of a shipped arm measured by an instrument. Raises RigError for an unknown name.
+    """rig.toml text of a shipped arm measured by an instrument.
+
+    Raises RigError for an unknown name.
     Raises RigError for a name that there is not.
     """
     if name not in shipped_arm_names():

@@ -99,9 +99,10 @@ def image_plane_figure(
 
 
 def patch_means(uv: Floats, values: Floats, cell: float) -> tuple[Floats, Floats]:
-    """Means of values (n, k) by square patches of uv (n, 2) >= 0: (centres (c, 2), means (c, k)).
+    """Means of values (n, k) by square patches of uv (n, 2) >= 0.
 
     cell : a square's side, as uv
+    Returns (centres (c, 2), means (c, k))
     """
     keys, index, count = np.unique((uv // cell).astype(int) @ [1, 1000], return_inverse=True, return_counts=True)
     centre = np.stack([keys % 1000, keys // 1000], axis=1) * cell + cell / 2
@@ -205,7 +206,10 @@ def view_3d_html(scene: Scene) -> list[str]:
 
 
 def view_3d_scripts_if_needed(parts: Sequence[str]) -> tuple[str, ...]:
-    """Scripts of the 3-D view, where a page's parts contain one; else ()."""
+    """Scripts of the 3-D view, where a page's parts contain one.
+
+    Else ().
+    """
     return (
         (read_page_asset("view3d.js") + read_page_asset("stage.js"),)
         if any('id="stage-data"' in part for part in parts)

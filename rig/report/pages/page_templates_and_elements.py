@@ -1,7 +1,4 @@
-"""Page templates and elements in HTML.
-
-HTML and SVG elements of pages and figures, and the index page with verdicts.
-"""
+"""Page templates and elements in HTML, and the index page with verdicts."""
 
 import html
 import math

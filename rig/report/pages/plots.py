@@ -117,7 +117,10 @@ class Series:
 
 
 def panel_row_html(*figures: str) -> str:
-    """Row of panels: figures side by side where there is room, else below each other."""
+    """Row of panels.
+
+    Figures side by side where there is room, else below each other.
+    """
     return '<div class="panels">' + "".join(figures) + "</div>"
 
 
@@ -166,8 +169,9 @@ def bar_chart_svg(
     unit: str,
     marked: Sequence[str] = (),
 ) -> str:
-    """Horizontal bar chart as SVG: a bar per name and group.
+    """Horizontal bar chart as SVG.
 
+    A bar per name and group.
     groups : (name, values in unit, colour); marked : bold names
     """
     rows = _rows([g[0] for g in groups])

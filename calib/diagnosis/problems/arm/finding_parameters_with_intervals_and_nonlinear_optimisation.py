@@ -64,7 +64,10 @@ def has_continuous_parameters(term: Term) -> bool:
 
 
 def optimise_nonlinear_parameters(fit_without_term: Fit, term: Term) -> Term:
-    """Optimise a term's nonlinear parameters on the residuals of a Fit without it; returns the term."""
+    """Optimise a term's nonlinear parameters on the residuals of a Fit without it.
+
+    Returns the term
+    """
     products = joint_motion_inner_products(fit_without_term, term.candidate.joint)
 
     def loss(node: Node) -> float:
@@ -91,7 +94,10 @@ def _is_linear(candidate: JointCandidate) -> bool:
 
 
 def term_parameter_covariance(fit: Fit, number: int) -> TermCovariance:
-    """TermCovariance of one term: of its sizes and nonlinear parameters together."""
+    """TermCovariance of one term.
+
+    Of its sizes and nonlinear parameters together.
+    """
     term, theta = fit.terms[number], fit.theta[fit.slices[number]]
     parameters = _continuous_parameters(term)
     if not parameters:
@@ -223,7 +229,10 @@ def finding_parameters(
 
 
 def axis_unit(fit: Fit, joint: int | None) -> str:
-    """Unit, "m" or "rad", of the travel of a joint, by its index; of no one joint's "rad"."""
+    """Unit, "m" or "rad", of the travel of a joint, by its index.
+
+    Where no one joint is meant, "rad".
+    """
     return "rad" if joint is None else fit.arms.context.moved().units[joint]
 
 

@@ -205,7 +205,9 @@ def operating_point_of_recording(
     places: str = "auto",
     sampled: Sampled | None = None,
 ) -> tuple[OperatingPoint, str, Measurement | None]:
-    """OperatingPoint of a recording, calibrated, with no effects admitted; its source in words, and its Measurement.
+    """OperatingPoint of a recording, calibrated, with no effects admitted.
+
+    Also its source in words, and its Measurement.
 
     All corners are back in; the Measurement may be None.
     calibration : of another recording of the same hexapod, whose joints are then known beforehand, or None
@@ -283,7 +285,10 @@ def operating_point_of_recording(
 
 
 def remounted_cube_seats(design: Design, known_seats: Sequence[Effect] = ()) -> tuple[Effect, ...]:
-    """Seats of a design's remounted cubes, a CubeMisplacement each: the known one, else zero."""
+    """Seats of a design's remounted cubes, a CubeMisplacement each.
+
+    The known one, else zero.
+    """
     own = {seat.place: seat for seat in known_seats}
     places = [str(Place("target", target.name)) for target in design.targets if target.turned is not None]
     return tuple(own.get(place, CUBE_MOTION(place)) for place in places)
@@ -327,8 +332,9 @@ def group_sightings(observations: Observations, markers: MarkerMap) -> SeenCorne
 
 
 def move_operating_point(point: OperatingPoint, cameras: list[Camera], local: Floats) -> OperatingPoint:
-    """OperatingPoint moved: its cameras replaced, and each frame's poses moved by local tangents.
+    """OperatingPoint moved.
 
+    Its cameras replaced, and each frame's poses moved by local tangents.
     local : (F, 6 + 6 per moving camera)
     """
     moving = {i: T * exp(local[:, 6 + 6 * k : 12 + 6 * k]) for k, (i, T) in enumerate(sorted(point.moving.items()))}

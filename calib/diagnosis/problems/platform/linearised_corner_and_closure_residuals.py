@@ -168,7 +168,9 @@ class LinearisedModel:
 
 
 def linearise(point: OperatingPoint, clip: float = CLIP, near: LinearisedModel | None = None) -> LinearisedModel:
-    """LinearisedModel of an OperatingPoint: cameras, lenses and geometry are its nuisances.
+    """LinearisedModel of an OperatingPoint.
+
+    Cameras, lenses and geometry are its nuisances.
 
     Each frame's pose is free in the image. clip : standard deviations for which a corner's residual counts at most
     near : of another OperatingPoint, whose corners' derivatives are taken over where they hold here, or None

@@ -229,13 +229,19 @@ def _own_basis(J_local: Floats, edges: Integers) -> tuple[Floats, Floats]:
 
 
 def camera_edge_bias_freedoms(freedom_names: Sequence[tuple[str, str | int]], design: Design) -> list[tuple[int, int]]:
-    """Freedoms that are an edge bias of one camera's images: [(camera's index, freedom's index)]."""
+    """Freedoms that are an edge bias of one camera's images.
+
+    Returns [(camera's index, freedom's index)]
+    """
     cameras = [camera.name for camera in design.cameras]
     return [(cameras.index(name), j) for j, (name, what) in enumerate(freedom_names) if what == EDGES]
 
 
 def cube_seat_freedoms(freedom_names: Sequence[tuple[str, str | int]]) -> dict[str, list[int]]:
-    """Freedoms of the seats of remounted cubes: {cube's place: indices of its six freedoms}."""
+    """Freedoms of the seats of remounted cubes.
+
+    Returns {cube's place: indices of its six freedoms}
+    """
     out: dict[str, list[int]] = {}
     for j, (place, what) in enumerate(freedom_names):
         if what in SEAT_LABELS:
@@ -256,7 +262,9 @@ def _weights(o: Observations, k: OperatingPoint) -> Floats:
 
 
 def repeated_corner_error(point: OperatingPoint) -> float:
-    """Error, px, by which standing corners are off alike in every frame; 0 where noise suffices.
+    """Error, px, by which standing corners are off alike in every frame.
+
+    It is 0 where noise suffices.
 
     The middle of all of them tells it, so that a marker out of its place or a lens that bends one camera's image does
     not pass for it. See vision.bundle.robust_adjustment.inflate_repeated_corner_covariance, which asks the same of
@@ -279,7 +287,10 @@ def repeated_corner_error(point: OperatingPoint) -> float:
 
 
 def edge_shift_pixel_derivatives(point: OperatingPoint) -> Floats:
-    """Derivatives (n, 2, 2) of corner pixels by shifts along the two edges of their marker, per side."""
+    """Derivatives (n, 2, 2) of corner pixels by shifts along the two edges of their marker.
+
+    Per side.
+    """
     seen, quads = point.observed, point.pixels(rows=np.arange(len(point.observed.sightings.frame)))
     depth = _depths(quads)
     edges = np.stack(

@@ -28,8 +28,9 @@ LARGEST = 1 << 22  # bytes
 
 
 def read_camera_calibration(path: Path) -> tuple[str, list[ForeignCamera]]:
-    """Camera calibration file read: (program that wrote it, its ForeignCameras).
+    """Camera calibration file read.
 
+    Returns (program that wrote it, its ForeignCameras)
     Raises FileError, with line and key, for anything that cannot be used.
     """
     root = _root(path)

@@ -161,7 +161,10 @@ def is_caliscope(root: Entries) -> bool:
 
 
 def read_caliscope(root: Entries) -> list[ForeignCamera]:
-    """Read the calibrated cameras of a Caliscope file. Raises FileError where there is none."""
+    """Read the calibrated cameras of a Caliscope file.
+
+    Raises FileError where there is none.
+    """
     found = [
         _caliscope_camera(e, name)
         for name, e in _tables(root).items()
