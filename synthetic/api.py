@@ -18,7 +18,7 @@ from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text_parsing import Kinds, parse_effect, require_existing_place, require_nonzero_effect
 from rig.errors import RigError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design, Sensor
 from rig.planning.plan import build_plan
 from rig.recording.recording_folder import load_sensors
@@ -152,7 +152,7 @@ def simulate(rig_toml: Path | str, options: SimulateOptions = SimulateOptions())
     3 frames over 0.3 min, effects: backlash at strut 3
     """
     path, kinds = Path(rig_toml), options.kinds or BY_NAME
-    design = design_file.load_design(path)
+    design = design_from_rig_toml.load_design(path)
     effects = tuple(
         require_nonzero_effect(require_existing_place(parse_effect(text, kinds), design)) for text in options.effects
     )

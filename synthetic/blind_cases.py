@@ -15,10 +15,10 @@ import numpy as np
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_parameters_and_covariates import Drawing
-from rig.effects.framework.marker_table import Markers, replace_marker_columns
+from rig.effects.framework.marker_table_interface import Markers, replace_marker_columns
 from rig.errors import RigError
 from rig.formats.output_files import write_text
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design, Sensor
 from rig.model.effect_places_and_part_tolerances import Place
@@ -233,7 +233,7 @@ def _drawn(
     text = _rig(rng) if eyes is None else eyes.seen_through(_rig(rng, eyes.width, eyes.height))
     with tempfile.TemporaryDirectory() as folder:
         write_text(Path(folder) / "rig.toml", text)
-        design = design_file.load_design(Path(folder) / "rig.toml")
+        design = design_from_rig_toml.load_design(Path(folder) / "rig.toml")
     plan = _protocol(frames, rng, withheld, images)
     route = build_plan(design, plan, int(rng.integers(1 << 30)), "reversals" in withheld)
     duration = float(route.t[-1])

@@ -15,7 +15,7 @@ from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners
-from vision import readout_motion, recording_adjustment
+from vision import recording_adjustment, rolling_shutter_motion
 from vision.bundle.bundle_adjustment import NoOptimum
 from vision.bundle.marker_displacements import (
     HALVED,
@@ -30,7 +30,6 @@ from vision.predict import MarkerMap, marker_map
 from vision.reading.corner_refit_with_adjusted_lenses import ROUNDS, SETTLED, largest_lens_difference, refit_corners
 from vision.reading.marker_identity_mistakes import LOOKED_AT, no_marker_reason
 from vision.reading.recording_corners import Collected, collect_corners, image_reader, search_missed_markers
-from vision.readout_motion import Rates
 from vision.recording_adjustment import (
     Measurement,
     has_hand_cameras,
@@ -40,6 +39,7 @@ from vision.recording_adjustment import (
     measure_without_remounted_cubes,
     recording_seen_from_hand,
 )
+from vision.rolling_shutter_motion import Rates
 
 REFUSED = 0.05  # of the frames; where more show enough and are refused, the stated places are doubted
 ASIDE = 0.2  # of the corners of solved frames; where more are set aside, the stated lenses are doubted
@@ -69,7 +69,7 @@ def measure_recording(
     recording = recording_with_unstated_markers_placed(recording, read_images, progress)
     options = (free, read_images, progress, places, check_corners)
     if not has_hand_cameras(recording.design):
-        return _measured(recording, *options, readout_motion.commanded_rates(recording))
+        return _measured(recording, *options, rolling_shutter_motion.commanded_rates(recording))
     measured, collected = _measured(recording_seen_from_hand(recording), *options, None)
     return invert_measured_poses(measured), collected
 
@@ -161,8 +161,8 @@ def _measured(
         observed = observations_from_corners(corners, frames, design, markers, correlation)
         if rates is None or markers.stage.any():  # of a chain's stages only the last has rates
             return adjusted(observed)
-        moved = readout_motion.observations_with_readout_motion(observed, design, rates)
-        return readout_motion.with_uncertainty_of_rates(adjusted(moved), rates)
+        moved = rolling_shutter_motion.observations_with_readout_motion(observed, design, rates)
+        return rolling_shutter_motion.with_uncertainty_of_rates(adjusted(moved), rates)
 
     def adjusted(observed: Observations) -> Measurement:
         loose = is_on_remounted_cube(observed, design, markers)

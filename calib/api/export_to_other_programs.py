@@ -25,7 +25,7 @@ from rig.errors import RigError
 from rig.formats.exporters import geometry_and_camera_files, recording_as_rerun_tum_parquet, urdf_and_sdf
 from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.formats.output_files import write_bytes, write_text
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_arm, require_hexapod
@@ -323,7 +323,7 @@ def _correction_tables(path: Path, kind: str, options: ExportOptions) -> ExportR
 
 def _cameras(path: Path, kind: str) -> ExportResult:
     """The lenses of a rig.toml, a file for each camera."""
-    found = design_file.load_design(path).cameras
+    found = design_from_rig_toml.load_design(path).cameras
     if not found:
         raise RigError(f"{path} has no cameras")
     written = (
@@ -349,7 +349,7 @@ def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
     rig.toml.
     """
     if path.suffix == ".toml":
-        design = design_file.load_design(path)
+        design = design_from_rig_toml.load_design(path)
         return design.mechanism, [], design.actuator.screw_lead
 
     calibration = calibration_file.load(path)

@@ -30,7 +30,7 @@ from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
 from rig.errors import RigError
-from rig.formats.local_and_remote_input_files import list_json_files_in_same_folders
+from rig.formats.local_and_remote_input_files import json_files_in_same_folders_as
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
@@ -190,7 +190,7 @@ def _calibration_evidence(
     leaves unexplained.
     """
     beside = unexplained_findings_and_refutations(
-        content_hashes_of_frames(recording), list_json_files_in_same_folders(recording.folder), True
+        content_hashes_of_frames(recording), json_files_in_same_folders_as([recording.folder]), True
     )
     if calibration is None:
         return beside

@@ -13,7 +13,7 @@ from rig.formats.importers.import_recipe_of_path import import_recipe_of_path, i
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import list_folder, read_bytes, read_text
 from rig.formats.output_files import write_bytes, write_text
-from rig.formats.rig_toml.design_file import LARGEST, design_of_entries
+from rig.formats.rig_toml.design_from_rig_toml import LARGEST, design_of_entries
 from rig.recording.recording_folder import Recording
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice
 

@@ -33,7 +33,7 @@ from rig.model import mechanisms
 from rig.model.mechanisms.file_mechanism import SCALE
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, geometric_parameters, has_struts
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import FILL, sobol_configurations
+from rig.planning.configuration_generators import FILL, sobol_configurations
 
 PLACES = 128  # of the workspace
 DRAWS = 1000

@@ -20,7 +20,7 @@ from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel
-from rig.planning.configuration_sets import FILL, sobol_configurations
+from rig.planning.configuration_generators import FILL, sobol_configurations
 from rig.recording.recording_folder import PAYLOAD
 
 PLACES = 64  # of the workspace, at which signs are looked at

@@ -14,7 +14,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, strut_length_jacobian
-from rig.planning.configuration_sets import FILL, sobol_configurations
+from rig.planning.configuration_generators import FILL, sobol_configurations
 
 AVERAGED = 256  # configurations over which a table for one joint alone is the mean
 

@@ -18,7 +18,7 @@ from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.design import Design
-from rig.planning.configuration_sets import grid_configurations, sobol_configurations
+from rig.planning.configuration_generators import grid_configurations, sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan
 from rig.planning.timed_plan_and_plan_csv import Plan
 

@@ -22,7 +22,7 @@ from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.machine_geometry_and_effects_json_file import effect_to_dict, effects_from_entries
-from rig.formats.rig_toml.design_file import base_tilt_of_table
+from rig.formats.rig_toml.design_from_rig_toml import base_tilt_of_table
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_file
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform

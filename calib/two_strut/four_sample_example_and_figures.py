@@ -23,7 +23,7 @@ from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.model.mechanism_geometry_classes import Planar2
 from rig.model.mechanisms import two_strut_plane
-from rig.planning.configuration_sets import FILL, divided_grid_configurations
+from rig.planning.configuration_generators import FILL, divided_grid_configurations
 from rig.report.pages.page_templates_and_elements import svg_text
 
 L1, L2 = 0.42, 0.58  # m

@@ -25,7 +25,7 @@ from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_parallel
 from rig.model.pose import pose_difference, pose_to_vector
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 
 SAME = 1e-6  # m and rad, within which a command gives the pose that it was found for
 

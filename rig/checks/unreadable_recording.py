@@ -17,7 +17,7 @@ from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
 from rig.formats.length_and_angle_units import SI, stated_units
 from rig.formats.local_and_remote_input_files import read_text
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 
 SPREAD = {
     "arm": 0.4,
@@ -73,7 +73,7 @@ def _poses(folder: Path, complaint: str) -> Iterator[Mistake]:
     """poses.csv: positions that spread as the rig's size would in another unit."""
     if "poses.csv" not in complaint or "implausible" not in complaint:
         return
-    m = design_file.load_design(folder / "rig.toml").mechanism
+    m = design_from_rig_toml.load_design(folder / "rig.toml").mechanism
     size = m.reach
     if size is None:
         return

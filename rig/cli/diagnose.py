@@ -25,7 +25,7 @@ from rig.cli.shared.input_options_and_output_display import (
     read_recordings,
 )
 from rig.errors import RigError
-from rig.formats.local_and_remote_input_files import list_json_files_in_same_folders
+from rig.formats.local_and_remote_input_files import json_files_in_same_folders_as
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ def _options(arguments: Namespace, recordings: list[Recording]) -> DiagnoseOptio
         effects,
         None if known is None else input_options_and_output_display.load_calibration(known, effects),
         str(known),
-        tuple(list_json_files_in_same_folders(recordings[0].folder, arguments.out)),
+        tuple(json_files_in_same_folders_as([recordings[0].folder, arguments.out])),
         arguments.anyway,
         _words(arguments),
     )

@@ -76,7 +76,7 @@ def run(arguments: Namespace) -> int:
     Plan, record and diagnose in a loop, then calibrate and certify.
     """
     from calib.api.investigate import investigate
-    from calib.experiment.investigation_machine import InvestigateOptions
+    from calib.experiment.investigation_plan_execution import InvestigateOptions
 
     options = InvestigateOptions(
         arguments.budget,

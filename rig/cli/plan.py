@@ -99,9 +99,9 @@ def run(arguments: Namespace) -> None:
     """
     page, out = page_path(arguments), arguments.outputs.file(arguments.out)
     from calib.api.plan import plan
-    from rig.formats.rig_toml import design_file
+    from rig.formats.rig_toml import design_from_rig_toml
 
-    design, progress = design_file.load_design(arguments.design), Progress()
+    design, progress = design_from_rig_toml.load_design(arguments.design), Progress()
     made = plan(design, _options(arguments, design), progress)
     progress.close()
     made.write(out)

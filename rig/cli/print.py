@@ -47,10 +47,10 @@ def run(arguments: Namespace) -> None:
 
     Write the sheets of a rig's markers to print, or bodies as STL.
     """
-    from rig.formats.rig_toml import design_file
+    from rig.formats.rig_toml import design_from_rig_toml
 
     require_matplotlib("sheets to print")
-    design = design_file.load_design(arguments.design)
+    design = design_from_rig_toml.load_design(arguments.design)
     out = arguments.outputs.file(arguments.out)
     folder = arguments.outputs.folder(arguments.stl) if arguments.stl else None
 

@@ -51,10 +51,10 @@ def run(arguments: Namespace) -> None:
 
     Check a printed marker sheet by a photograph and print the true side of its markers.
     """
-    from rig.formats.rig_toml import design_file
+    from rig.formats.rig_toml import design_from_rig_toml
     from vision.printed_marker_size_from_photograph import measure_printed_marker_scale
 
-    design = design_file.load_design(arguments.design)
+    design = design_from_rig_toml.load_design(arguments.design)
     found = measure_printed_marker_scale(arguments.photo, design, arguments.sheet, arguments.ruler)
     if arguments.json:
         print_json(_tree(found, design))

@@ -118,11 +118,11 @@ def _watch(arguments: Namespace) -> int:
 def _plan(arguments: Namespace) -> None:
     from calib.drift.visit_configurations import SIGMAS, choose_visit_configurations
     from calib.files import calibration_file
-    from rig.formats.rig_toml import design_file
+    from rig.formats.rig_toml import design_from_rig_toml
     from rig.recording import recording_table_loading_and_writing
 
     calibration = calibration_file.load(arguments.calibration)
-    design = design_file.load_design(arguments.rig) if arguments.rig else None
+    design = design_from_rig_toml.load_design(arguments.rig) if arguments.rig else None
     out = arguments.outputs.file(arguments.out)
     progress = Progress()
     chosen = choose_visit_configurations(

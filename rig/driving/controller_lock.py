@@ -88,10 +88,10 @@ def bound_lock_socket(name: str, port: str) -> socket.socket:
     return held
 
 
-def greet(name: str, caller: socket.socket) -> None:
-    """Greet a caller with the process that holds the lock.
+def send_lock_holder_to_caller(name: str, caller: socket.socket) -> None:
+    """Send to a caller which process holds the lock.
 
-    It tells who that is, where the system does not. Raises OSError where the caller is gone.
+    Only where the system does not tell it. Raises OSError where the caller is gone.
     """
     if not ABSTRACT:
         caller.sendall(f"{name} {os.getpid()}\n".encode())
@@ -341,7 +341,7 @@ def _device(path: str) -> set[str]:
 
 def _received(name: str, caller: socket.socket) -> bytes:
     try:
-        greet(name, caller)
+        send_lock_holder_to_caller(name, caller)
         return caller.recv(len(STOP))
     except OSError:  # silent, or gone
         return b""

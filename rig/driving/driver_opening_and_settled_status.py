@@ -18,7 +18,7 @@ from rig.driving.serial_port import SerialPort, find_usb_port
 from rig.driving.strut_driver import Driver
 from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
 from rig.errors import FileError, RigError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Controller, Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_struts
 from rig.model.protocol_and_port_names import port_problem
@@ -29,7 +29,7 @@ def design_with_controller_port(path: Path, port: str | None) -> Design:
 
     Raises RigError for one without, and for one that names programs and is not the operator's own
     """
-    design = design_file.load_design(path)
+    design = design_from_rig_toml.load_design(path)
     require_own_rig_toml(path, design)
     if design.controller is None:
         raise RigError(f"{path} has no [controller], so there is nothing to drive: state its protocol and port there")

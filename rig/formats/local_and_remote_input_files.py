@@ -10,7 +10,7 @@ Nothing is ever written there.
 import os
 import re
 import stat
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO, Protocol
@@ -278,7 +278,7 @@ def require_schema(
     raise FileError(path, f"is no {file_kind}: its schema is {shown}, not {names}", *place)
 
 
-def list_json_files_in_same_folders(*places: Path) -> list[Path]:
-    """JSON files in the same folders as the given paths, each once."""
-    folders = {place.resolve().parent for place in places}
+def json_files_in_same_folders_as(paths: Iterable[Path]) -> list[Path]:
+    """JSON files in the same folders as these paths, each once."""
+    folders = {path.resolve().parent for path in paths}
     return sorted(path for folder in folders if folder.is_dir() for path in folder.glob("*.json"))

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats
-from rig.model.kinematics_file import KinematicsFile
-from rig.model.kinematics_file_checks import kinematics_of_source
+from rig.model.user_kinematics_file import KinematicsFile
+from rig.model.user_kinematics_file_checks import kinematics_of_source
 
 
 def _array(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> Floats:

@@ -19,7 +19,7 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.design_comparison_and_cube_turning_instructions import find_cube
-from rig.planning.configuration_sets import (
+from rig.planning.configuration_generators import (
     FILL,
     divided_grid_configurations,
     grid_configurations,
@@ -85,7 +85,7 @@ def build_plan(
     and approached from sides so that neither time nor direction is a function of place (see
     rig.planning.balanced_visiting_order_and_approach). A ladder, iso9283 and commands keep their
     order and go straight.
-    Parts: sobol:N, division:Q (see rig.planning.configuration_sets.divided_grid_configurations), grid:PER_AXIS,
+    Parts: sobol:N, division:Q (see rig.planning.configuration_generators.divided_grid_configurations), grid:PER_AXIS,
     simplices:SHELLS, axes:PER_AXIS, combined:PER_PAIR, ladder:STEPS,
     payload:N, moving:N, zigzag:N, warmup:N, repeat:N, dwell:N, wait:MINUTES, iso9283:CYCLES, turn:CUBE (before all
     others: the cube is taken off and put back turned by a quarter turn from where its pose is stated)

@@ -59,10 +59,10 @@ def require_one_rig(recordings: Sequence[Recording]) -> None:
             )
 
 
-def camera_owner_recordings(recordings: Sequence[Recording]) -> Owners:
-    """Owner recording of each camera.
+def first_recording_by_camera(recordings: Sequence[Recording]) -> Owners:
+    """First recording with each camera as it is, by camera.
 
-    The one that introduced it, a new one where lens or mount differs.
+    It is a new one where lens or mount differs.
     """
     out: list[dict[str, int]] = []
     for k, recording in enumerate(recordings):
@@ -101,7 +101,7 @@ def join_recordings(recordings: Sequence[Recording], owners: Owners) -> Recordin
         for camera in recording.design.cameras:
             name = combined_camera_name(camera.name, own)
             cameras.setdefault(name, replace(camera, name=name))
-    seats = target_owner_recordings([recording.design for recording in recordings])
+    seats = last_remount_recording_by_target([recording.design for recording in recordings])
     design = replace(first.design, cameras=tuple(cameras.values()), targets=_targets(recordings, seats))
     skipped = tuple(one for r in recordings for one in r.skipped)
     return replace(
@@ -184,10 +184,10 @@ def _exposures(parts: Sequence[RecordingPart], owners: Owners) -> Exposures:
     )
 
 
-def target_owner_recordings(designs: Sequence[Design]) -> Owners:
-    """Owner recording of each target.
+def last_remount_recording_by_target(designs: Sequence[Design]) -> Owners:
+    """Recording in which each target was last remounted, by target.
 
-    The one in which it was last remounted.
+    It is the first recording for a target that was never remounted.
     """
     out: list[dict[str, int]] = []
     for k, design in enumerate(designs):

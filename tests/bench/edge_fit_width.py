@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import correlate1d
 
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Marker, Sensor, Target
 from rig.model.pose import exp, pose
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -176,7 +176,7 @@ def _main(reach):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3))
-        design = design_file.load_design(path)
+        design = design_from_rig_toml.load_design(path)
     listed = tuple(Marker(k, 1.0, pose([0, 0, 0], [0, 0, 0]), 0.9 / 7) for k in range(PICTURES))
     sheet = marker_map(replace(design, targets=(Target("t", "platform", NAME, listed=listed),)))
     rng = np.random.default_rng(0)

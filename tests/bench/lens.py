@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.calibration_board import parse_board
 from rig.model.design import Camera
 from rig.model.pose import exp
@@ -135,7 +135,7 @@ def _adjustment():
                 0.3, cameras=3, width=1280, height=1024, cubes=4
             )
         )
-        design = design_file.load_design(path)
+        design = design_from_rig_toml.load_design(path)
     observations, stated, _, T = scene(design, 1, frames=380)
     observations = replace(
         observations, covariance=np.tile(0.04**2 * np.eye(2), (len(observations), 1, 1))

@@ -56,7 +56,7 @@ from rig.model.design import Instrument
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import FILL, sobol_configurations
+from rig.planning.configuration_generators import FILL, sobol_configurations
 
 # times the typical; a direction of the joints that a pose tells worse than that, as of a wrist near its singularity,
 # keeps none

@@ -44,7 +44,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.model.mechanism_geometry_classes import Chain
 from rig.model.mechanisms import mechanism_chain as mechanism
 from rig.model.pose import pose_difference, pose_to_vector
-from rig.planning.configuration_sets import FILL, sobol_configurations
+from rig.planning.configuration_generators import FILL, sobol_configurations
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import (
     Link,

@@ -28,7 +28,7 @@ from rig.driving.emulators.user_line_emulator_base import load_user_emulator
 from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod, require_struts
@@ -69,7 +69,7 @@ def load_emulator(path: Path, options: EmulatorOptions, clock: Clock) -> Emulato
 
     Raises RigError for a rig without controller or invalid options.
     """
-    design = design_file.load_design(path)
+    design = design_from_rig_toml.load_design(path)
     if design.controller is None:
         raise RigError(f"{path} has no [controller]; an emulator needs its speeds and zeros")
     require_own_rig_toml(path, design)

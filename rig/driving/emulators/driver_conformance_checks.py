@@ -24,7 +24,7 @@ from rig.driving.emulators.fault_trials import (
 from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stopped
 from rig.formats.json_toml_and_yaml_loading import toml_entries
-from rig.formats.rig_toml.design_file import design_of_entries, load_design
+from rig.formats.rig_toml.design_from_rig_toml import design_of_entries, load_design
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
 from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, new_rig_toml

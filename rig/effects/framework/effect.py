@@ -34,7 +34,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     signed_size_nodes,
 )
 from rig.effects.framework.machine_motion_and_play import SOON, Motion, Path
-from rig.effects.framework.marker_table import Markers
+from rig.effects.framework.marker_table_interface import Markers
 from rig.errors import RigError
 from rig.model.design import Camera
 from rig.model.effect_places_and_part_tolerances import AXES, Place, Tolerance, axis_mask

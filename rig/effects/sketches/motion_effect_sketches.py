@@ -18,7 +18,7 @@ from rig.effects.framework.effect_parameters_and_covariates import Drawing, Para
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
 from rig.formats.json_toml_and_yaml_loading import toml_entries
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
 from rig.model.base_tilt import BaseTilt
 from rig.model.design import Camera, Design
@@ -111,7 +111,7 @@ def example_run_with_effect(
 @cache
 def sketch_hexapod() -> Design:
     """Design of the hexapod used in all sketches, with an off-centre payload."""
-    design = design_file.design_of_entries(
+    design = design_from_rig_toml.design_of_entries(
         toml_entries(
             hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(RADIUS, cameras=1, cubes=1), Path("layout")
         )

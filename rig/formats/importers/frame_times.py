@@ -14,9 +14,10 @@ from rig.array_and_json_types import Floats
 from rig.checks.mistake_dataclass_and_clock_mistakes import dwell_clock_shift
 from rig.errors import FileError, RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
-from rig.formats.importers import image_file_frames
+from rig.formats.importers import exposures_from_image_names
 from rig.formats.importers.command_and_sensor_tables import ImportedCommands
 from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
+from rig.formats.importers.exposures_from_image_names import ImportedExposures
 from rig.formats.importers.foreign_table_columns import (
     CAMERA,
     FRAME,
@@ -26,7 +27,6 @@ from rig.formats.importers.foreign_table_columns import (
     column_headers_for_import_recipe,
     find_columns,
 )
-from rig.formats.importers.image_file_frames import ImportedExposures
 from rig.formats.importers.import_recipe import ForeignTable, Recipe
 from rig.formats.importers.units_and_timestamps import UnclearInput
 from rig.recording.recording_folder import LAST_DWELL
@@ -94,7 +94,7 @@ def _by_table(
     if "frame" not in found and "image" not in found:
         found |= find_columns(cells, "frames", IMAGE, ("image",))
     if "image" not in found and any(
-        Path(cell).suffix.lower() in image_file_frames.KINDS for cell in cells.column(found["frame"])
+        Path(cell).suffix.lower() in exposures_from_image_names.KINDS for cell in cells.column(found["frame"])
     ):
         found["image"] = found.pop("frame")  # a column such as Bild may number images or name their files
     of_images = recipe.images

@@ -15,9 +15,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, Unreachable
-from rig.model.kinematics_file import KinematicsFile, freedom_columns, parameter_columns
-from rig.model.kinematics_file_checks import kinematics_of_source, locked_poses
 from rig.model.mechanism_geometry_classes import FileMechanism
+from rig.model.user_kinematics_file import KinematicsFile, freedom_columns, parameter_columns
+from rig.model.user_kinematics_file_checks import kinematics_of_source, locked_poses
 
 AXIS, UNIT = "axis", "m"
 SCALE = 5e-4  # m that a parameter's tolerance counts as, so that lengths and angles share one scale

@@ -17,13 +17,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats.length_and_angle_units import SI, LengthAndAngleUnits
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.rig_toml_text_in_other_units import rig_toml_in_units
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout.hexapod_layout_and_camera_placement import (
     FACES,
     CubeRing,
@@ -79,10 +79,10 @@ def shipped_arm_path(path_or_name: str) -> Path:
 
 def load_shipped_arm_design(path_or_name: str) -> Design:
     """Load the Design of a shipped arm by its name, or of a rig.toml by its path.
-    Raises RigError for what is neither, FileError as rig.formats.rig_toml.design_file.load_design.
-    rig.formats.rig_toml.design_file.load_design.
+    Raises RigError for what is neither, FileError as rig.formats.rig_toml.design_from_rig_toml.load_design.
+    rig.formats.rig_toml.design_from_rig_toml.load_design.
     """
-    return design_file.load_design(shipped_arm_path(path_or_name))
+    return design_from_rig_toml.load_design(shipped_arm_path(path_or_name))
 
 
 def shipped_arm_rig_toml(name: str) -> str:

@@ -54,7 +54,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     Value,
     require_assumed_effects_testable,
 )
-from calib.diagnosis.problems.pose_noise_factors import (
+from calib.diagnosis.problems.pose_noise_excess import (
     PoseResiduals,
     noise_covariance_by_kind,
     noise_factors,

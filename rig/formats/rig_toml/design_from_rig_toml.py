@@ -1,4 +1,4 @@
-"""Reader of rig.toml into a Design.
+"""Design read from a rig.toml.
 
 Every value is checked; errors have file, line and column.
 """

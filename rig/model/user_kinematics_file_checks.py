@@ -1,4 +1,4 @@
-"""Checks of a kinematics file.
+"""Checks of a user's kinematics file.
 
 Of its functions: shapes, numbers, round trip, derivatives; and the cached loading of one.
 """
@@ -10,7 +10,13 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.errors import FileError
-from rig.model.kinematics_file import FREEDOMS, KinematicsFile, freedom_columns, parameter_columns, stated_kinematics
+from rig.model.user_kinematics_file import (
+    FREEDOMS,
+    KinematicsFile,
+    freedom_columns,
+    parameter_columns,
+    stated_kinematics,
+)
 
 TRIED = 6  # poses at which a file is checked
 AROUND = (4e-3, 0.02)  # m, rad; about home, where these lie

@@ -1,4 +1,4 @@
-"""Kinematics file of a machine's owner.
+"""User's kinematics file, loaded and run.
 
 Axes, parameters, home, inverse and forward; loaded, run and checked.
 

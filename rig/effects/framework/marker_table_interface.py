@@ -1,4 +1,4 @@
-"""Table of markers that effects change.
+"""Interface of a table of markers, which effects change.
 
 Identities, poses on bodies, sides.
 """

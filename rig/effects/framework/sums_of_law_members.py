@@ -1,4 +1,4 @@
-"""Effects that are weighted sums of one law.
+"""Effects that are sums of members of one law.
 
 Real machines show sums of several members of the law, each with a share of the whole size.
 """

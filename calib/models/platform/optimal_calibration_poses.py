@@ -23,9 +23,9 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotConverged, RigError
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod as mechanism
-from rig.planning import configuration_sets
+from rig.planning import configuration_generators
 from rig.planning.balanced_visiting_order_and_approach import time_balanced_order
-from rig.planning.configuration_sets import FILL as WORKSPACE
+from rig.planning.configuration_generators import FILL as WORKSPACE
 
 CANDIDATES = 2000
 FILL = 0.9  # of the strokes
@@ -86,7 +86,7 @@ def choose_d_optimal_configurations(
     )
     picked = choose_configurations_by_exchange(G, known.T @ known, count, criterion, progress)
     even = closing_commands_and_whitened_parameter_rows(
-        configuration_sets.sobol_configurations(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas
+        configuration_generators.sobol_configurations(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas
     )[1].reshape(-1, 42)
     parts = [np.concatenate([known, rows]) for rows in (G[picked].reshape(-1, 42), even)]
     chosen = candidates[picked]
@@ -148,10 +148,11 @@ def _candidates(
     hexapod: Hexapod, sigmas: tuple[float, float], seed: int, avoided: ConfigurationExclusion | None
 ) -> tuple[Floats, Floats]:
     """Low-discrepancy configurations and the strokes' outermost ones, with their rows."""
-    spread = configuration_sets.sobol_configurations(hexapod.strut_range, CANDIDATES, FILL, seed)
+    spread = configuration_generators.sobol_configurations(hexapod.strut_range, CANDIDATES, FILL, seed)
     return closing_commands_and_whitened_parameter_rows(
         allowed_configurations(
-            np.concatenate([spread, configuration_sets.simplex_configurations(hexapod.strut_range, 1, FILL)]), avoided
+            np.concatenate([spread, configuration_generators.simplex_configurations(hexapod.strut_range, 1, FILL)]),
+            avoided,
         ),
         hexapod,
         sigmas,
@@ -236,12 +237,12 @@ def fewest_configurations(
     exclusion : which of configurations (n, 6) m are not to be visited, (n,) bool, or None where all may be
     Raises RigError where MOST poses do not keep it, or where none may be visited
     """
-    spread = configuration_sets.sobol_configurations(hexapod.strut_range, FEWEST_CANDIDATES, FILL, seed)
+    spread = configuration_generators.sobol_configurations(hexapod.strut_range, FEWEST_CANDIDATES, FILL, seed)
     candidates, G = closing_commands_and_whitened_parameter_rows(
         allowed_configurations(spread, exclusion), hexapod, sigmas
     )
     places, _ = closing_commands_and_whitened_parameter_rows(
-        configuration_sets.sobol_configurations(hexapod.strut_range, PLACES, WORKSPACE, seed + 1), hexapod, sigmas
+        configuration_generators.sobol_configurations(hexapod.strut_range, PLACES, WORKSPACE, seed + 1), hexapod, sigmas
     )
     J = pose_parameter_jacobian(mechanism.forward(places, hexapod), hexapod)[:, :3].reshape(-1, 42) * PLAUSIBLE
     A = J.T @ J / len(places)

@@ -1,4 +1,4 @@
-"""Accepted measuring limbs as a JSON file (limbs.json).
+"""Accepted measuring limbs as JSON (limbs.json).
 
 With their geometry, agreement and verdict, saved and loaded.
 """

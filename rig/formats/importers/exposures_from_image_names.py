@@ -1,4 +1,4 @@
-"""Exposures grouped from image file names.
+"""Exposures from the names of image files.
 
 Camera, frame number and time from names of image files, grouped into exposures.
 """
