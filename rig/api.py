@@ -233,7 +233,7 @@ def effect_catalogue(
     folder : where the document finds the sketches, NAME.svg; draw : raises RigError for an effect without a sketch
     """
     from rig.effects.catalogue.effect_list import catalogue_markdown
-    from rig.report.pages.page_templates_and_elements import standalone_svg
+    from rig.report.pages.page_templates_and_index_page import standalone_svg
 
     drawn: dict[str, str] = {}
     shown: dict[str, str] = {}

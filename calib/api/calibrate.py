@@ -61,7 +61,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 )
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import write_table
-from rig.report.pages.page_templates_and_elements import Link
+from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations import Verdict
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice

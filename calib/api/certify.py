@@ -49,7 +49,7 @@ from rig.recording.frame_selection_and_content_hashes import (
     hashes_of_frames,
 )
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import Link
+from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations import Evidence, Refutation, Verdict
 

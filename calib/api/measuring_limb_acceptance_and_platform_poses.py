@@ -31,7 +31,7 @@ from rig.model.pose import rms_uncertainty
 from rig.recording import recording_table_loading_and_writing
 from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
 from rig.recording.recording_table_loading_and_writing import Poses, write_poses
-from rig.report.pages.page_templates_and_elements import Link
+from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations import Verdict
 from vision.api import Progress

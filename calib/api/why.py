@@ -28,7 +28,7 @@ from rig.errors import RigError
 from rig.formats.importers.import_recipe_of_path import require_data
 from rig.model.pose import direction_difference
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import Link
+from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.result_in_console_and_notebook import result_html
 from rig.report.verdict_and_refutations import WORST, Verdict
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice

@@ -14,9 +14,7 @@ from calib.certificate.certificate_sentences import micrometre_text
 from calib.certification.iso230_and_iso9283_tests import FEWEST
 from calib.report.platform_and_lens_calibration_pages import rows_of_nested_dict
 from rig.array_and_json_types import Floats
-from rig.report.pages.page_templates_and_elements import (
-    Link,
-    Page,
+from rig.report.pages.html_and_svg_elements import (
     captioned_html,
     folding_section_html,
     heading_html,
@@ -28,8 +26,8 @@ from rig.report.pages.page_templates_and_elements import (
     svg_text_or_empty_if_too_large,
     svg_tooltip,
     table_html,
-    write_page,
 )
+from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 
 
 def _error_distribution_figure(certificate: Certificate) -> str:

@@ -16,15 +16,8 @@ import numpy as np
 from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
 from rig.formats import csv_and_parquet_tables_and_time_origin, json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
-from rig.report.pages.page_templates_and_elements import (
-    Page,
-    captioned_html,
-    heading_html,
-    list_html,
-    paragraph_html,
-    table_html,
-    write_page,
-)
+from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, list_html, paragraph_html, table_html
+from rig.report.pages.page_templates_and_index_page import Page, write_page
 from rig.report.pages.plots import COLOURS, Series, plot_panel_svg
 from rig.report.verdict_and_refutations import LOOK, Evidence, MissingEvidence, State, Verdict, judge_evidence
 

@@ -32,8 +32,8 @@ from rig.model.motion_simulation import MachineRun
 from rig.model.pose import pose, pose_difference, pose_to_vector
 from rig.recording.recording_folder import Commands, Sensors
 from rig.report.pages import image_plane_and_3d_views
+from rig.report.pages.html_and_svg_elements import captioned_html
 from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, DrawnEffect, Quads, Scene, image_plane_figure
-from rig.report.pages.page_templates_and_elements import captioned_html
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 from vision.predict import MarkerMap, Sightings, State, marker_map, predict_sightings
 

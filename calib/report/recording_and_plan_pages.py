@@ -22,9 +22,10 @@ from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Recording
+from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, list_html
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Played
 from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_3d_scripts_if_needed
-from rig.report.pages.page_templates_and_elements import Link, Page, captioned_html, heading_html, list_html, write_page
+from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 from rig.report.verdict_and_refutations import Evidence, MissingEvidence, State, Verdict, judge_evidence
 

@@ -31,16 +31,9 @@ from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model.design import Design
 from rig.model.pose import pose_to_vector
+from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, paragraph_html, table_html
 from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_3d_scripts_if_needed
-from rig.report.pages.page_templates_and_elements import (
-    Link,
-    Page,
-    captioned_html,
-    heading_html,
-    paragraph_html,
-    table_html,
-    write_page,
-)
+from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
 from rig.report.verdict_and_refutations import AGREES, Evidence, MissingEvidence, Refutation, Verdict, judge_evidence
 

@@ -24,7 +24,7 @@ from rig.array_and_json_types import Floats
 from rig.model.mechanism_geometry_classes import Planar2
 from rig.model.mechanisms import two_strut_plane
 from rig.planning.configuration_generators import FILL, divided_grid_configurations
-from rig.report.pages.page_templates_and_elements import svg_text
+from rig.report.pages.html_and_svg_elements import svg_text
 
 L1, L2 = 0.42, 0.58  # m
 NOMINAL = Planar2(np.array([[-0.3, 0.0], [0.3, 0.0]]), np.array([[L1, L2], [L1, L2]]))

@@ -11,7 +11,7 @@ from math import degrees
 from pathlib import Path
 
 from rig.array_and_json_types import Json
-from rig.cli.shared.argument_parser_and_common_options import add_json_option, print_json
+from rig.cli.shared.common_options import add_json_option, print_json
 
 LEAVES = 1e-9  # m or rad of a pose, from which it is said
 

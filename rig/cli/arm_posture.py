@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.array_and_json_types import Json
-from rig.cli.shared.argument_parser_and_common_options import (
+from rig.cli.shared.common_options import (
     add_json_option,
     add_overwrite_option,
     file_or_stdout,
-    parse_numbers,
     print_json,
     require_matplotlib,
 )
+from rig.cli.shared.option_value_parsing import parse_numbers
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.formats.output_files import write_text

@@ -9,11 +9,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_json_result_option,
-    add_overwrite_option,
-    file_or_stdout,
-)
+from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:

@@ -9,15 +9,9 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options_and_output_display
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_json_result_option,
-    add_page_option,
-    page_links,
-    page_path,
-)
-from rig.cli.shared.input_options_and_output_display import (
-    Progress,
+from rig.cli.shared import refutation_printing_and_writing
+from rig.cli.shared.common_options import add_json_result_option, add_page_option, page_links, page_path
+from rig.cli.shared.input_options import (
     add_anyway_option,
     add_limb_options,
     add_recording_argument,
@@ -25,6 +19,7 @@ from rig.cli.shared.input_options_and_output_display import (
     notice_printer,
     read_recording,
 )
+from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 
@@ -130,7 +125,7 @@ def _options(arguments: Namespace, limbs: LimbSource | None) -> LearnOptions:
         arguments.state,
         None if start is None else calibration_file.load(start),
         str(start),
-        () if start is None else input_options_and_output_display.read_and_print_refutations(start),
+        () if start is None else refutation_printing_and_writing.read_and_print_refutations(start),
         arguments.learner,
         getattr(arguments, SETTINGS.get(arguments.learner, ""), None),
         limbs,

@@ -18,7 +18,8 @@ from shutil import get_terminal_size
 from typing import NoReturn, TextIO, TypeVar, cast
 
 from rig.cli.command_list import COMMANDS, EARLIER_NAMES, FAMILIES
-from rig.cli.shared.argument_parser_and_common_options import Parser, add_common_options, join_negative_numbers
+from rig.cli.shared.argument_parser import Parser, join_negative_numbers
+from rig.cli.shared.common_options import add_common_options
 from rig.errors import RigError
 from rig.formats.output_files import STANDARD_OUTPUT, CommandOutputs
 
@@ -74,7 +75,7 @@ def main(argv: list[str] | None = None) -> int:
     Returns the exit status: 0 done, 1 refused, 2 wrong usage, 130 interrupted
     Raises SystemExit where help was asked for or the usage is wrong
     """
-    from rig.cli.shared.input_options_and_output_display import escaped_output
+    from rig.cli.shared.output_display import escaped_output
 
     with escaped_output():
         return _main(join_negative_numbers(sys.argv[1:] if argv is None else argv))
@@ -221,11 +222,11 @@ def _run(arguments: argparse.Namespace) -> int:
             with _reader_may_leave(name, outputs), _words(arguments), _compiling(), _workers(arguments):
                 status = arguments.run(arguments) or 0
         if outputs.pages:
-            from rig.report.pages.page_templates_and_elements import refresh_indices
+            from rig.report.pages.page_templates_and_index_page import refresh_indices
 
             refresh_indices(outputs.pages)
         if asked and arguments.result is not None:
-            from rig.cli.shared.argument_parser_and_common_options import print_json
+            from rig.cli.shared.common_options import print_json
 
             print_json(arguments.result)
         return _flushed(name, status)
@@ -254,7 +255,7 @@ def _reader_may_leave(name: str, outputs: CommandOutputs) -> Iterator[None]:
     """Within it a command that writes files finishes them though the reader of its standard output is gone, which is
     then reported.
     """
-    from rig.cli.shared.input_options_and_output_display import StandardOutput
+    from rig.cli.shared.output_display import StandardOutput
 
     out = StandardOutput(sys.stdout or io.StringIO(), lambda: outputs.in_use)
     with redirect_stdout(cast(TextIO, out)):
@@ -271,7 +272,7 @@ def _reader_may_leave(name: str, outputs: CommandOutputs) -> Iterator[None]:
 
 def _compiling() -> AbstractContextManager[None]:
     """Context in which compilation, which takes time, is announced once."""
-    from rig.cli.shared.input_options_and_output_display import print_compilation_notice
+    from rig.cli.shared.output_display import print_compilation_notice
     from rig.compute.numba_kernels_and_lazy_exports import announce_compilation
 
     return announce_compilation(print_compilation_notice)
@@ -306,7 +307,7 @@ def _for_programs(arguments: argparse.Namespace) -> bool:
 def _words(arguments: argparse.Namespace) -> Iterator[None]:
     """Within it what a command prints goes where its user wants words: nowhere with --quiet, unless it is the result
     that was asked for; to the error output where the result is printed as JSON once the command is done."""
-    from rig.cli.shared.input_options_and_output_display import Progress
+    from rig.cli.shared.output_display import Progress
 
     out, quiet = getattr(arguments, "out", ""), getattr(arguments, "quiet", False)
     aside = _for_programs(arguments)
@@ -376,7 +377,7 @@ def _flushed(name: str, status: S) -> S | int:
         message = ""
     except OSError as error:
         message = f"{name}: standard output cannot be written: {error.strerror}"
-    from rig.cli.shared.input_options_and_output_display import discard_output
+    from rig.cli.shared.output_display import discard_output
 
     discard_output(sys.stdout)
     if name and message:

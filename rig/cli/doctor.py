@@ -5,7 +5,7 @@ Packages, OpenGL, cameras, ports, disk space, threads.
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared.argument_parser_and_common_options import add_json_option, print_json
+from rig.cli.shared.common_options import add_json_option, print_json
 
 
 def arguments(parser: ArgumentParser) -> None:

@@ -21,6 +21,6 @@ def run(arguments: Namespace) -> None:
 
     Print the completion script of a shell.
     """
-    from rig.cli.shared.argument_parser_and_common_options import completion_script
+    from rig.cli.shared.argument_parser import completion_script
 
     print(completion_script(arguments.all_commands(), arguments.shell))

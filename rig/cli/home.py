@@ -5,7 +5,7 @@ By the controller, and their positions are printed.
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared.argument_parser_and_common_options import add_controller_arguments
+from rig.cli.shared.common_options import add_controller_arguments
 
 
 def arguments(parser: ArgumentParser) -> None:

@@ -8,7 +8,7 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 
 from calib.experiment import FIRST, LOADED, STANDING
-from rig.cli.shared.argument_parser_and_common_options import SEED, add_json_result_option
+from rig.cli.shared.common_options import SEED, add_json_result_option
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 
 

@@ -8,12 +8,8 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_controller_arguments,
-    add_speed_option,
-    add_trust_unhomed_position_option,
-    require_share,
-)
+from rig.cli.shared.common_options import add_controller_arguments, add_speed_option, add_trust_unhomed_position_option
+from rig.cli.shared.option_value_parsing import require_share
 from rig.errors import PositionLost, RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_numbers, parse_whole_number
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.array_and_json_types import Json
-from rig.cli.shared.argument_parser_and_common_options import add_json_result_option, add_overwrite_option, page_links
-from rig.cli.shared.input_options_and_output_display import Progress
+from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, page_links
+from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:

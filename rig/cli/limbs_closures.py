@@ -9,12 +9,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_json_result_option,
-    add_overwrite_option,
-    file_or_stdout,
-)
-from rig.cli.shared.input_options_and_output_display import add_recording_argument, read_recording
+from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout
+from rig.cli.shared.input_options import add_recording_argument, read_recording
 
 if TYPE_CHECKING:
     from calib.api.loop_closure_check_of_redundant_legs import LoopClosureResult

@@ -9,9 +9,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import add_json_result_option, add_overwrite_option, page_links
-from rig.cli.shared.input_options_and_output_display import (
-    Progress,
+from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, page_links
+from rig.cli.shared.input_options import (
     add_anyway_option,
     add_limb_options,
     add_recording_argument,
@@ -19,6 +18,7 @@ from rig.cli.shared.input_options_and_output_display import (
     notice_printer,
     read_recording,
 )
+from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:

@@ -10,12 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_overwrite_option,
-    add_units_option,
-    parse_length,
-    suggestion_text,
-)
+from rig.cli.shared.argument_parser import suggestion_text
+from rig.cli.shared.common_options import add_overwrite_option, add_units_option
+from rig.cli.shared.option_value_parsing import parse_length
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -97,7 +94,7 @@ def run(arguments: Namespace) -> None:
 def _index(folder: Path) -> None:
     """Write the page of all pages of a project that begins here, where no other index.html is."""
     from rig.formats.output_files import CommandOutputs
-    from rig.report.pages.page_templates_and_elements import KIND, NAME, write_index_page
+    from rig.report.pages.page_templates_and_index_page import KIND, NAME, write_index_page
 
     if not (folder / NAME).exists():
         with CommandOutputs(KIND) as outputs:

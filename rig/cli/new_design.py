@@ -8,12 +8,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_overwrite_option,
-    add_units_option,
-    file_or_stdout,
-    parse_length,
-)
+from rig.cli.shared.common_options import add_overwrite_option, add_units_option, file_or_stdout
+from rig.cli.shared.option_value_parsing import parse_length
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
 if TYPE_CHECKING:

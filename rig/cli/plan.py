@@ -9,7 +9,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import (
+from rig.cli.shared.common_options import (
     SEED,
     add_json_result_option,
     add_overwrite_option,
@@ -17,9 +17,9 @@ from rig.cli.shared.argument_parser_and_common_options import (
     file_or_stdout,
     page_links,
     page_path,
-    parse_length,
 )
-from rig.cli.shared.input_options_and_output_display import Progress
+from rig.cli.shared.option_value_parsing import parse_length
+from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 

@@ -6,12 +6,8 @@ Those of a rig.toml, as sheets to print true to scale (PDF), or as STL bodies.
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_overwrite_option,
-    file_or_stdout,
-    parse_length,
-    require_matplotlib,
-)
+from rig.cli.shared.common_options import add_overwrite_option, file_or_stdout, require_matplotlib
+from rig.cli.shared.option_value_parsing import parse_length
 
 
 def arguments(parser: ArgumentParser) -> None:

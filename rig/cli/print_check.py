@@ -10,7 +10,8 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import add_json_option, parse_length, print_json
+from rig.cli.shared.common_options import add_json_option, print_json
+from rig.cli.shared.option_value_parsing import parse_length
 
 if TYPE_CHECKING:
     from rig.array_and_json_types import Floats, Json

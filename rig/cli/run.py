@@ -10,8 +10,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import SEED, add_controller_arguments, length_and_angle
-from rig.cli.shared.input_options_and_output_display import add_limb_options, limb_source
+from rig.cli.shared.common_options import SEED, add_controller_arguments
+from rig.cli.shared.input_options import add_limb_options, limb_source
+from rig.cli.shared.option_value_parsing import length_and_angle
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 

@@ -5,7 +5,7 @@ Nothing moves.
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared.argument_parser_and_common_options import add_controller_arguments, add_json_result_option
+from rig.cli.shared.common_options import add_controller_arguments, add_json_result_option
 
 
 def arguments(parser: ArgumentParser) -> None:

@@ -7,7 +7,7 @@ Nothing that takes time is imported before the controller was sent its urgent st
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared.argument_parser_and_common_options import add_controller_arguments
+from rig.cli.shared.common_options import add_controller_arguments
 
 PATIENCE = 10.0  # s for a process that drives to let go
 

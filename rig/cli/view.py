@@ -8,8 +8,9 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.argument_parser_and_common_options import add_overwrite_option, file_or_stdout, page_links
-from rig.cli.shared.input_options_and_output_display import Progress, add_recording_argument, read_recording
+from rig.cli.shared.common_options import add_overwrite_option, file_or_stdout, page_links
+from rig.cli.shared.input_options import add_recording_argument, read_recording
+from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 

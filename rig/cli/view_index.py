@@ -6,7 +6,7 @@ Of all pages below a folder, each with its verdict.
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.argument_parser_and_common_options import add_overwrite_option
+from rig.cli.shared.common_options import add_overwrite_option
 from rig.errors import RigError
 
 
@@ -28,7 +28,7 @@ def run(arguments: Namespace) -> None:
 
     Write the index page of all pages below a folder.
     """
-    from rig.report.pages.page_templates_and_elements import NAME, list_pages_below_folder, write_index_page
+    from rig.report.pages.page_templates_and_index_page import NAME, list_pages_below_folder, write_index_page
 
     if not arguments.folder.is_dir():
         raise RigError(f"{arguments.folder}: no such folder")

@@ -8,8 +8,8 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared import input_options_and_output_display
-from rig.cli.shared.argument_parser_and_common_options import (
+from rig.cli.shared import refutation_printing_and_writing
+from rig.cli.shared.common_options import (
     SEED,
     add_json_option,
     add_overwrite_option,
@@ -18,7 +18,7 @@ from rig.cli.shared.argument_parser_and_common_options import (
     page_path,
     print_json,
 )
-from rig.cli.shared.input_options_and_output_display import Progress
+from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 from rig.report.verdict_and_refutations import exit_status, refutations_of_file
@@ -96,14 +96,14 @@ def _watch(arguments: Namespace) -> int:
     refuted = refutations_of_file(arguments.calibration)
     result = watch(calibration, loaded, history, refuted, progress)
     progress.close()
-    input_options_and_output_display.print_refutations(arguments.calibration, refuted)
+    refutation_printing_and_writing.print_refutations(arguments.calibration, refuted)
     if kept is not None:
         visit_history.write_history(kept, result.history)
     if page is not None:
         result.write_page(page, arguments.calibration.name, page_links(arguments, arguments.page))
     if result.refutation is not None:
         state, sentence = result.refutation
-        input_options_and_output_display.write_refutation(
+        refutation_printing_and_writing.write_refutation(
             arguments, arguments.calibration, result.visits[-1].name, sentence, state
         )
     if arguments.json:

@@ -14,17 +14,15 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report, d
 from calib.report.pose_and_effect_figures import effect_sketch
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.recording.recording_folder import Recording
-from rig.report.pages.image_plane_and_3d_views import view_3d_scripts_if_needed
-from rig.report.pages.page_templates_and_elements import (
-    Link,
-    Page,
+from rig.report.pages.html_and_svg_elements import (
     captioned_html,
     folding_section_html,
     heading_html,
     paragraph_html,
     table_html,
-    write_page,
 )
+from rig.report.pages.image_plane_and_3d_views import view_3d_scripts_if_needed
+from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import panel_row_html
 
 DOTS = (

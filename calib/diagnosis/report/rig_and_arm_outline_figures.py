@@ -20,7 +20,7 @@ from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import mechanism_chain as chains
 from rig.model.pose import transform_points
-from rig.report.pages.page_templates_and_elements import WIDTH, list_html, svg_figure, svg_text, svg_tooltip
+from rig.report.pages.html_and_svg_elements import WIDTH, list_html, svg_figure, svg_text, svg_tooltip
 from rig.report.pages.plots import panel_row_html
 from vision.predict import marker_map
 

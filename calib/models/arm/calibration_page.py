@@ -20,8 +20,7 @@ from calib.workspace.workspace_page import workspace_section_html
 from rig.effects.framework.effect_parameters_and_covariates import PLOT_UNITS
 from rig.model import mechanisms
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import (
-    Link,
+from rig.report.pages.html_and_svg_elements import (
     captioned_html,
     folding_section_html,
     heading_html,
@@ -29,6 +28,7 @@ from rig.report.pages.page_templates_and_elements import (
     section_html,
     table_html,
 )
+from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 
 

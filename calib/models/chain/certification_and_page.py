@@ -46,14 +46,14 @@ from rig.model.mechanisms import mechanism_chain as mechanism
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.planning.configuration_generators import FILL, sobol_configurations
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import (
-    Link,
+from rig.report.pages.html_and_svg_elements import (
     folding_section_html,
     heading_html,
     paragraph_html,
     section_html,
     table_html,
 )
+from rig.report.pages.page_templates_and_index_page import Link
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ from calib.models.arm import certification as arm_certification
 from calib.models.arm.tilt_observations import tilt_report
 from calib.models.chain import certification_and_page as chain_certification
 from calib.workspace.workspace_page import workspace_lines
-from rig.cli.shared.argument_parser_and_common_options import print_frames_without_pose, print_held_out_errors
+from rig.cli.shared.printing_of_held_out_errors import print_frames_without_pose, print_held_out_errors
 from rig.model import mechanisms
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from vision.bundle.adjustment_validation_and_determinacy import NotHeldOut

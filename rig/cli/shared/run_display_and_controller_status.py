@@ -10,7 +10,7 @@ import numpy as np
 from calib.online.live_run_page import RunPage
 from calib.online.observer_of_run_frames import MeasuredFrame, RunDisplay, RunObserver, RunState
 from rig.array_and_json_types import Floats
-from rig.cli.shared.input_options_and_output_display import unescaped_stream
+from rig.cli.shared.output_display import unescaped_stream
 from rig.driving.controller_status_and_limits import ControllerStatus
 from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable
 from rig.model.design import Design

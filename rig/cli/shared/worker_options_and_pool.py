@@ -13,7 +13,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from typing import TypeVar
 
-from rig.cli.shared.input_options_and_output_display import Progress
+from rig.cli.shared.output_display import Progress
 from rig.compute import parallel_map_and_dask_cluster
 from rig.compute.worker_processes import temporary_worker_limit, terminate_child_processes, worker_count
 from rig.errors import RigError

@@ -26,7 +26,7 @@ from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.pose import exp, pose_difference
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording.recording_folder import PAYLOAD, Commands, Sensors, sensors_with_gravity
-from rig.report.pages.page_templates_and_elements import TEXT, WIDTH, svg_figure, svg_text
+from rig.report.pages.html_and_svg_elements import TEXT, WIDTH, svg_figure, svg_text
 from rig.report.pages.plots import Series, plot_panel_svg
 
 RADIUS, LEAD, PAYLOAD_AT = (
@@ -54,7 +54,7 @@ WARM, LOADED, TILTED = 20.0, 6.0, 60.0  # K, kg and degrees, by which temperatur
 @dataclass(frozen=True, slots=True)
 class Sketch:
     """What an effect does. words : where it sits and how large it is; figures : one or two, as
-    rig.report.pages.page_templates_and_elements makes them.
+    rig.report.pages.page_templates_and_index_page makes them.
     """
 
     words: str

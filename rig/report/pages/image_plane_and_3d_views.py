@@ -10,17 +10,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rig.array_and_json_types import Floats, Integers, Json
-from rig.report.pages.page_templates_and_elements import (
+from rig.report.pages.html_and_svg_elements import (
     TEXT,
     WIDTH,
     escape_html,
     inline_html,
     note_html,
-    read_page_asset,
     svg_figure,
     svg_text,
     svg_tooltip,
 )
+from rig.report.pages.page_templates_and_index_page import read_page_asset
 
 TOP = TEXT + 11.0
 Placed = Callable[[Floats], Floats]  # (n, 2) of the plane -> (n, 2) of the figure

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from rig.array_and_json_types import Floats, Integers
-from rig.report.pages.page_templates_and_elements import (
+from rig.report.pages.html_and_svg_elements import (
     TEXT,
     escape_html,
     round_ticks,
