@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.certification import measuring_limb_identification_and_agreement, redundant_limb_checks
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.online.accepted_limbs_json import Accepted
+from calib.online.accepted_limbs_file import Accepted
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
 from rig.model.mechanisms.best_six_legs_and_closures import (

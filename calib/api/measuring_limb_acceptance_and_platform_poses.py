@@ -16,8 +16,8 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.measuring_limb_identification_and_agreement import Agreement
 from calib.files.calibration_file import calibration_provenance
 from calib.models.machine_models import corrected_pose_covariance
-from calib.online import accepted_limbs_json, measuring_limb_poses_checked_by_vision
-from calib.online.accepted_limbs_json import Accepted
+from calib.online import accepted_limbs_file, measuring_limb_poses_checked_by_vision
+from calib.online.accepted_limbs_file import Accepted
 from calib.online.measuring_limb_poses_checked_by_vision import LimbPoses, LimbSource, checked_limb_poses
 from calib.report.online_learning_and_measuring_limb_pages import measuring_limbs_verdict, write_measuring_limbs_page
 from calib.samples.pose_samples import Sampled, sample_recording
@@ -122,7 +122,7 @@ class LimbAcceptance(OneLineRepr):
 
     def save(self, path: Path) -> None:
         """Save the limbs with their verdict, for LimbSource."""
-        accepted_limbs_json.save_limbs(path, self.accepted)
+        accepted_limbs_file.save_limbs(path, self.accepted)
 
     def write_page(self, path: Path, links: Sequence[Link] = ()) -> None:
         """Write the page of it."""
@@ -182,7 +182,7 @@ def accept_limbs(
             f"limb {limb} is longer by {slipped.size * 1e6:+.1f} +- {slipped.sigma * 1e6:.1f} um than it reads: "
             "it slipped"
         )
-        accepted = accepted_limbs_json.withdraw_acceptance(accepted, str(recording.folder), slipped.frame, reason)
+        accepted = accepted_limbs_file.withdraw_acceptance(accepted, str(recording.folder), slipped.frame, reason)
     error, check_sigma = redundant_limb_checks.held_out_check_errors(limbs, stated, both)
     return LimbAcceptance(recording, by_vision, accepted, stated.channels, error, check_sigma)
 

@@ -19,8 +19,8 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification import measuring_limb_identification_and_agreement, redundant_limb_checks
 from calib.certification.redundant_limb_checks import Limbs
-from calib.online import accepted_limbs_json
-from calib.online.accepted_limbs_json import Accepted
+from calib.online import accepted_limbs_file
+from calib.online.accepted_limbs_file import Accepted
 from calib.online.filter_kernels_and_change_detection import Change
 from calib.online.information_filter import Online
 from calib.samples.pose_samples import Sampled, Samples, pair_samples
@@ -283,7 +283,7 @@ def checked_limb_poses(
     Raises RigError for limbs that were not accepted, that are others than rig.toml states, or with which vision no
         longer agrees: their acceptance is withdrawn in their file first
     """
-    accepted = accepted_limbs_json.accepted_limbs(source.path, recording.design)
+    accepted = accepted_limbs_file.accepted_limbs(source.path, recording.design)
     found = limb_poses(recording, accepted)
     checked = check_limb_poses_by_redundancy_and_vision(recording, accepted, found, source.every, progress)
     if checked.disagreement is not None and checked.frame is not None:
@@ -313,4 +313,4 @@ def write_acceptance_withdrawal(path: Path, accepted: Accepted, recording: str, 
 
     Raises FileError where that cannot be written.
     """
-    accepted_limbs_json.save_limbs(path, accepted_limbs_json.withdraw_acceptance(accepted, recording, frame, reason))
+    accepted_limbs_file.save_limbs(path, accepted_limbs_file.withdraw_acceptance(accepted, recording, frame, reason))

@@ -12,8 +12,8 @@ import numpy as np
 
 from calib.certification import measuring_limb_identification_and_agreement
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.online import accepted_limbs_json
-from calib.online.accepted_limbs_json import Accepted
+from calib.online import accepted_limbs_file
+from calib.online.accepted_limbs_file import Accepted
 from calib.online.live_learner_and_limb_agreement import Learner
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, LiveLimbPoses, write_acceptance_withdrawal
 from calib.online.observer_of_run_frames import RunObserver, RunStop
@@ -87,7 +87,7 @@ class RunOptions:
         """The limbs that stand for vision, None where none do. Raises RigError where nothing reads them."""
         if self.limbs is None:
             return None
-        found = accepted_limbs_json.accepted_limbs(self.limbs.path, design)
+        found = accepted_limbs_file.accepted_limbs(self.limbs.path, design)
         channels = measuring_limb_identification_and_agreement.stated_limbs(design).channels
         if design.sensors is None or set(channels) - set(design.sensors.channels):
             raise RigError(

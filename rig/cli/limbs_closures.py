@@ -55,7 +55,7 @@ def run(arguments: Namespace) -> int:
     """
     from calib.api.loop_closure_check_of_redundant_legs import LoopClosureOptions, close_loops
     from calib.files import calibration_file
-    from calib.online.accepted_limbs_json import load_limbs
+    from calib.online.accepted_limbs_file import load_limbs
 
     recording = read_recording(arguments)
     out = arguments.outputs.file(arguments.out) if arguments.out else None

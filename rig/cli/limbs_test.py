@@ -61,7 +61,7 @@ def run(arguments: Namespace) -> int:
     Test measuring limbs against vision, and save accepted ones.
     """
     from calib.api.measuring_limb_acceptance_and_platform_poses import AcceptLimbsOptions, accept_limbs
-    from calib.online.accepted_limbs_json import is_limbs_file
+    from calib.online.accepted_limbs_file import is_limbs_file
     from rig.cli.shared.measurement_and_calibration_summary import print_online_learning_result
 
     names = None if arguments.use is None else tuple(arguments.use.split(","))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.certification import measuring_limb_identification_and_agreement, redundant_limb_checks
-from calib.online import accepted_limbs_json, measuring_limb_poses_checked_by_vision
+from calib.online import accepted_limbs_file, measuring_limb_poses_checked_by_vision
 from calib.online.measuring_limb_poses_checked_by_vision import LiveLimbPoses
 from rig.cli import command_line
 from rig.errors import RigError
@@ -106,7 +106,7 @@ def test_a_limb_that_slips_is_named_by_the_others_within_five_poses(machine, lim
     assert 40 <= found.at < 45 and found.limb in (None, limb + 1)
     assert which == "chosen" or found.limb is not None
     assert found.limb is None or abs(found.size - 3e-5) < 1e-5
-    source = LiveLimbPoses(accepted_limbs_json.Accepted(limbs, limbs.hexapod, None, None, {}), 10)
+    source = LiveLimbPoses(accepted_limbs_file.Accepted(limbs, limbs.hexapod, None, None, {}), 10)
     told = [source.is_closed(one) for one in slipped[38:44]]
     assert told[0] is None and told[1] is None and any(told) and not source.in_force
 
@@ -138,7 +138,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     rows = re.findall(r"^m(\d) +\S+ +(\S+) +(\S+)$", said, re.MULTILINE)
     assert "give the pose; the others minus prediction, um:" in said and len(rows) == 2
     assert all(0.3 < float(rms) / float(expected) < 2 for _, rms, expected in rows)
-    kept = accepted_limbs_json.load_limbs(limbs)
+    kept = accepted_limbs_file.load_limbs(limbs)
     assert (
         sorted([*(kept.limbs.chosen + 1), *(kept.limbs.checks.limbs + 1)]) == list(range(1, EIGHT + 1))
         and kept.verdict == "accepted"
@@ -168,7 +168,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     said = capsys.readouterr().err
     assert "The measuring limbs no longer agree with one another: their acceptance is withdrawn" in said
     assert 30 <= int(re.search(r"frame (\d+)", said)[1]) < 35 and f"limb {limb} is longer" in said
-    assert accepted_limbs_json.load_limbs(limbs).verdict == "withdrawn"
+    assert accepted_limbs_file.load_limbs(limbs).verdict == "withdrawn"
     rig(
         "insitu",
         tmp_path / "rec",
@@ -180,13 +180,13 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
         "--out",
         tmp_path / "first.json",
     )
-    assert (accepted_limbs_json.load_limbs(tmp_path / "first.json").limbs.chosen == np.arange(6)).all()
+    assert (accepted_limbs_file.load_limbs(tmp_path / "first.json").limbs.chosen == np.arange(6)).all()
     assert command_line.main(["insitu", str(tmp_path / "rec"), "--use", "m1,m2,m3,m4,m5,m9"]) == 1
     assert "six different limbs of m1 .. m8" in capsys.readouterr().err
     with pytest.raises(RigError, match="of other limbs than rig.toml states in .insitu.: of 8, not of 6"):
-        accepted_limbs_json.accepted_limbs(tmp_path / "first.json", _with_limbs(tmp_path, 6))
+        accepted_limbs_file.accepted_limbs(tmp_path / "first.json", _with_limbs(tmp_path, 6))
     assert measuring_limb_poses_checked_by_vision.limb_poses(
-        read, accepted_limbs_json.load_limbs(tmp_path / "first.json")
+        read, accepted_limbs_file.load_limbs(tmp_path / "first.json")
     ).lengths.shape == (60, EIGHT)
 
 

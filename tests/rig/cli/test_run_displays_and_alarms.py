@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calib.certification import measuring_limb_identification_and_agreement
-from calib.online.accepted_limbs_json import Accepted
+from calib.online.accepted_limbs_file import Accepted
 from calib.online.live_learner_and_limb_agreement import Learner
 from calib.online.live_run_page import RunPage, run_verdict
 from calib.online.measuring_limb_poses_checked_by_vision import LiveLimbPoses

@@ -1,4 +1,4 @@
-"""Accepted measuring limbs as JSON (limbs.json).
+"""File of accepted measuring limbs (limbs.json).
 
 With their geometry, agreement and verdict, saved and loaded.
 """
