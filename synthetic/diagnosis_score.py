@@ -336,7 +336,10 @@ def _grouped(cases: list[Case], group: Callable[[Hidden], str | None]) -> list[G
 
 
 def confusion_table(cases: list[Case]) -> dict[str, dict[str, int]]:
-    """Confusion table {hidden effect: {effect found: count}} of a campaign's strong effects."""
+    """Confusion table of a campaign's strong effects.
+
+    Returns {hidden effect: {effect found: count}}
+    """
     out = {name: counts for name, _, counts in figures_by_effect(cases)}
     for c in cases:
         if c.failed is None and not c.hidden:

@@ -212,7 +212,10 @@ def _body(simulation: Simulation, stage: int) -> motion_simulation.MachineRun:
 
 
 def carried_camera_poses(cameras: tuple[Camera, ...], T_base_platform: RigidTransform) -> dict[int, RigidTransform]:
-    """Poses {index: T_base_camera (F,)} of the cameras carried by a platform at poses (F,)."""
+    """Poses {index: T_base_camera (F,)} of cameras carried by a platform.
+
+    At poses (F,) of the platform.
+    """
     return {i: T_base_platform * camera.pose for i, camera in enumerate(cameras) if camera.mount == "hand"}
 
 

@@ -129,7 +129,10 @@ def stages_standing_on_struts(mechanism: Mechanism) -> list[StrutStage]:
 
 
 def body_matrices(stage_poses: list[RigidTransform]) -> dict[str, Floats]:
-    """Matrices {body: (..., 4, 4)} to the base of bodies between struts, from the stages' poses."""
+    """Matrices {body: (..., 4, 4)} to the base of bodies between struts.
+
+    From the stages' poses.
+    """
     *below, platform = (T.as_matrix() for T in stage_poses)
     return {
         "base": np.broadcast_to(np.eye(4), platform.shape),

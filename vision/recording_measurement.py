@@ -77,8 +77,9 @@ def measure_recording(
 def recording_with_unstated_markers_placed(
     recording: Recording, read_images: bool = False, progress: Callable[[str, int, int], None] | None = None
 ) -> Recording:
-    """The recording with markers whose pose is not stated in its design where its corners or images put them.
+    """The recording with unstated markers placed.
 
+    Markers whose pose is not stated in its design stand where its corners or images put them.
     read_images, progress : as of `measure_recording`; those that are never seen are left out of the design
     Raises NotEnoughData for markers that are seen, and never in one image with another that is placed; RigError for
     markers on a stage of a chain, whose poses must be stated
@@ -200,7 +201,7 @@ def _measured(
 
 
 def refuse_free_marker_places_on_stages(places: str) -> None:
-    """Raise RigError where the places of markers are to be free.
+    """Raise RigError where marker places are to be free on stages.
 
     On a rig with targets on stages of a chain.
     """
@@ -221,7 +222,9 @@ def measure_with_stated_or_free_places(
     t: Floats,
     places: str,
 ) -> Measurement:
-    """Measurement with marker places stated, or free where requested or where the stated ones are doubtful.
+    """Measurement with marker places stated or free.
+
+    They are free where requested or where the stated ones are doubtful.
     t : (F,) s
     """
     if markers.stage.any():

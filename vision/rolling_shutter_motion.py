@@ -65,7 +65,10 @@ def observations_with_readout_motion(observed: Observations, design: Design, rat
 
 
 def with_uncertainty_of_rates(measured: Measurement, rates: Rates) -> Measurement:
-    """The Measurement with what rates that are taken at another moment would make of its poses."""
+    """The Measurement with the uncertainty of rates.
+
+    With what rates that are taken at another moment would make of its poses.
+    """
     o = measured.observations
     count = np.bincount(o.frame, o.on_platform, len(o.frames))
     late = np.bincount(o.frame, _late(o, measured.design), len(o.frames)) / np.maximum(count, 1)

@@ -265,7 +265,10 @@ def unreachable_poses_error(unreachable_frames: list[tuple[int, str]], count: in
 
 
 def rms_and_greatest_uncertainty(covariance: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
-    """RMS and greatest standard uncertainty, each (m, rad), of poses with covariances (n, 6, 6)."""
+    """RMS and greatest standard uncertainty of poses.
+
+    Each is (m, rad), of covariances (n, 6, 6).
+    """
     position, rotation = (
         np.sqrt(np.trace(covariance[:, part, part], axis1=1, axis2=2)) for part in (slice(0, 3), slice(3, 6))
     )

@@ -216,11 +216,13 @@ class ExportResult:
 
 
 def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -> ExportResult:
-    """ExportResult (files for another program) of a calibration.json, a rig.toml or a recording.
+    """Export of a calibration.json, a rig.toml or a recording.
 
     A recording for tum and parquet; as `rig export` makes it.
 
     kind : one of TABLES, C_SOURCES, LOOKUP, CAMERAS, RECORDINGS and GEOMETRIES
+
+    Returns ExportResult, files for another program
     Raises RigError for a machine that this format cannot state, and for options out of range
     """
     if kind in TABLES:

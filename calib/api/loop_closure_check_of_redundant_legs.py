@@ -122,7 +122,9 @@ class LoopClosureResult(OneLineRepr):
 
 
 def close_loops(recording: Recording, options: LoopClosureOptions = LoopClosureOptions()) -> LoopClosureResult:
-    """Closure errors (LoopClosureResult) of a recording's legs beyond the six that give the pose.
+    """Closure errors (LoopClosureResult) of a recording's legs.
+
+    Of those beyond the six that give the pose.
 
     Measuring limbs next to the struts, as `rig limbs closures` makes it.
 

@@ -271,8 +271,9 @@ class PosesOfReadings(OneLineRepr):
 
 
 def corrected_poses_of_readings(calibration: Calibration, readings: Table) -> PosesOfReadings:
-    """Corrected poses of a measuring machine's readings (table frame,l1..l6; an arm: q1..qn).
+    """Corrected poses of a measuring machine's readings.
 
+    Readings stand in a table frame,l1..l6; of an arm: q1..qn.
     Raises FileError for a reading beyond its axis' range
     Source: configuration-space patent, [0062], [0068] to [0072], [0131]
     """

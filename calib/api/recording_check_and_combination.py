@@ -76,9 +76,9 @@ class Place:
 
 
 def remove_instrument_displacement(recording: Recording) -> tuple[Recording, list[Place]]:
-    """Recording with its instrument's displacement removed, and the [Place] where it was displaced.
+    """Recording with its instrument's displacement removed.
 
-    Of a platform.
+    Also the [Place] where it was displaced, of a platform.
     Raises what sampling raises
     """
     samples, m = sample_recording(recording).samples, require_parallel(recording.design.mechanism)

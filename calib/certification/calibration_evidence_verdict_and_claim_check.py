@@ -109,8 +109,9 @@ def calibration_evidence_verdict_and_claim_check(
 
 
 def evidence_with_displaced_ends(evidence: Evidence, names: Sequence[str], recording_name: str = "") -> Evidence:
-    """Evidence with what stands elsewhere in a recording though its place is stated ("base", "tool").
+    """Evidence with displaced base or tool.
 
+    With what stands elsewhere in a recording though its place is stated ("base", "tool").
     recording_name : the recording, where the sentence names it
     """
     step = 'Put it back, calibrate anew, or state in rig.toml that its place is unknown: [instrument] {} = "free"'

@@ -123,9 +123,9 @@ def claim_from_machine_draws(
     information: ConfigurationInformation,
     rng: np.random.Generator,
 ) -> Claim:
-    """Claim of pose errors over the workspace from drawn machines (d, k) about the corrected model.
+    """Claim of pose errors over the workspace from drawn machines.
 
-    samples : for what their instrument adds
+    The machines (d, k) are drawn about the corrected model.
     samples : Samples, for what their instrument adds.
 
     information : ConfigurationInformation by the poses that the machines were drawn from; rng : numpy Generator
@@ -142,7 +142,9 @@ def claim_from_mean_square_errors(
     information: ConfigurationInformation,
     rng: np.random.Generator,
 ) -> Claim:
-    """Claim of pose errors over the workspace from mean squares before and after correction (d, 2), m^2 and rad^2.
+    """Claim of pose errors over the workspace from mean square errors.
+
+    The mean squares before and after correction are (d, 2), m^2 and rad^2.
     reference_name : what is meant by it
     """
     count, after = len(after), _wider(after)
@@ -263,8 +265,9 @@ def draw_fit_variance_ratio(identified: Identified, nominal: Parallel, count: in
 def mean_square_pose_errors_of_extension(
     correction: AnyCorrection, commands: Floats, inverse_jacobian: Floats
 ) -> Floats:
-    """Mean squares (2,) m^2 and rad^2 of the pose errors of a correction's extension at commands (m, axes).
+    """Mean square pose errors (2,) m^2 and rad^2 of a correction's extension.
 
+    At commands (m, axes).
     inverse_jacobian : (m, 6, axes) change of the pose with the axes there
     """
     square = (

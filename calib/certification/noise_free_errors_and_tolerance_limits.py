@@ -131,7 +131,10 @@ def _at(ordered: Floats, rank: float) -> float:
 
 
 def coverage_log_likelihood_drop(n: int, beyond_it: float, coverage: float) -> float:
-    """Drop of the log likelihood when `coverage` is forced on a limit that `beyond_it` of n values exceed."""
+    """Drop of the log likelihood when `coverage` is forced on a limit.
+
+    A limit that `beyond_it` of n values exceed.
+    """
     share = beyond_it / n
     return float(n * (xlogy(share, share / (1 - coverage)) + xlogy(1 - share, (1 - share) / coverage)))
 

@@ -230,7 +230,10 @@ def held_out_check_errors(limbs: Limbs, stated: MeasuringLimbs, lengths: Floats)
 
 
 def limbs_sigmas_and_covariance(limbs: Limbs, stated: MeasuringLimbs) -> tuple[MeasuringLimbs, Floats, Floats]:
-    """Limbs as fitted, sigma (n,) m of their readings, and covariance (7 n, 7 n) m^2 of all their parameters."""
+    """Limbs as fitted, their sigmas (n,) m, and covariance.
+
+    Sigmas are of their readings; the covariance (7 n, 7 n) m^2 is of all their parameters.
+    """
     n, m, six = len(stated.channels), limbs.hexapod, limbs.chosen
     base, platform, zeros = np.array(stated.base_joints), np.array(stated.platform_joints), np.array(stated.zeros)
     base[six], platform[six], zeros[six] = m.base_joints, m.platform_joints, m.strut_zeros

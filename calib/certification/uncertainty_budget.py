@@ -238,7 +238,9 @@ def _alike(errors: Floats, sizes: Sequence[float]) -> Floats:
 
 
 def thermometer_covariance(calibration: Calibration, poses: Sequence[tuple[Recording, Samples]]) -> Floats | None:
-    """Covariance (n, 6, 6) of poses by thermometer noise, None where there is none.
+    """Covariance (n, 6, 6) of poses by thermometer noise.
+
+    None where there is none.
 
     The noise is what a log shows against the straight line through a row's neighbours.
     """

@@ -283,8 +283,9 @@ def indices_and_poses_of_solvable_commands(
 
 
 def require_reachable(commands: Floats, mechanism: Parallel | Arm | Chain, labels: Sequence[str]) -> None:
-    """Raise Unreachable, listing every pose whose commands (n, axes) m or rad leave the mechanism's range.
+    """Raise Unreachable where commands leave the mechanism's range.
 
+    Every pose is listed whose commands (n, axes) m or rad do.
     labels : n texts
     """
     places = mechanisms.axis_place_texts(mechanism)

@@ -167,9 +167,9 @@ class Physics:
 def samples_with_effects(
     design: Design, samples: Samples, commands: Commands, effects: Sequence[Effect], sensors: Sensors | None
 ) -> Samples:
-    """Samples with effects applied to their commands, or taken off an arm's poses beyond its joints.
+    """Samples with effects applied to their commands.
 
-    In place of those that were before.
+    Or taken off an arm's poses beyond its joints, in place of those that were before.
     """
     t, T = samples.t, samples.T_base_platform
     if is_parallel(design.mechanism):
@@ -189,7 +189,10 @@ def samples_with_effects(
 
 
 def poses_with_predicted_rotations(design: Design, samples: Samples) -> RigidTransform:
-    """Poses (n,) of samples of an arm, their rotations as the arm has them where positions alone were measured."""
+    """Poses (n,) of an arm's samples, rotations predicted.
+
+    Where positions alone were measured, rotations are as the arm has them.
+    """
     T = samples.T_base_platform
     if samples.measured != "position":
         return T

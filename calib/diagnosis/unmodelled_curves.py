@@ -195,7 +195,10 @@ class _Undone:
 
 
 def refinement_with_curves(refined: Refinement, unknown: Sequence[Unknown]) -> tuple[Refinement, tuple[Unknown, ...]]:
-    """(Refinement with curves for what has no name at struts, the Unknowns with what these undo)."""
+    """Refinement with curves for what has no name at struts.
+
+    Returns (Refinement, the Unknowns with what these curves undo)
+    """
     context = effect_context(refined.point)
 
     def chosen(place: str) -> ChosenCurve | None:
@@ -219,7 +222,10 @@ def refinement_with_curves(refined: Refinement, unknown: Sequence[Unknown]) -> t
 
 
 def arm_fit_with_curves(fit: JointFit, unknown: Sequence[Unknown]) -> tuple[JointFit, tuple[Unknown, ...]]:
-    """(JointFit with curves for what has no name at joints, the Unknowns with what these undo)."""
+    """JointFit of an arm with curves for what has no name at joints.
+
+    Returns (JointFit, the Unknowns with what these curves undo)
+    """
     history, samples = fit.history, fit.measured
     motion = motion_of_commands(
         history.design, history.commands, samples.t, fit.effects, history.sensors, samples.T_base_platform

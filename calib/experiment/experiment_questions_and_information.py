@@ -182,7 +182,9 @@ NAME = "apart"  # of the part of a plan that they become
 def discriminating_configurations(
     open_questions: Sequence[Question[object]], design: Design, count: int, seed: int
 ) -> Floats:
-    """Configurations (count, axes) that discriminate best between each question's two likeliest hypotheses.
+    """Configurations (count, axes) that discriminate best between hypotheses.
+
+    Between each question's two likeliest.
 
     A camera counts by what its image shows: configurations that bring markers where the two differ are chosen for it.
     seed : of the pool
@@ -198,8 +200,9 @@ def discriminating_configurations(
 
 
 def choose_exposures(questions: Sequence[PerFrame], count: int) -> Floats:
-    """Numbers (count,) of the exposures chosen greedily to give most information on the questions.
+    """Numbers (count,) of the exposures that give most information on questions.
 
+    They are chosen greedily.
     Raises ValueError for more than there are, or no question
     """
     if not questions or count > len(questions[0].of):

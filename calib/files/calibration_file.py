@@ -155,7 +155,10 @@ def _input_digests(recording: Recording, used_images: bool) -> dict[str, str]:
 
 
 def package_versions() -> dict[str, str]:
-    """Versions {package name: version} of the packages that results depend on."""
+    """Versions of the packages that results depend on.
+
+    Returns {package name: version}
+    """
     return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 

@@ -59,7 +59,10 @@ def require_text(tree: Entries, key: str, known_texts: Sequence[str]) -> None:
 
 
 def require_schema_contents(tree: Entries, needed: Sequence[str], refused: Sequence[str]) -> None:
-    """Raise FileError where a file lacks contents that its schema requires, or holds what only another has."""
+    """Raise FileError where a file lacks what its schema requires.
+
+    Or holds what only another has.
+    """
     schema = tree.text("schema")
     for key in needed:
         if tree.get(key, None) is None:
@@ -113,7 +116,10 @@ def _require_plausible_struts(table: Entries, mechanism: Struts, stated: bool) -
 
 
 def require_same_ranges(tree: Entries, nominal: Commanded, fitted: Commanded) -> None:
-    """Raise FileError where nominal and fitted mechanism differ in kind, or do not have the same axis ranges."""
+    """Raise FileError where nominal and fitted mechanism have other ranges.
+
+    Where they differ in kind, or do not have the same axis ranges.
+    """
     if (fitted.kind, len(fitted.axes)) != (nominal.kind, len(nominal.axes)):
         tree.fail(
             f"fitted is of kind {fitted.kind!r} with {len(fitted.axes)} axes, nominal of kind "

@@ -237,8 +237,9 @@ def _aligned(predicted: RigidTransform, samples: Samples, none: Placement, ways:
 
 
 def tested_placement(placement: Placement, always: tuple[bool, bool], clear: bool) -> Placement:
-    """Placement of both ends, with the ends that stand elsewhere by more than chance, or are always asked for.
+    """Placement of both ends, with the ends that stand elsewhere.
 
+    By more than chance, or that are always asked for.
     always : whether base and tool are placed anew in each recording, as far as anybody states
     clear : whether a displacement does CLEAR times as much as it leaves; else only an end of `always` is asked for
     The ends are to be estimated once more where these are fewer than both
@@ -304,8 +305,9 @@ class PlacedSamples:
 
 
 def samples_without_displacement(calibration: Calibration, recording: Recording, samples: Samples) -> PlacedSamples:
-    """Samples (PlacedSamples) with the place of base and tool removed as far as these are free or stand elsewhere.
+    """Samples (PlacedSamples) with the displacement of base and tool removed.
 
+    As far as these are free or stand elsewhere.
     samples : of the recording, as measured; those returned are with the physics that is known
     What the numbers take of the noise is given back: residuals are enlarged by the share of it, of positions and of
     rotations apart. The interval of the displacement includes the calibration's own uncertainty

@@ -232,8 +232,9 @@ AGREED = 1e-9  # m, of the lengths that a commanded pose gives
 
 
 def poses_to_command(nominal: Mechanism, lengths: Floats, wanted: RigidTransform, frames: PoseFrames) -> RigidTransform:
-    """Poses (n,) to command so that the controller's nominal kinematics gives strut lengths (n, 6) m.
+    """Poses (n,) to command a controller that has its own kinematics.
 
+    Its nominal kinematics then gives strut lengths (n, 6) m.
     wanted : T_base_platform (n,) near which they are looked for
     Raises RigError for what is no hexapod, NotConverged for lengths that no pose near the wanted one gives, and for a
     pose whose lengths are not these

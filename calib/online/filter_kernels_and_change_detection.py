@@ -37,7 +37,10 @@ COUNTS = 4.0  # standard errors from which one strut of several counts as having
 
 
 def jump_threshold(false_alarm: float, onsets: int = WINDOW) -> float:
-    """Threshold, in standard errors, of a strut's jump at one of `onsets` poses, for a `false_alarm` chance."""
+    """Threshold of a strut's jump, in standard errors.
+
+    At one of `onsets` poses, for a `false_alarm` chance.
+    """
     return float(-ndtri(false_alarm / (2 * STRUTS * onsets)))
 
 

@@ -49,9 +49,9 @@ def pose_displacements_by_effect_at_several_sizes(
     effect_index: int,
     sensors: Sensors | None = None,
 ) -> image_plane_and_3d_views.DrawnEffect | None:
-    """DrawnEffect: pose displacements by one of several effects at exposures t (n,) s.
+    """Pose displacements (DrawnEffect) by one of several effects, at several sizes.
 
-    In several sizes, or None.
+    At exposures t (n,) s; or None.
     """
     effect = effects[effect_index]
     if effect.stage not in MOTION_STAGES:

@@ -141,7 +141,10 @@ def verification_verdict(verified: Verified) -> Verdict:
 
 
 def refutes_claim(verified: Verified) -> bool:
-    """Whether a verification's poses, which nothing was fitted to, refute the calibration's claim."""
+    """Whether a verification refutes the calibration's claim.
+
+    By its poses, which nothing was fitted to.
+    """
     return verified.driven is None and not verified.same and verified.found is not None and verified.found.refutes
 
 

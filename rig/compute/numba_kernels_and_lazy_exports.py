@@ -130,7 +130,10 @@ _say: Callable[[], None] | None = None  # to be called when something is compile
 
 @contextmanager
 def announce_compilation(callback: Callable[[], None]) -> Iterator[None]:
-    """Context manager: announce the first kernel compilation in this process by calling `callback`."""
+    """Announce the first kernel compilation (context manager).
+
+    In this process, by calling `callback`.
+    """
     global _say
     before, _say = _say, callback
     try:

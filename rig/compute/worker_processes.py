@@ -48,7 +48,10 @@ class WorkerEnded(RigError):
 
 @contextmanager
 def temporary_worker_limit(count: int | None) -> Iterator[None]:
-    """Context manager: limit the number of worker processes to `count`; None sets no limit."""
+    """Limit the number of worker processes to `count` (context manager).
+
+    None sets no limit.
+    """
     global _asked
     before, _asked = _asked, _asked if count is None else count
     try:

@@ -92,7 +92,9 @@ def _stop_bytes(protocol: str, path: Path) -> bytes | None:
 
 @contextmanager
 def urgently_stopped_controller(address: ControllerAddress, clock: Clock) -> Iterator[StoppedController]:
-    """Context manager of a StoppedController: its lock held, its urgent stop sent, its port closed at the end.
+    """Urgently stopped controller, a StoppedController (context manager).
+
+    Its lock held, its urgent stop sent, its port closed at the end.
 
     Nobody else drives it meanwhile.
 

@@ -59,7 +59,10 @@ def _geometry(m: Mechanism) -> Json:
 
 
 def effect_to_dict(effect: Effect) -> Json:
-    """Dict {"effect", "place", "parameters"} of an effect, as truth files and diagnoses write it."""
+    """Dict of an effect.
+
+    {"effect", "place", "parameters"}, as truth files and diagnoses write it.
+    """
     return {
         "effect": effect.name,
         "place": effect.place,

@@ -173,8 +173,9 @@ def gravity_at_exposures(
 
 
 def times_between_small_turns(t: Floats, tilts: tuple[BaseTilt, ...], channels: Mapping[str, Floats]) -> Floats:
-    """Times (m,) s of a log's rows and of as many between as make no tilt turn by more than LARGEST_TURN at once.
+    """Times (m,) s between which tilts turn little.
 
+    Of a log's rows and of as many between as make no tilt turn by more than LARGEST_TURN at once.
     t : (n,) s; channels : {name: (n,) values}, linear between rows
     """
     turns = np.max([np.abs(np.diff(tilt.angle(channels[tilt.channel]))) for tilt in tilts], axis=0)

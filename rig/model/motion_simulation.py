@@ -182,7 +182,10 @@ def lean_of_base(
 
 
 def strut_elongations_of_platform_sway(design: Design, T: RigidTransform, sway: Floats) -> Floats:
-    """Strut elongations (n, axes) m that a platform at T (n,), displaced by sway (n, 6), appears to have."""
+    """Strut elongations (n, axes) m that a swaying platform appears to have.
+
+    A platform at T (n,), displaced by sway (n, 6).
+    """
     m = require_parallel(design.mechanism, "a mechanism of kind {kind!r} is not parallel")
     return np.einsum("nij,nj->ni", mechanisms.kinematics_of(m).inverse_kinematics_jacobian(T, np.zeros(0), m), sway)
 

@@ -138,7 +138,10 @@ def roll_pitch_yaw(T: RigidTransform) -> Floats:
 
 
 def roll_pitch_yaw_sigmas(T: RigidTransform, covariance: Floats) -> Floats:
-    """Standard deviations (sigmas) (..., 3) rad of roll, pitch and yaw angles of poses with a covariance."""
+    """Standard deviations (..., 3) rad of roll, pitch and yaw.
+
+    Of poses with a covariance.
+    """
     roll, pitch, _ = np.moveaxis(roll_pitch_yaw(T), -1, 0)
     sr, cr, sp, cp = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
     cp = np.where(np.abs(cp) < LOCKED, np.nan, cp)

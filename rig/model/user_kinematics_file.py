@@ -252,8 +252,9 @@ def _turn(axis: int, angle: float | complex) -> Floats:
 
 
 def stated_kinematics(source: str, name: str) -> KinematicsFile:
-    """KinematicsFile of a source text, what it states checked but its functions not yet called.
+    """KinematicsFile of a source text.
 
+    What it states is checked, but its functions are not yet called.
     name : of its file, in errors. Raises FileError with the line of what is wrong
     """
     module = ModuleType(f"kinematics_{sha256(source.encode()).hexdigest()[:16]}")

@@ -111,8 +111,9 @@ def greatest_load_multiple(load: Floats, low: Floats, high: Floats) -> Floats:
 
 
 def force_polytope_corners(A: Floats, low: Floats, high: Floats) -> Floats:
-    """Corners (k, 3) N of the force polytope low <= A f <= high, A (n, 3) m, low and high (n,) N m.
+    """Corners (k, 3) N of the force polytope.
 
+    low <= A f <= high, with A (n, 3) m, low and high (n,) N m.
     Raises RigError where some force loads no joint, so that the posture bears any amount of it
     """
     if np.linalg.matrix_rank(A, tol=FELT * np.abs(A).max()) < 3:

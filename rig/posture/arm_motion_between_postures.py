@@ -157,7 +157,9 @@ def best_visited_posture_and_motion_to_it(
     fixed_hand_part: str,
     wanted_hand_pose: RigidTransform | None = None,
 ) -> VisitedPostures:
-    """Best posture visited in a recording with the hand where it is wanted, and the motion back to it.
+    """Best posture visited in a recording, and the motion back to it.
+
+    With the hand where it is wanted.
     wanted_hand_pose : T_base_platform of the hand, by default that of the first exposure
 
     Raises RigError for an arm of other joints, without commands, and where no posture, or one alone, has the hand there

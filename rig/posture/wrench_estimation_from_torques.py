@@ -215,8 +215,9 @@ class TorqueRecord:
 
 
 def load_torque_table(path: Path, arm: Arm, dynamics: ArmDynamics, source: Path) -> TorqueRecord:
-    """TorqueRecord loaded from a table t, q1.., tau1.. (N m) or i1.. (A), with speeds v1.. if present.
+    """TorqueRecord loaded from a table of torques.
 
+    Columns t, q1.., tau1.. (N m) or i1.. (A), with speeds v1.. if present.
     source : the arm's file, for what its [dynamics] lacks. Raises FileError with line and column for what cannot be
     used, RigError where currents come without torque_constants
     """

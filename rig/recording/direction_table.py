@@ -16,9 +16,10 @@ UNIT_LENGTH = 1e-6  # that a direction's length may differ from one
 
 
 def read_direction_table(path: str | Path, form: TableFormat = PLAIN) -> tuple[Table, Floats]:
-    """(Table, unit vectors (n, 3)) of a poses.csv with columns azimuth and elevation (rad), or x, y and z.
+    """Table of directions read from a poses.csv.
 
     form : of the file
+    Returns (Table, unit vectors (n, 3)) of columns azimuth and elevation (rad), or x, y and z
     Raises FileError with line and column for a missing column, angles that no circle has and vectors that are not of
     length one
     """

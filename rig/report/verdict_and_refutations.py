@@ -102,7 +102,7 @@ class Evidence:
 
 
 def judge_evidence(evidence: Evidence) -> Verdict:
-    """Judge evidence: its Verdict."""
+    """Judge evidence into a Verdict."""
     beyond = (
         [f"held-out error is {evidence.held_out:.3g} times what noise and claim allow"]
         if _beyond(evidence, AGREES)

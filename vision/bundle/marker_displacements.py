@@ -89,7 +89,9 @@ class Places:
 
 
 def compare_stated_and_adjusted_places(measurement: Measured, t: Floats) -> Places:
-    """Places: comparison of stated and adjusted marker places, and of the residuals with each.
+    """Comparison (Places) of stated and adjusted marker places.
+
+    And of the residuals with each.
     measurement : Measurement whose markers were free; t : (F,) s of all frames of the recording
     """
     m, a = measurement, measurement.adjustment

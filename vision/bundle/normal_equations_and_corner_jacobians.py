@@ -64,7 +64,9 @@ def _fill_rotated_jacobian(J: Floats, R: Floats, rotation_index: Integers, mask:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def whiten_and_scale_rows(whitening: Floats, column_scale: Floats, marker: Integers, rows: Floats) -> None:
-    """Whiten the rows of each corner in place, and scale their columns by the column scale of its marker.
+    """Whiten and scale the rows of each corner in place.
+
+    Their columns are scaled by the column scale of its marker.
     whitening : (n, 2, 2); column_scale : (markers, k); marker : (n,); rows : (n, 2, k)
     """
     for n in range(len(rows)):
@@ -125,7 +127,7 @@ Derivative = tuple[int, slice, Floats, Floats, Floats]  # see `corner_jacobians`
 
 
 def iterate_camera_jacobians(observations: Observations, state: State) -> Iterator[CameraJacobians]:
-    """Iterate over the cameras.
+    """Iterate over the cameras' corner Jacobians.
 
     Each one's corner Jacobians to base points, camera pose and lens.
 

@@ -96,7 +96,9 @@ def apply_printing_errors(markers: MarkerMap, prints: Prints, step: Floats) -> M
 
 
 def fill_printing_error_offsets(markers: MarkerMap, stated: MarkerMap, prints: Prints, offsets: Floats) -> None:
-    """Fill offsets (s,) with the printing errors by which markers differ from the stated ones, m, rad and shares.
+    """Fill offsets (s,) with the printing errors of markers.
+
+    By which they differ from the stated ones, m, rad and shares.
 
     Only each marker's whole side shows in images: of it the part that all have in common is what its prior and theirs
     make likeliest.
@@ -252,7 +254,10 @@ def estimated_marker_motions_by_target_motions(estimate: Estimate, unknowns: Unk
 
 
 def offset_from_stated(estimate: Estimate, stated: State, unknowns: Unknowns) -> Floats:
-    """Offset (s,) of the estimate from the stated lenses, places, prints and held camera poses, in scaled units."""
+    """Offset (s,) of the estimate from what is stated.
+
+    From the stated lenses, places, prints and held camera poses, in scaled units.
+    """
     out, cameras = np.zeros(unknowns.shared), estimate.state.cameras
     for i, columns in unknowns.poses.items():
         if unknowns.prior[columns].any():

@@ -63,7 +63,9 @@ def refuse_spoilt_files(recording: Recording, allow_mistakes: bool, notice: Noti
 
 
 def make_spoilt_corner_refusal(recording: Recording, allow_mistakes: bool, notice: Notice) -> Callable[[Corners], None]:
-    """Make the function that refuses a recording whose corners, once read, are spoilt by mistakes.
+    """Make the function that refuses spoilt corners.
+
+    A recording is refused whose corners, once read, are spoilt by mistakes.
 
     As `refuse_mistakes` does.
     """

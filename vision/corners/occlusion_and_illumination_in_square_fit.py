@@ -36,8 +36,9 @@ def _near(X: float, top: int) -> int:
 
 @kernel
 def edge_segment_sums(pixels: EdgePixels, g: Floats, rows: Floats, last_step: Floats, sums: Floats) -> None:
-    """Sums of slope * residual and slope^2 over the pixels of each edge segment (side of a cell).
+    """Sums over the pixels of each edge segment.
 
+    Of slope * residual and slope^2; a segment is the side of a cell.
     pixels : EdgePixels; g : (3, 3) homography to cells; rows : as `accumulate` leaves them; last_step : the last step
     """
     first, count = pixels.first, pixels.first[KINDS]
@@ -200,8 +201,9 @@ class Bow(NamedTuple):
 def correct_square_fit_for_uneven_illumination(
     pixels: EdgePixels, square: Square, weight_sum: float, work: Work, bow: Bow
 ) -> float:
-    """Remove uneven illumination from a settled fit by one last step of its Square and residuals.
+    """Correct a square fit for uneven illumination.
 
+    It is removed from a settled fit by one last step of its Square and residuals.
     pixels : EdgePixels, of all of which work holds rows; weight_sum : sum of their weights; bow : Bow, overwritten
     Returns the weighted square of the residuals that is left, grey levels
     """

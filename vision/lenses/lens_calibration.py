@@ -156,7 +156,9 @@ def cross_validate_lens(observations: Observations, width: int, height: int, ter
 
 
 def choose_simplest_adequate_lens_model(held_out_errors: Sequence[HeldOut]) -> HeldOut:
-    """Choose the simplest lens model whose held-out error is within one standard error of the best.
+    """Choose the simplest adequate lens model.
+
+    The simplest whose held-out error is within one standard error of the best.
     held_out_errors : one per model, simplest first
     """
     best = min(held_out_errors, key=lambda one: one.rms)

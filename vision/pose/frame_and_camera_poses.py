@@ -260,8 +260,9 @@ def camera_poses_from_body_poses(
     t: Floats | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[int, RigidTransform]:
-    """Poses {camera index: T_base_camera} of doubtful fixed cameras from body poses by the other cameras.
+    """Camera poses {camera index: T_base_camera} from body poses.
 
+    Of doubtful fixed cameras; the bodies' poses are by the other cameras.
     frames : Frames by all cameras as they are; cameras_placed_by_base : indices of the cameras that the base placed; t
         : (F,) s, as of `locate_frames`
     progress : called with (done, of), or None

@@ -34,7 +34,9 @@ STRAIGHT = 3  # of a polynomial's terms: where a marker is, and how it is stretc
 
 
 def largest_lens_difference(corners: Corners, fitted_with: Mapping[str, Camera], cameras: Sequence[Camera]) -> float:
-    """Largest difference, px, that the lenses fitted with and the adjusted ones make to a marker.
+    """Largest difference, px, that two lenses make to a marker.
+
+    The lenses fitted with and the adjusted ones.
     corners : all four of every marker
     """
     most, names, centres = (

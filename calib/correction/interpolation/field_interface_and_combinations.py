@@ -92,7 +92,10 @@ def merge_repeated_samples(samples: FieldSamples, tolerance: float = 1e-5) -> Fi
 
 
 def average_samples(samples: FieldSamples, group_indices: Integers) -> tuple[Floats, Floats]:
-    """Averages (values, variances), each (count, outputs), of samples grouped by index, weighted by variance."""
+    """Averages (values, variances) of samples grouped by index.
+
+    Each is (count, outputs), weighted by variance.
+    """
     weight = 1 / np.maximum(samples.variances, 1e-300)
     shape = int(group_indices.max()) + 1, weight.shape[1]
     total, mean = np.zeros(shape), np.zeros(shape)

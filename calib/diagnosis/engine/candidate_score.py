@@ -97,7 +97,10 @@ class Alternative(Generic[C]):
 
 
 def score_raised_to_likelihood_ratio(score: Score[C], likelihood_ratio: float, frames: int) -> Score[C]:
-    """Score with its delta chi-square raised to a fit's likelihood ratio, where that is larger."""
+    """Score raised to a fit's likelihood ratio.
+
+    Its delta chi-square is raised, where the ratio is larger.
+    """
     delta = likelihood_ratio * max(1 - score.freedom / frames, 0.0) / score.dispersion
     if delta <= score.delta_chi2:
         return score

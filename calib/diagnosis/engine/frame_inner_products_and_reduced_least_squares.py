@@ -157,7 +157,10 @@ def solve_with_prior(normal: Normal, prior: Floats | float) -> Solved:
 
 
 def chi2_reduction_at_unit_coefficient(normal: Normal) -> Solved:
-    """Chi-square reduction (Solved) of one-column candidates whose coefficient is fixed at one."""
+    """Chi-square reduction (Solved) at a coefficient of one.
+
+    Of one-column candidates whose coefficient is fixed.
+    """
     b, G, raw = normal.b[:, 0], normal.G[:, 0, 0], normal.raw[:, 0]
     seen = G / np.maximum(raw, 1e-300)
     return Solved(

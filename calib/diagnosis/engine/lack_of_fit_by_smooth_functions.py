@@ -110,7 +110,10 @@ def test_lack_of_fit(
 
 
 def delta_chi2_by_column_count(normal: Normal) -> tuple[tuple[float, int], ...]:
-    """Delta chi-square and rank of a candidate's first column alone, of its first two, and so on, by elimination."""
+    """Delta chi-square and rank by count of a candidate's columns.
+
+    Of the first column alone, of the first two, and so on, by elimination.
+    """
     scale = np.sqrt(np.maximum(normal.raw[0], 1e-300))
     b, G = normal.b[0] / scale, normal.G[0] / scale[:, None] / scale
     delta, rank, out = 0.0, 0, []
@@ -221,6 +224,9 @@ def share_explained_by_functions(
 
 
 def rank_covariates(before: dict[str, dict[str, Share]], after: dict[str, dict[str, Share]]) -> list[Covariate]:
-    """Covariates ranked by the share they explained before, of {name: {what: Share}} before and after."""
+    """Covariates ranked by the share they explained before.
+
+    Shares are {name: {what: Share}} before and after.
+    """
     found = [Covariate(name, shares, after.get(name, {})) for name, shares in before.items()]
     return sorted(found, key=lambda c: -c.weight)

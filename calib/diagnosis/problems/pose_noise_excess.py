@@ -54,9 +54,11 @@ class _Variances(NamedTuple):
 
 
 def noise_factors(residuals: PoseResiduals) -> dict[str, Value] | None:
-    """{kind of noise: Value with 95 % interval} of the standard deviations over those stated.
+    """Noise factors: standard deviations over those stated.
 
     None where these suffice, where struts or joints scatter each for itself, and where what scatters is not white
+
+    Returns {kind of noise: Value with 95 % interval}
     """
     left, columns = residuals.left, residuals.columns
     whole = sum(float(np.einsum("fii->", K)) for K in residuals.noise.values())
@@ -104,14 +106,17 @@ def scaled_pose_covariance(covariance: Floats, factors: dict[str, Value]) -> Flo
 
 
 def noise_parts(count: int) -> dict[str, slice]:
-    """{kind of noise: its part} of so many numbers measured of each pose."""
+    """Parts of a pose's numbers by kind of noise.
+
+    Returns {kind of noise: its part} of so many numbers measured of each pose
+    """
     return DIRECTION if count == 2 else {name: part for name, part in KINDS.items() if part.start < count}
 
 
 def noise_covariance_by_kind(covariance: Floats) -> dict[str, Floats]:
-    """{kind of noise: (F, k, k)} that a covariance (F, k, k) is made of.
+    """Noise covariance by kind of noise.
 
-    Without what position and rotation share.
+    Returns {kind of noise: (F, k, k)} that a covariance (F, k, k) is made of, without what position and rotation share
     """
     out = {}
     for name, part in noise_parts(covariance.shape[-1]).items():

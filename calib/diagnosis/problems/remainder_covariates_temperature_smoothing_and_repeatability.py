@@ -36,7 +36,9 @@ FAR = 8.0  # times its middle size that noise may reach
 
 
 def smooth_temperatures(sensors: Sensors | None) -> tuple[Sensors | None, dict[str, Floats]]:
-    """Sensors with smoothed temperatures, and the error {channel: (n, q) K} of each smoothing coefficient.
+    """Sensors with smoothed temperatures.
+
+    And the error {channel: (n, q) K} of each smoothing coefficient.
 
     A log that is not smooth with white noise on it stays as it is, and so do all other channels. sensors : Sensors or
     None, for which (None, {}) is returned. Source of the criterion: Schwarz, Annals of Statistics 6, 1978, 461-464; for
@@ -135,7 +137,10 @@ class Repeats:
 
 
 def repeated_pairs(commands: Floats, units: Sequence[str]) -> Integers:
-    """Pairs (p, 2) of rows of commands (n, axes), in units "m" or "rad", that repeat one command."""
+    """Pairs (p, 2) of rows that repeat one command.
+
+    Rows of commands (n, axes), in units "m" or "rad".
+    """
     apart_by = np.array([SAME[unit] for unit in units])
     return np.array(sorted(cKDTree(commands / apart_by).query_pairs(1.0, p=np.inf)), int).reshape(-1, 2)
 
@@ -143,9 +148,9 @@ def repeated_pairs(commands: Floats, units: Sequence[str]) -> Integers:
 def repeatability_of_pairs(
     pairs: Integers, poses_of_pairs: tuple[Floats, Floats], residuals_of_pairs: tuple[Floats, Floats], unit: str = "m"
 ) -> Repeats | None:
-    """Repeatability (Repeats) of pairs (p, 2) of poses with one command and of their residuals.
+    """Repeatability (Repeats) of pairs of poses with one command.
 
-    None for too few.
+    None for too few. pairs : (p, 2)
     poses_of_pairs : two (p, 6 or 3) m and rad, measured poses of each pair, both less the same; residuals_of_pairs :
         two (p, k) what a model leaves of each; unit : of the first three numbers of a pose, "m" or "rad"
 
@@ -200,7 +205,10 @@ def smooth_functions_of_axis_motion(path: Path, commands: Commands, t: Floats) -
 
 
 def separate_weights_for_each_direction(functions: Floats, count: int) -> Floats:
-    """Functions (F, count or 1, q) as weights (F, count, count q) separate for each of `count` directions."""
+    """Functions as weights separate for each direction.
+
+    Functions (F, count or 1, q) become weights (F, count, count q), for `count` directions.
+    """
     wide = np.broadcast_to(functions, (len(functions), count, functions.shape[2]))
     return np.einsum("faq,ab->fabq", wide, np.eye(count)).reshape(len(functions), count, -1)
 

@@ -362,9 +362,9 @@ SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile
 
 
 def position_error_statistics(pose_errors: Floats) -> dict[str, float]:
-    """Statistics of position errors (mean, RMS, p95, maximum, count), m, and the mean rotation error, rad.
+    """Statistics of position errors, and the mean rotation error.
 
-    Of errors of directions (n, 2) all in rad.
+    Mean, RMS, p95, maximum (m) and count; rotation in rad. Of errors of directions (n, 2) all in rad.
     """
     size = np.linalg.norm(pose_errors[:, :3], axis=1)
     unit = "rad" if pose_errors.shape[1] == 2 else "m"

@@ -147,7 +147,10 @@ def _tilt_weights(observations: Observations, arm: Arm, fitted: int) -> TiltWeig
 def whitened_tilt_rows_and_columns(
     observations: Observations, arm: Arm, weights: TiltWeights
 ) -> tuple[TiltRows, Floats]:
-    """(TiltRows, whitened columns (r, p) of the arm's parameters) of the tilt sensors beside observations."""
+    """TiltRows and whitened columns of the tilt sensors.
+
+    Returns (TiltRows, columns (r, p) of the arm's parameters) of the sensors beside observations
+    """
     assert observations.tilts is not None
     rows = tilt_rows(observations.tilts, observations.q, arm)
     J = error_model_and_observations.parameter_jacobian(observations.q, arm)

@@ -360,7 +360,10 @@ def _fitted(found: Identified, correction: ArmCorrection, agreed: Samples) -> tu
 def identification_with_held_out_scatter(
     identified: Identified, held_out_errors: HeldErrors, rng: np.random.Generator
 ) -> Identified:
-    """Identification with its scatter raised to that of held-out poses beyond the parameters' errors."""
+    """Identification with its scatter raised to that of held-out poses.
+
+    Their scatter beyond the parameters' errors.
+    """
     if len(identified.scatter) != 6:
         return identified
     return replace(

@@ -271,8 +271,9 @@ def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.ra
 
 
 def single_step_correction_errors(correction: ArmCorrection) -> tuple[float, float]:
-    """Errors (RMS, greatest) rad or m of correcting in a single step X + KSF(X) instead of to the fixed point.
+    """Errors (RMS, greatest) rad or m of correction in a single step.
 
+    X + KSF(X) instead of to the fixed point.
     Source: configuration-space patent, [0030], [0091]
     """
     q = _places(correction)

@@ -103,8 +103,9 @@ def tilt_rows(readings: TiltReadings, q: Floats, arm: Arm) -> TiltRows:
 
 
 def link_turns_by_parameters(readings: TiltReadings, q: Floats, arm: Arm, pose_jacobian: Floats) -> Floats:
-    """(n, s, 3, p) rad about the axes of the frame of poses, by which an arm's parameters turn the sensors' links.
+    """Turns (n, s, 3, p) rad of the sensors' links by an arm's parameters.
 
+    About the axes of the frame of poses.
     pose_jacobian : (n, 6, p) of the target's pose with them: a link turns as the target does, by what lies before it
     """
     R = mechanism.forward(q, arm).rotation.as_matrix()
@@ -122,10 +123,10 @@ def link_turns_by_joints(readings: TiltReadings, q: Floats, arm: Arm) -> Floats:
 def planned_tilt_columns(
     sensors: tuple[TiltSensor, ...], gravity: Floats, q: Floats, arm: Arm, pose_jacobian: Floats
 ) -> Floats:
-    """Columns (n, 2 s, p + 3 + 3 s) of the angles that tilt sensors would show at planned joint values q (n, joints).
+    """Columns of tilts that sensors would show at planned joint values.
 
-    They are the change of the angles with an arm's parameters and with how the sensors are mounted; 0 where an angle
-    would not be used.
+    Columns (n, 2 s, p + 3 + 3 s) at q (n, joints): the change of the angles with an arm's parameters and with how the
+    sensors are mounted; 0 where an angle would not be used.
     gravity : (3,) in the frame of poses; pose_jacobian : (n, 6, p) of the target's pose with the parameters
     """
     down = np.tile(gravity / np.linalg.norm(gravity), (len(q), 1))

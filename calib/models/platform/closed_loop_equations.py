@@ -108,7 +108,10 @@ def _forward_in_place(L: Floats, B: Floats) -> None:
 
 @njit(cache=True)
 def strut_lengths_and_directions(R: Floats, t: Floats, p: Floats, length: Floats, u: Floats, A: Floats) -> None:
-    """Strut lengths into length (6,), directions into u (6, 3), A (6, 6), at pose R, t for parameters p (42,)."""
+    """Strut lengths and directions at a pose, in place.
+
+    Into length (6,), u (6, 3) and A (6, 6), at pose R, t for parameters p (42,).
+    """
     for i in range(6):
         a = p[18 + 3 * i : 21 + 3 * i]
         for k in range(3):

@@ -129,7 +129,9 @@ def choose_configurations_by_exchange(
 def closing_commands_and_whitened_parameter_rows(
     commands: Floats, hexapod: Hexapod, sigmas: tuple[float, float]
 ) -> tuple[Floats, Floats]:
-    """Commands (n, 6) m that close on a pose, and the whitened rows (n, 6, 42) of their parameters.
+    """Commands (n, 6) m that close on a pose, and whitened parameter rows.
+
+    Rows (n, 6, 42) of their parameters.
 
     The rows J give the information J^T J of a configuration.
     """

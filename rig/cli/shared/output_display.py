@@ -38,7 +38,7 @@ class EscapedStream:
 
 @contextmanager
 def escaped_output() -> Iterator[None]:
-    """Context manager: control characters in standard output and error are escaped.
+    """Escape control characters in standard output and error (context manager).
 
     Either stream may be absent.
     """

@@ -44,7 +44,7 @@ def add_worker_options(parser: ArgumentParser) -> None:
 
 @contextmanager
 def use_requested_workers(arguments: Namespace) -> Iterator[None]:
-    """Context manager: use the requested number of workers.
+    """Use the requested number of workers (context manager).
 
     BLAS takes one thread, so that their number does not change how sums are rounded.
     Raises RigError for a number of workers that cannot be, and what `use_cluster` raises
@@ -65,7 +65,9 @@ def use_requested_workers(arguments: Namespace) -> Iterator[None]:
 
 @contextmanager
 def worker_pool() -> Iterator[Executor]:
-    """Context manager: pool of workers, threads that wait for processes, or the cluster.
+    """Worker pool of a command (context manager).
+
+    A pool of workers, threads that wait for processes, or the cluster.
 
     Calls not begun are dropped at its end.
     """

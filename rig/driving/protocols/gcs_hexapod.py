@@ -31,7 +31,10 @@ ORDER, MM = "XYZ", 1e3  # of SciPy: about axes that move along, in the order U, 
 
 
 def gcs_values_of_pose(T: RigidTransform) -> Floats:
-    """(..., 6) X, Y, Z in mm and U, V, W in degrees of poses (...), as a hexapod's controller takes them."""
+    """GCS values (..., 6) of poses (...), as a hexapod's controller takes them.
+
+    X, Y, Z in mm and U, V, W in degrees.
+    """
     return np.concatenate([MM * T.translation, T.rotation.as_euler(ORDER, degrees=True)], axis=-1)
 
 

@@ -128,8 +128,9 @@ def pause_dialogue(seconds: float = POLL) -> Dialogue[None]:
 
 
 def await_homed(begun: Verdict, state: Callable[[], Dialogue[State]], timeout: float) -> Dialogue[Verdict]:
-    """Dialogue that waits, timeout s at the most, until a controller that reports states is homed or refuses.
+    """Dialogue that waits until a controller is homed or refuses.
 
+    A controller that reports states; timeout s at the most.
     begun : what its home command came to; state : asks for its State
     """
     for _ in range(max(int(timeout / POLL), 1)):
@@ -145,7 +146,10 @@ def await_homed(begun: Verdict, state: Callable[[], Dialogue[State]], timeout: f
 
 
 def await_stopped(state: Callable[[], Dialogue[State]], command: str) -> Dialogue[Verdict]:
-    """Dialogue that waits, REST s at the most, until a controller that reports states rests after a stop command."""
+    """Dialogue that waits until a controller rests after a stop command.
+
+    A controller that reports states; REST s at the most.
+    """
     for _ in range(int(REST / POLL)):
         if (yield from state()).activity not in ("moving", "homing"):
             return Verdict(True)

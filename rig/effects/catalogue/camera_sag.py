@@ -1,4 +1,7 @@
-"""Camera sag: a camera's mount yields to its own weight as gravity turns in the base's frame."""
+"""Camera sag: a camera's mount yields to its own weight.
+
+As gravity turns in the base's frame.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

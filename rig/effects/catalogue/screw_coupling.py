@@ -1,4 +1,7 @@
-"""Screw coupling: the platform's cardan turns the nut, so twist of the joints becomes strut length."""
+"""Screw coupling: twist of the joints becomes strut length.
+
+The platform's cardan turns the nut.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar

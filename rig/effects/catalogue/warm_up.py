@@ -1,4 +1,7 @@
-"""Warm-up: axes move while the machine warms up without a logged temperature."""
+"""Warm-up: axes move while the machine warms up.
+
+There is no logged temperature of it.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar

@@ -38,7 +38,10 @@ class Quantity:
 
 
 def quantity_by_name(name: str, axis_word: str) -> Quantity:
-    """The Quantity of a name on a machine whose axes are called axis_word (strut, joint, slide), or a channel."""
+    """The Quantity of a name on a machine.
+
+    Its axes are called axis_word (strut, joint, slide); or a channel.
+    """
     unit = "rad" if axis_word == "joint" else "m"
     if name in OWN:
         return _own(name, unit, axis_word)

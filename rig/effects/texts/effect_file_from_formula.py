@@ -340,8 +340,9 @@ class NewEffect:
 def new_effect_from_suggestion_or_example(
     name: str, path: Path, diagnosis_folder: Path | None = None, place: str | None = None
 ) -> NewEffect:
-    """New effect of a name, by the formula that a diagnosis suggests at a place, or by an example.
+    """New effect of a name, from a suggestion or an example.
 
+    By the formula that a diagnosis suggests at a place, or by an example.
     path : of its file, to be named in errors; diagnosis_folder : with diagnosis.json, or None for the example
     place : None where the diagnosis suggests one formula
     Raises RigError for an invalid name, a place without a diagnosis, and as `load_suggested_formula`

@@ -123,7 +123,10 @@ def _normalised_header(header: str) -> str:
 
 
 def axis_header_names(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """Accepted header names {axis: names} of the axes l1.. or q1.."""
+    """Accepted header names of axes.
+
+    Returns {axis: names} of the axes l1.. or q1..
+    """
     return {name: tuple(f"{word}{name[1:]}" for word in (LIMB if name[0] == "l" else JOINT)) for name in names}
 
 

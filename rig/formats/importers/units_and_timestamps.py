@@ -112,7 +112,9 @@ def fits_ranges(values: Floats, ranges: Floats) -> bool:
 def likely_length_units(
     values: Floats, ranges: Floats, home_lengths: Floats, units: Sequence[str], relative: Sequence[str]
 ) -> list[tuple[str, str]]:
-    """Likely units and zeros (unit, "zero" or "home") that bring lengths (n, axes) into their ranges (axes, 2) m.
+    """Likely units and zeros (unit, "zero" or "home") of lengths.
+
+    Those that bring lengths (n, axes) into their ranges (axes, 2) m.
     home_lengths : (axes,) m
     """
     return [

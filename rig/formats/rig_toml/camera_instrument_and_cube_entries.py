@@ -138,7 +138,10 @@ def _capture(table: Entries, source: str | None) -> CaptureSettings:
 def check_hand_mounted_cameras(
     root: Entries, cameras: tuple[Camera, ...], targets: tuple[Target, ...], mechanism: Mechanism
 ) -> None:
-    """Raise FileError for hand-mounted cameras that these targets or this mechanism do not support."""
+    """Check of hand-mounted cameras.
+
+    Raises FileError for those that these targets or this mechanism do not support
+    """
     held = [camera.mount == "hand" for camera in cameras]
     for table, camera, mine in zip(root.tables("camera"), cameras, held):
         if any(held) and not mine:
@@ -359,8 +362,9 @@ ENTRY_POINT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")  # of a package's 
 
 
 def user_program_text(table: Entries, key: str, stated: str) -> str:
-    """A stated "file:PATH" with PATH joined to the folder of rig.toml, or "package:NAME" as it is.
+    """Text of a user's program as rig.toml states it.
 
+    A stated "file:PATH" with PATH joined to the folder of rig.toml, or "package:NAME" as it is.
     Raises FileError.
     """
     kind, _, place = stated.partition(":")

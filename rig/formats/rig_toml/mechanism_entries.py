@@ -48,7 +48,9 @@ class Joint:
 
 
 def joint_rows_and_kinds(table: Entries) -> tuple[Floats, Booleans]:
-    """Joint rows (n, 4 or 5) of theta, d, a, alpha, beta (rad, m), and joint kinds (n,), true where prismatic.
+    """Joint rows and joint kinds of a table.
+
+    Rows (n, 4 or 5) of theta, d, a, alpha, beta (rad, m); kinds (n,) are true where prismatic.
 
     A row may begin with "revolute", the default, or "prismatic"; or each joint is a table with these figures by name,
     `joint` its kind and perhaps `limits`. Raises FileError for anything else, no rows, or lengths beyond any rig

@@ -59,7 +59,10 @@ def joint_values_with_zero_for_slides(q: Floats, arm: Arm) -> Floats:
 
 
 def link_transform(q: Floats, dh_row: Floats) -> Floats:
-    """Transform (..., 4, 4) of a link by its Denavit-Hartenberg row (theta, d, a, alpha, beta) at q (...,)."""
+    """Transform (..., 4, 4) of a link by its Denavit-Hartenberg row.
+
+    dh_row : theta, d, a, alpha, beta; q (...,)
+    """
     theta, d, a, alpha, beta = dh_row
     ct, st = np.cos(q + theta), np.sin(q + theta)
     ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)

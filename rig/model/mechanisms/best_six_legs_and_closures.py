@@ -101,7 +101,10 @@ def combine_leg_sets(
 
 
 def leg_lengths_and_pose_and_base_jacobians(legs: RedundantLegs, T: RigidTransform) -> tuple[Floats, Floats, Floats]:
-    """Leg lengths (n, k) m, their Jacobians (n, k, 6) with the pose, and with the base joints (n, k, 3)."""
+    """Leg lengths (n, k) m, and their Jacobians with pose and base joints.
+
+    Jacobians (n, k, 6) with the pose, and (n, k, 3) with the base joints.
+    """
     matrix = T.as_matrix()
     R, place = matrix[:, :3, :3], matrix[:, :3, 3]
     along = np.einsum("nij,kj->nki", R, legs.platform) + place[:, None] - legs.base
@@ -131,7 +134,9 @@ def _slope(to_base: Floats, T: RigidTransform) -> Floats:
 
 
 def best_six_legs(legs: RedundantLegs, T: RigidTransform) -> Integers:
-    """Indices (6,) of the six legs that determine poses T (n,) best in the worst direction and pose.
+    """Indices (6,) of the best six legs.
+
+    Those that determine poses T (n,) best in the worst direction and pose.
     Raises RigError
     where none of them holds the platform
     """

@@ -26,8 +26,9 @@ class PlacedRows(NamedTuple):
 
 
 def denavit_hartenberg_rows_of_joint_axes(points: Floats, directions: Floats, T_root_tip: RigidTransform) -> PlacedRows:
-    """PlacedRows of an arm whose joints turn about, or slide along, these lines while all joint values are 0.
+    """Denavit-Hartenberg rows (PlacedRows) of an arm's joint axes.
 
+    Its joints turn about, or slide along, these lines while all joint values are 0.
     points : (n, 3) m, a point on each axis, where the origins of Hayati's rows are put; directions : (n, 3) of length
     1, about which a joint value is right-handed; both in the root's frame. T_root_tip : the tip's pose at 0
     Hayati's beta is not 0 only where an axis is nearly parallel to the next one, and not exactly.

@@ -186,7 +186,10 @@ def identified_parameters(mechanism: FileMechanism) -> Integers:
 
 
 def scaled_parameters(mechanism: FileMechanism) -> Floats:
-    """(k,) m, the identified parameters less the owner's in tolerances, each of which counts as SCALE."""
+    """Scaled parameters (k,) m of a mechanism.
+
+    The identified parameters less the owner's in tolerances, each of which counts as SCALE.
+    """
     free, stated = identified_parameters(mechanism), mechanism.stated
     return SCALE * (mechanism.parameters - stated.nominal)[free] / stated.tolerances[free]
 

@@ -259,8 +259,9 @@ class LayoutOptions:
 
 
 def new_rig_toml(options: LayoutOptions) -> str:
-    """rig.toml text of a new hexapod, two struts or a shipped arm, with cameras and cubes placed.
+    """rig.toml text of a new rig.
 
+    A hexapod, two struts or a shipped arm, with cameras and cubes placed.
     Raises RigError as `hexapod_layout_rig_toml`, `two_strut_layout_rig_toml` and `arm_layout_rig_toml`
     """
     return rig_toml_in_units(_rig_toml_in_si(options), options.units)

@@ -1,6 +1,6 @@
-"""Effects that an arm's instruments show by themselves.
+"""Effects shown by an arm's instruments.
 
-They are fitted with the geometry before anything is searched for.
+The instruments show them by themselves; they are fitted with the geometry before anything is searched for.
 """
 
 import numpy as np

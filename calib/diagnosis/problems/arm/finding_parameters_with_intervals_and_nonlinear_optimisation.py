@@ -59,7 +59,10 @@ def _continuous_parameters(term: Term) -> tuple[Parameter, ...]:
 
 
 def has_continuous_parameters(term: Term) -> bool:
-    """Whether a term has nonlinear continuous parameters and is no sinusoid, whose order the search refines."""
+    """Whether a term has nonlinear continuous parameters.
+
+    A sinusoid has none: the search refines its order.
+    """
     return term.candidate.form is not Form.SINUSOID and bool(_continuous_parameters(term))
 
 

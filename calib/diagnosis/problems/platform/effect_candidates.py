@@ -95,7 +95,10 @@ def affects_images_only(kind: type[Effect] | Effect) -> bool:
 def platform_candidates(
     point: OperatingPoint, requested_effects: RequestedEffects
 ) -> tuple[list[PlatformCandidate], list[NotAsked]]:
-    """Platform candidates of the requested effects at an OperatingPoint, and what the recording cannot test."""
+    """Platform candidates of the requested effects.
+
+    At an OperatingPoint; also what the recording cannot test.
+    """
     context = effect_context(point)
 
     def sites_of(kind: type[Effect]) -> EffectSites:

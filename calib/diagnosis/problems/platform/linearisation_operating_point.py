@@ -313,7 +313,10 @@ def _seen(measured: Measurement, point: OperatingPoint) -> SeenCorners:
 
 
 def operating_point_without_distant_corners(point: OperatingPoint) -> OperatingPoint:
-    """OperatingPoint without corners so distant from their predicted places that they belong to something else."""
+    """OperatingPoint without corners distant from their predicted places.
+
+    They are so distant that they belong to something else.
+    """
     seen = point.seen
     if seen is None:
         return point

@@ -106,7 +106,9 @@ class _Nuisances:
 
 
 def split_rows_by_frame_bases(rows: Floats, local: Floats, edges: Integers) -> tuple[Floats, Floats]:
-    """Rows (2n, k) split into coordinates in each frame's own basis (F, L, k) and the orthogonal rest (2n, k).
+    """Rows (2n, k) split by each frame's own basis.
+
+    Into coordinates in the basis (F, L, k) and the orthogonal rest (2n, k).
 
     The rows are overwritten.
     """

@@ -281,7 +281,10 @@ def cross_validate_effects(refinement: Refinement, numbers: set[int], residual_b
 def cross_validate_effects_for_each_residual_block(
     refinement: Refinement, numbers: set[int], residual_blocks: tuple[int, ...]
 ) -> tuple[CrossValidation, ...]:
-    """Cross-validate several admitted effects together, once for each block of residuals (corners, closures)."""
+    """Cross-validate several admitted effects, for each block of residuals.
+
+    All effects together, once for corners and once for closures.
+    """
     before, after, _ = _both(refinement, numbers)
     return _compared(refinement.model, before, after, residual_blocks)
 

@@ -74,7 +74,10 @@ def strut_deviation_basis_functions_by_covariate(point: OperatingPoint) -> list[
 
 
 def camera_mount_and_focal_pixel_derivatives(model: LinearisedModel, camera: Place) -> Floats:
-    """Derivatives (n, 2, 7) of corner pixels by the tangent of a camera's mount and by its focal length's share."""
+    """Derivatives (n, 2, 7) of corner pixels by a camera's mount and focal length.
+
+    By the tangent of the mount and by the focal length's share.
+    """
     k = model.point
     o = k.observed.observations
     i = _camera_index(k, camera)
