@@ -23,7 +23,7 @@ from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations import AGREES, Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.bundle.adjustment_validation_and_determinacy import DeterminedUnknowns, HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places, adjusted_markers
-from vision.bundle.unknown_priors import stated_lens_prior_sigmas
+from vision.bundle.priors_of_unknowns import stated_lens_prior_sigmas
 from vision.reading.marker_identity_mistakes import Suspect
 from vision.reading.recording_corners import Collected
 from vision.recording_adjustment import Measurement

@@ -17,14 +17,14 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import (
 from calib.diagnosis.calibration_left_out_physics import unexplained_findings_and_refutations
 from calib.online.forgetting_kalman_and_gradient_learners import save_learner
 from calib.online.information_filter import Online
-from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
-from calib.online.recording_learning import (
+from calib.online.learning_from_recording import (
     FILTER,
     Learning,
     learn_by_filter,
     learn_by_simple_learner,
     resume_or_start_learner,
 )
+from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
 from calib.report.online_learning_and_measuring_limb_pages import OnlineResult, online_verdict, write_online_page
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.pose_samples import Sampled, sample_recording

@@ -29,7 +29,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 )
 from rig.model.pose import exp, skew
 from vision import lens
-from vision.bundle.unknown_priors import stated_lens_prior_sigmas
+from vision.bundle.priors_of_unknowns import stated_lens_prior_sigmas
 from vision.corner_observations import Observations
 from vision.predict import State, iterate_observed_cameras, observed_points_base, points_in_camera_frame
 from vision.recording_adjustment import Measurement

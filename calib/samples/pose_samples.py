@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.samples.platform_tilts import poses_with_platform_tilts
+from calib.samples.platform_poses_with_tilts import poses_with_platform_tilts
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.base_tilt import TiltReadings, gravity_at_exposures, has_gravity

@@ -5,7 +5,7 @@ Corners of the same pictures are fitted with every candidate, the spread learnt 
 measure` does.
 Each kind of picture (exact ones and the renderer's, blurs, defocus, a halo, sharpening) gives the RMS of a candidate's
 corner errors (without the largest, see SOUND) over the least any candidate has there; a candidate's score is the
-geometric mean over the kinds. vision/corners/edge_pixels.py's REACH and vision/corners/edge_spread.py's KNOTS are the
+geometric mean over the kinds. vision/corners/edge_pixels.py's REACH and vision/corners/edge_spread_function.py's KNOTS are the
 smallest reach, then the fewest knots, whose score is
 within MARGIN of the best one's.
 """
@@ -68,7 +68,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
         )
     best = min(key for key in mean if mean[key] <= (1 + MARGIN) * min(mean.values()))
     from vision.corners import edge_pixels
-    from vision.corners import edge_spread as spread
+    from vision.corners import edge_spread_function as spread
 
     yield "reach and knots by the rule; as they are", f"{best}; {(edge_pixels.REACH, spread.KNOTS)}", "equal"
     for kind in least:
@@ -135,7 +135,7 @@ def _rendered(design, rng):
 
 def _score(pictures, markers):
     """{kind: px, RMS per axis of corners fitted with a spread learnt from the pictures themselves}."""
-    from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, empty_residual_profile, learn_edge_spread
+    from vision.corners.edge_spread_function import PLAIN_EDGE_SPREAD, empty_residual_profile, learn_edge_spread
     from vision.corners.marker_detection_and_corner_fit import ReadMarkers, fit_read_markers, grey_image_at_full_depth
     from vision.reading.recording_corners import ROUNDS
 
@@ -170,7 +170,7 @@ def _main(reach):
     from vision.corners import edge_pixels
 
     edge_pixels.REACH = reach
-    from vision.corners import edge_spread as spread
+    from vision.corners import edge_spread_function as spread
     from vision.predict import marker_map
 
     with tempfile.TemporaryDirectory() as folder:

@@ -16,7 +16,7 @@ from vision.bundle.normal_equations_and_corner_jacobians import (
     schur_complement,
     whitened_residuals_and_derivatives,
 )
-from vision.bundle.unknown_priors import POSE_SIGMA, adjustment_unknowns
+from vision.bundle.priors_of_unknowns import POSE_SIGMA, adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import Unknowns, datum_markers, offset_from_stated
 from vision.corner_observations import Observations, observations_of_frames, whitener_of_observations
 

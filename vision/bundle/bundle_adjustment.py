@@ -23,7 +23,7 @@ from vision.bundle.normal_equations_and_corner_jacobians import (
     solve_step,
     whitened_residuals_and_derivatives,
 )
-from vision.bundle.unknown_priors import adjustment_unknowns, stated_lens_prior_sigmas
+from vision.bundle.priors_of_unknowns import adjustment_unknowns, stated_lens_prior_sigmas
 from vision.bundle.unknowns_estimate_and_printing_errors import (
     POSE_SCALE,
     Estimate,

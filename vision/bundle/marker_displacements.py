@@ -21,7 +21,7 @@ from vision.bundle.normal_equations_and_corner_jacobians import (
     solve_step,
     whitened_residuals_and_derivatives,
 )
-from vision.bundle.unknown_priors import adjustment_unknowns
+from vision.bundle.priors_of_unknowns import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated
 from vision.corner_observations import Observations, whitener_of_observations
 from vision.pose.pose_refinement_and_ambiguity_resolution import (

@@ -22,8 +22,8 @@ from vision.bundle.normal_equations_and_corner_jacobians import (
     solve_step,
     whitened_residuals_and_derivatives,
 )
+from vision.bundle.priors_of_unknowns import adjustment_unknowns
 from vision.bundle.robust_adjustment import RobustAdjustment, inflate_repeated_corner_covariance, is_within_gate
-from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import KINDS, NAMES, Printing, offset_from_stated
 from vision.corner_observations import (
     Observations,

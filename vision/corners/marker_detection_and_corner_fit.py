@@ -21,7 +21,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.model.design import Camera
 from vision.corners import edge_pixels, local_lens, square_fit, square_fit_start_and_bit_check, square_gauss_newton
-from vision.corners.edge_spread import LEVELS, NO_PROFILE, PLAIN_EDGE_SPREAD, EdgeSpread
+from vision.corners.edge_spread_function import LEVELS, NO_PROFILE, PLAIN_EDGE_SPREAD, EdgeSpread
 from vision.predict import MarkerMap, marker_cells, markers_expected_in_image
 
 CELL_PIXELS = 8  # pixels each way that are sampled in a cell
@@ -261,7 +261,7 @@ def fit_read_markers(
         them show
     verify : whether a marker's bits are read before it is believed to be there; where they are not, nothing is said of
         it
-    profile : see vision.corners.edge_spread, added to
+    profile : see vision.corners.edge_spread_function, added to
     """
     guess, numbers = np.asarray(read.corners, float).reshape(-1, 4, 2), np.asarray(read.marker, int)
     rows = marker_map.rows(numbers) if len(numbers) else np.zeros(0, int)

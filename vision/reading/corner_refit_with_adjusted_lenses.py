@@ -17,7 +17,7 @@ from rig.recording.image_file_check_and_reading import read_image
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners
 from vision.corners import local_lens
-from vision.corners.edge_spread import PLAIN_EDGE_SPREAD
+from vision.corners.edge_spread_function import PLAIN_EDGE_SPREAD
 from vision.corners.marker_detection_and_corner_fit import (
     Detection,
     ReadMarkers,

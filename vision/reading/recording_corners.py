@@ -20,7 +20,7 @@ from rig.recording.image_file_check_and_reading import read_image, unusable_imag
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners, undecodable_images
 from vision.corner_observations import correlations_of_whitened_marker_corners
-from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread, empty_residual_profile, learn_edge_spread
+from vision.corners.edge_spread_function import PLAIN_EDGE_SPREAD, EdgeSpread, empty_residual_profile, learn_edge_spread
 from vision.corners.marker_detection_and_corner_fit import (
     Detection,
     ReadMarkers,

@@ -22,7 +22,7 @@ from vision.bundle.normal_equations_and_corner_jacobians import (
     rotate_jacobian,
     small_motion_jacobian,
 )
-from vision.bundle.unknown_priors import stated_lens_prior_sigmas
+from vision.bundle.priors_of_unknowns import stated_lens_prior_sigmas
 from vision.corner_observations import Observations, find_repeated_base_corners, group_sums
 
 EDGES = "edges"  # name of that freedom of each camera: a bias of all its edges, which the corner finder brings
