@@ -5,9 +5,8 @@ Corners of the same pictures are fitted with every candidate, the spread learnt 
 measure` does.
 Each kind of picture (exact ones and the renderer's, blurs, defocus, a halo, sharpening) gives the RMS of a candidate's
 corner errors (without the largest, see SOUND) over the least any candidate has there; a candidate's score is the
-geometric mean over the kinds. vision/corners/edge_pixels.py's REACH and vision/corners/edge_spread_function.py's KNOTS are the
-smallest reach, then the fewest knots, whose score is
-within MARGIN of the best one's.
+geometric mean over the kinds. vision/corners/edge_pixels.py's REACH and vision/corners/edge_spread_function.py's KNOTS
+are the smallest reach, then the fewest knots, whose score is within MARGIN of the best one's.
 """
 
 import json

@@ -12,8 +12,8 @@ from rig.array_and_json_types import Floats, Integers, Singles
 from vision.corners.local_lens import polynomial_along_row
 from vision.corners.numba_cholesky_and_order_statistics import inlined_kernel, kernel
 
-# edge widths on either side of an edge that are looked at; with vision/corners/edge_spread_function.py's KNOTS by the rule in
-# tests/bench/edge_fit_width.py:
+# edge widths on either side of an edge that are looked at; with vision/corners/edge_spread_function.py's KNOTS by
+# the rule in tests/bench/edge_fit_width.py:
 REACH = 3.6
 # of reaches 2.4, 2.8, 3.2, 3.6 and 5, 7, 9, 11 knots the smallest within 1 % of the least corner error on exact and
 # rendered pictures
