@@ -18,7 +18,9 @@ FOLDED = re.compile(rf"^({SCHEME})/(?=[^/])")  # what pathlib makes of SCHEME//
 
 
 def path_text_with_url_slashes(path: str | PathLike[str]) -> str:
-    """Text of a path as its user wrote it.
+    """Text of a path, with the slashes of a URL.
+
+    As its user wrote it.
 
     With both slashes after the scheme where it is a URL.
     """

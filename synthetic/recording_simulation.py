@@ -161,7 +161,7 @@ def _tilt_channels(
 def visible_marker_sightings_and_corners(
     simulation: Simulation, max_viewing_angle: float = STEEPEST
 ) -> tuple[Sightings, Floats]:
-    """Visible markers.
+    """Visible markers' sightings and corners.
 
     Returns (Sightings, corners (k, 4, 2) px) facing a camera, inside its image, not occluded
     """

@@ -28,7 +28,7 @@ from calib.certificate.pointing_certificate import PointingCertificate, pointing
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, refutation_sentence
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
     AgainstClaim,
-    calibration_evidence_verdict_and_claim_check,
+    calibration_evidence,
     check_claim_on_recording,
     evidence_with_confounds,
     evidence_with_displaced_ends,
@@ -181,7 +181,7 @@ def _against_claim(
     calibration: Calibration, held: Sequence[tuple[Recording, Sampled]], refutations: Sequence[Refutation]
 ) -> tuple[Evidence, tuple[AgainstClaim, ...]]:
     """(Evidence of a calibration with what held-out recordings say of its claim, AgainstClaim of each)."""
-    known, claims = calibration_evidence_verdict_and_claim_check(calibration, refutations), []
+    known, claims = calibration_evidence(calibration, refutations), []
     known = evidence_with_confounds(
         known, calibration, [confounds_of_recordings([recording for recording, _ in held])], "these recordings"
     )

@@ -122,7 +122,7 @@ class LoopClosureResult(OneLineRepr):
 
 
 def close_loops(recording: Recording, options: LoopClosureOptions = LoopClosureOptions()) -> LoopClosureResult:
-    """Closure errors (LoopClosureResult) of a recording's legs.
+    """Loop closure errors of a recording's legs, as LoopClosureResult.
 
     Of those beyond the six that give the pose.
 

@@ -235,7 +235,7 @@ def plan_run(design: Design, path: Path, plan: str, options: RunOptions = STANDA
 
 
 def move_checker(design: Design) -> Callable[[Floats, Floats], None]:
-    """Checker of moves.
+    """Checker of moves, a function.
 
     A function that raises Unreachable where the driver would refuse the move.
 

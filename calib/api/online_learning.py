@@ -10,10 +10,7 @@ from pathlib import Path
 
 from calib.api.recording_check_and_combination import refuse_unfit_recording
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.calibration_evidence_verdict_and_claim_check import (
-    OfCalibrations,
-    calibration_evidence_verdict_and_claim_check,
-)
+from calib.certification.calibration_evidence_verdict_and_claim_check import OfCalibrations, calibration_evidence
 from calib.diagnosis.calibration_left_out_physics import unexplained_findings_and_refutations
 from calib.online.forgetting_kalman_and_gradient_learners import save_learner
 from calib.online.information_filter import Online
@@ -125,7 +122,7 @@ def learn(
     progress: Progress = lambda *_: None,
     notice: Notice = ignore_notice,
 ) -> LearningResult:
-    """LearningResult of a recording's poses.
+    """Learn from a recording's poses (LearningResult).
 
     Learnt one at a time, as `rig calibrate online` makes it.
 
@@ -164,7 +161,7 @@ def learn_from_samples(
     progress: Progress = lambda *_: None,
     notice: Notice = ignore_notice,
 ) -> LearningResult:
-    """LearningResult of samples measured otherwise, by the filter.
+    """Learn from samples measured otherwise, by the filter (LearningResult).
 
     state : as of LearnOptions; sampled : of recording
     """
@@ -194,5 +191,5 @@ def _calibration_evidence(
     )
     if calibration is None:
         return beside
-    start = calibration_evidence_verdict_and_claim_check(calibration, refutations).unexplained
+    start = calibration_evidence(calibration, refutations).unexplained
     return beside._replace(unexplained=tuple(dict.fromkeys([*beside.unexplained, *start])))

@@ -183,7 +183,7 @@ class PreparedRecording:
 def check_and_combine_recordings(
     recordings: Recording | Sequence[Recording], ignore_mistakes: bool, notice: Notice, progress: Progress | None
 ) -> PreparedRecording:
-    """Recordings prepared for use (PreparedRecording).
+    """Checked and combined recordings (PreparedRecording).
 
     Each checked and refused if unfit, several combined.
     ignore_mistakes : whether to go on though a mistake makes results meaningless; notice : called with lines on what is

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, refutation_sentence
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
-    calibration_evidence_verdict_and_claim_check,
+    calibration_evidence,
     verify_claim_on_samples,
 )
 from calib.certification.claim_verification import Verification
@@ -283,7 +283,7 @@ def watch(
         )
         seen.append(replace(visit, lines=lines))
         of_each.append(confounds)
-    verdict = last_visit_verdict(seen, calibration_evidence_verdict_and_claim_check(calibration, refutations))
+    verdict = last_visit_verdict(seen, calibration_evidence(calibration, refutations))
     return WatchResult(history, tuple(seen), tuple(of_each), tuple(entries), verdict)
 
 

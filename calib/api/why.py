@@ -262,7 +262,7 @@ def why(
     notice: Notice = ignore_notice,
     links: Sequence[Link] = (),
 ) -> WhyResult:
-    """WhyResult of data.
+    """Why a machine is not where its model says (WhyResult), from its data.
 
     A recording's folder, a table of joint values and poses, a bag, or a folder of such.
     folder : gets the imported recording, calibration.json, diagnosis.json and diagnosis.html; None to keep nothing

@@ -92,8 +92,9 @@ class WorkspaceResult(OneLineRepr):
 
 
 def analyse_workspace(path: Path, certificate: Path | None = None, notice: Notice = ignore_notice) -> WorkspaceResult:
-    """WorkspaceResult of a calibration.json, as `rig workspace` makes it.
+    """Workspace analysis of a calibration.json (WorkspaceResult).
 
+    As `rig workspace` makes it.
     certificate : of this calibration, in JSON, or None; notice : called where the workspace has to be worked out
     Raises RigError for a chain, FileError for a file that is no certificate of this calibration
     """
@@ -112,7 +113,7 @@ def analyse_workspace(path: Path, certificate: Path | None = None, notice: Notic
 
 
 def load_certificate(path: Path, calibration: Path) -> Entries:
-    """Entries of a certificate.
+    """Load the entries of a certificate.
 
     Raises FileError for a file that is none, or one of another calibration
     """

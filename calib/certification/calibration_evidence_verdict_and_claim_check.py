@@ -68,10 +68,10 @@ def calibration_verdict(calibration: Calibration, refutations: Sequence[Refutati
 
     refutations : of its file, by later recordings
     """
-    return judge_evidence(calibration_evidence_verdict_and_claim_check(calibration, refutations))
+    return judge_evidence(calibration_evidence(calibration, refutations))
 
 
-def calibration_evidence_verdict_and_claim_check(
+def calibration_evidence(
     calibration: Calibration,
     refutations: Sequence[Refutation] = (),
     statement: str | None = None,

@@ -201,7 +201,7 @@ def draw_variance_ratio(cost: float, freedom: int, count: int, rng: np.random.Ge
     return (TRUSTED + cost) / rng.chisquare(TRUSTED + freedom, count)
 
 
-def error_claim_over_workspace(
+def strut_machine_workspace_claim(
     identified: Identified,
     tolerance: Tolerance,
     correction: Correction[Parallel, Radial],
@@ -210,8 +210,9 @@ def error_claim_over_workspace(
     machines: Machines | None = None,
     held_out_errors: HeldErrors | None = None,
 ) -> Claim:
-    """Claim of a calibration of a machine on struts.
+    """Claim over the workspace of a machine on struts.
 
+    By its calibration.
     identified : Identified of one pose a configuration, from which the machines are drawn; tolerance : Tolerance by it;
         correction : Correction
     samples : Samples of one pose a configuration; rng : numpy Generator; machines : Machines drawn with all that struts

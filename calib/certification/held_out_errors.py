@@ -59,7 +59,7 @@ class HeldOut:
 
 
 def error_statistics(errors: Floats) -> Figures:
-    """Figures of pose errors (n, 6).
+    """Statistics (Figures) of pose errors (n, 6).
 
     Position (m) and rotation (rad), NaN where these were not measured.
     """
@@ -272,7 +272,9 @@ def mean_square_held_out_errors_by_configuration(
 def residuals_corrected_for_absorbed_noise(
     residuals: Floats, jacobian: Floats, covariance: Floats, noise: Floats, label: Integers
 ) -> Floats:
-    """Standardised residuals (n, 6) of a linear fit.
+    """Residuals (n, 6) of a linear fit, corrected for the noise it absorbed.
+
+    They are standardised.
 
     Corrected for the noise that the fit absorbed, m and rad.
     residuals : (n, 6); label : (n,) configuration of each sample

@@ -46,7 +46,7 @@ def configuration_numbers(commanded: Floats, ranges: Floats) -> Integers:
 
 
 def axis_travel_limits(mechanism: Parallel | Arm | Chain) -> Floats:
-    """Range of each axis of a mechanism.
+    """Travel limits of each axis of a mechanism.
 
     Returns (axes, 2) m or rad
     """
@@ -62,7 +62,7 @@ def configuration_folds(label: Integers, count: int) -> Integers:
 
 
 def mean_sample_per_configuration(samples: Samples, label: Integers, to_pose: Floats) -> Samples:
-    """Mean sample of each configuration.
+    """Mean sample per configuration.
 
     Its repeats averaged, weighted by their covariance.
     samples : Samples; label : (n,) from `configuration_numbers`; to_pose : (n, 6, axes) change of each pose's tangent

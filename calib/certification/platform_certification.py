@@ -10,7 +10,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.error_claim_over_workspace import (
     Claim,
     draw_fit_variance_ratio,
-    error_claim_over_workspace,
+    strut_machine_workspace_claim,
     workspace_samples,
 )
 from calib.certification.held_out_errors import (
@@ -261,7 +261,7 @@ def platform_workspace_claim(samples: Samples, certified: Certified, rng: np.ran
     Each configuration counts once.
     """
     each, found = _each_configuration(samples, certified)
-    return error_claim_over_workspace(
+    return strut_machine_workspace_claim(
         found,
         estimate_tolerance_of_stated_geometry(found, certified.correction.nominal),
         certified.correction,

@@ -74,7 +74,7 @@ class PoseMap:
 
 
 def pose_coordinates(T: RigidTransform, home: RigidTransform) -> Floats:
-    """Coordinates (..., 6) of poses (...).
+    """Pose coordinates (..., 6) of poses (...).
 
     Position (m) and rotation vector (rad) from home's orientation.
     """

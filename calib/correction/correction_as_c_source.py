@@ -99,8 +99,9 @@ class EffectsInC:
 def correction_c_source(
     correction: AnyCorrection, physics: Physics | None, origin: str, play_elsewhere: bool = False
 ) -> CSource:
-    """CSource of a hexapod's Correction and the Physics besides, or None.
+    """C source of a hexapod's correction (CSource).
 
+    Of the Correction and the Physics besides, or None.
     origin : of which file and by which version it is made, for its head
     play_elsewhere : whether the controller itself adds half of a strut's play in the direction of its motion: lengths
         are then those without, and ranges are half a play narrower at both ends
@@ -173,7 +174,7 @@ def joined_c_parts(*texts: str) -> str:
 def c_file_opening(
     call: CCall, correction: AnyCorrection, effects: EffectsInC, gaps: Floats, origin: str
 ) -> tuple[str, str, str]:
-    """What a C file begins with.
+    """Opening of a C file: head comment, interface, home and channels.
 
     Its head comment, its interface, home and channels.
     gaps : (axes,) m or rad, play
@@ -250,7 +251,7 @@ def _constants(channels: dict[str, float], home: Floats) -> str:
 
 
 def controller_terms_of_compensable_effects(correction: AnyCorrection, physics: Physics | None) -> EffectsInC:
-    """EffectsInC of a calibration's effects that commands undo.
+    """Controller terms (EffectsInC) of effects that commands can compensate.
 
     Raises RigError for one that has no such form, and for two plays of an axis.
     """
@@ -283,7 +284,7 @@ def controller_terms_of_compensable_effects(correction: AnyCorrection, physics: 
 
 
 def commands_of_effects(effects: EffectsInC) -> tuple[str, ...]:
-    """The functions that undo effects."""
+    """C functions that undo effects in commands."""
     if not effects.terms:
         return (c_source_part("no effects"),)
     statements = [line for term in effects.terms for line in term.statements]

@@ -139,7 +139,10 @@ def _restricted(tables: CTables, one: RestrictedMap) -> list[str]:
 
 
 def radial_functions(tables: CTables, part: Radial) -> list[str]:
-    """Name of the function that adds a Gaussian process, its samples and weights in a table."""
+    """C functions that add a Gaussian process (radial functions).
+
+    Returns the name of the one; its samples and weights stand in a table
+    """
     own, whole = part.sizes**2
     samples = np.column_stack([part.inputs, own * part.weights, whole * part.weights])
     rates = [0.5 / float(length) ** 2 for length in part.lengths]

@@ -302,7 +302,7 @@ def compensated_commands_at_poses(machine: Machine, T: RigidTransform, route: Ro
 
 
 def travel_until_earlier_path_is_forgotten(machine: Machine) -> Floats:
-    """Length (axes,) of path memory.
+    """Travel (axes,) until the earlier path is forgotten.
 
     Travel one way after which an axis' earlier path no longer matters.
     """

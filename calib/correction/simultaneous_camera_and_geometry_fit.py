@@ -131,7 +131,7 @@ def fit_cameras_and_geometry(
 
 
 def inputs_of_camera_and_geometry_fit(measured: Measurement, samples: Samples) -> tuple[Observations, Floats, State]:
-    """Inputs of the joint fit.
+    """Inputs of the simultaneous camera and geometry fit.
 
     measured : vision Measurement; samples : Samples of it
     Returns (Observations, commanded (F, 6) m, State) in the commanded frames

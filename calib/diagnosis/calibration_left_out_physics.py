@@ -21,7 +21,7 @@ from scipy.special import gammaincinv
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
     OfCalibrations,
-    calibration_evidence_verdict_and_claim_check,
+    calibration_evidence,
     verify_claim_on_samples,
 )
 from calib.certification.error_claim_over_workspace import Claim
@@ -64,7 +64,7 @@ class Refutation(NamedTuple):
 def calibration_with_left_out_physics(
     calibration: Calibration, recording: Recording, sampled: Sampled, progress: Progress | None = None
 ) -> Calibration:
-    """The Calibration with the effects it omits.
+    """The Calibration with the physics that it leaves out.
 
     Found by diagnosing its recording, stated in its claim.
     sampled : Sampled that it was made from; progress : called with (label, done, of), or None
@@ -79,7 +79,10 @@ def calibration_with_left_out_physics(
 
 
 def mark_as_not_searched(calibration: Calibration) -> Calibration:
-    """The Calibration marked, in its claim, as not searched for left-out physics."""
+    """Mark a calibration as not searched for left-out physics.
+
+    In its claim.
+    """
     return _with(calibration, (NOT_SEARCHED,))
 
 
@@ -194,7 +197,7 @@ def unexplained_findings_and_refutations(
     for path, tree in _made_from(marks, paths):
         if any(tree.get(key) for key in BEYOND):
             continue
-        known = calibration_evidence_verdict_and_claim_check(
+        known = calibration_evidence(
             calibration_file.load(path), refutations_of_file(path) if include_later_refutations else ()
         )
         refuted += [f"{path.name} {text}" for text in known.refuted] if include_later_refutations else []

@@ -216,7 +216,9 @@ def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -
 def refit_platform_with_findings(
     recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None
 ) -> PlatformRefit:
-    """PlatformRefit of a recording's samples.
+    """Refit a platform with findings (PlatformRefit).
+
+    To a recording's samples.
 
     Cameras, geometry and the findings' parameters fitted together.
     Raises RigError for a machine without struts, and what refining raises
@@ -325,7 +327,9 @@ class ArmRefit:
 def refit_arm_with_findings(
     recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None
 ) -> ArmRefit:
-    """ArmRefit of a recording's samples.
+    """Refit an arm with findings (ArmRefit).
+
+    To a recording's samples.
 
     The arm's geometry and the findings' parameters fitted together.
     Raises RigError where neither poses nor positions were measured, and what identifying raises

@@ -35,7 +35,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import conserved_coordinate_sums, coordinates_of_effects
 from rig.effects.framework.effect_parameters_and_covariates import Context
-from rig.effects.framework.unmodelled_curve import covariate_words, unmodelled_curves
+from rig.effects.framework.unmodelled_curve import covariate_words, curve_classes_by_covariate
 from rig.model.motion_simulation import motion_of_commands
 
 SIZES = np.geomspace(1e-7, 1e-2, 26)  # prior standard deviations of a curve, in the axis' unit
@@ -294,7 +294,7 @@ def _free_directions(effects: tuple[Effect, ...]) -> Floats:
 def _candidates(place: str, context: Context) -> list[Candidate]:
     """The curves that a recording can show at an axis."""
     channels = () if context.sensors is None else tuple(context.sensors.channels)
-    return [c for kind in unmodelled_curves(channels).values() for c in kind.candidates(place, context)]
+    return [c for kind in curve_classes_by_covariate(channels).values() for c in kind.candidates(place, context)]
 
 
 def _strut_rows(model: LinearisedModel, axis: int, moved: Sequence[Floats], share: float) -> AxisRows:

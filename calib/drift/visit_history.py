@@ -80,7 +80,7 @@ class History:
 def add_visit_and_judge_change(
     history: History, recording: Recording, calibration: Calibration
 ) -> tuple[History, Verdict]:
-    """Add a visit to a History.
+    """Add a visit to a History, and judge whether the machine changed.
 
     Returns (History, Verdict of the visit)
     Raises RigError for data that were taken already or that the calibration was made from, and as `visit_equations`

@@ -16,7 +16,7 @@ from calib.correction.physics_compensation import Physics, Unknown
 from rig.array_and_json_types import Booleans, Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
-from rig.effects.framework.unmodelled_curve import unmodelled_curves
+from rig.effects.framework.unmodelled_curve import curve_classes_by_covariate
 from rig.effects.texts.effect_text_parsing import Kinds
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
@@ -331,7 +331,7 @@ def physics_from_entries(table: Entries, mechanism: Commanded, parameter_count: 
         name: (channels.table(name).number("median"), channels.table(name).number("sigma", least=0))
         for name in channels.tree
     }
-    known = {**kinds, **unmodelled_curves(tuple(logged))}
+    known = {**kinds, **curve_classes_by_covariate(tuple(logged))}
     effects = effects_from_entries(table, held.machine(mechanism), known, lambda entry: not _seen(entry))
     own = len(coordinates_of_effects(effects))
     covariance, cross = table.array("covariance", (own, own)), table.array("cross_covariance", (parameter_count, own))

@@ -123,7 +123,7 @@ def _along(vector: Floats, covariance: Floats) -> float:
 
 
 def placement_columns(predicted: RigidTransform, origin: Floats) -> Floats:
-    """Columns (n, 6, 12).
+    """Columns (n, 6, 12) of base and tool placement.
 
     Tangents of predicted poses (n,) per step of base and tool, in the predicted frames.
     """
@@ -179,7 +179,7 @@ def _white(predicted: RigidTransform, samples: Samples, placement: Placement, sc
 
 
 def asked_numbers(ends: tuple[bool, bool], measured: str) -> Booleans:
-    """(12,) bool, the numbers that are estimated of ends.
+    """Placement numbers (12,) bool that are estimated of ends.
 
     Positions tell no rotation of the tool.
     """
@@ -189,7 +189,7 @@ def asked_numbers(ends: tuple[bool, bool], measured: str) -> Booleans:
 def estimate_placement(
     predicted: RigidTransform, samples: Samples, origin: Floats, scatter: Floats, ends: tuple[bool, bool]
 ) -> Placement:
-    """Placement of the ends asked for.
+    """Estimated placement of the ends asked for.
 
     By samples (n,) against predicted poses (n,), wherever they stand.
     origin : (3,) m, where the base stood; scatter : (6,) m, rad beyond the poses' noise
@@ -275,7 +275,7 @@ def is_clear(predicted: RigidTransform, samples: Samples, placement: Placement, 
 
 
 def has_placements(mechanism: object, measured: str) -> bool:
-    """Whether base and tool are estimated of such a machine.
+    """Whether base and tool placements are estimated of a machine.
 
     Of arms and chains by poses, or by positions alone.
     """
@@ -283,13 +283,16 @@ def has_placements(mechanism: object, measured: str) -> bool:
 
 
 def base_origin(mechanism: Arm | Chain) -> Floats:
-    """(3,) m, where the base stands in the frame of poses."""
+    """Base origin (3,) m in the frame of poses."""
     first = mechanism.stages[0] if isinstance(mechanism, Chain) else mechanism
     return first.base.translation if isinstance(first, Arm) else np.zeros(3)
 
 
 def target_poses(samples: Samples, machine: Arm | Chain) -> RigidTransform:
-    """Poses (n,) that a machine as it is reaches at the effective commands of samples."""
+    """Target poses (n,) that a machine reaches at samples.
+
+    At their effective commands, the machine as it is.
+    """
     return kinematics_of(machine).forward(samples.effective, machine)
 
 
@@ -383,7 +386,10 @@ def _by_parameters(
 
 
 def placement_lines(placements: Sequence[Placement], names: Sequence[str]) -> list[str]:
-    """Lines on where base and tool stand in each further recording, of names (k,)."""
+    """Lines on placements of base and tool in further recordings.
+
+    Of each, of names (k,).
+    """
     out = []
     for one, name in zip(placements, names):
         for line in one.lines():

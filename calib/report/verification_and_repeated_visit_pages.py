@@ -16,7 +16,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import (
     verification_line,
 )
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
-    calibration_evidence_verdict_and_claim_check,
+    calibration_evidence,
     evidence_with_confounds,
     evidence_with_displaced_ends,
     evidence_with_verification,
@@ -129,7 +129,7 @@ def verification_verdict(verified: Verified) -> Verdict:
                 ),
             )
         )
-    known = calibration_evidence_verdict_and_claim_check(
+    known = calibration_evidence(
         verified.calibration,
         verified.refutations,
         verification_line(verified.held, verified.calibration.claim, verified.found),
@@ -163,7 +163,7 @@ def _of_driven(v: Verified) -> Evidence:
         "times the stated standard "
         "uncertainty"
     )
-    known = calibration_evidence_verdict_and_claim_check(v.calibration, v.refutations, line, (CERTIFY,))
+    known = calibration_evidence(v.calibration, v.refutations, line, (CERTIFY,))
     beyond = f"poses are {times:.3g} times the stated standard uncertainty from those wanted"
     if times > FAR:
         return replace(known, refuted=(beyond, *known.refuted), held_out=None)
@@ -253,15 +253,15 @@ def write_visits_page(
     write_page(path, Page("watch", f"Visits to {calibration}", verdict, parts, verdict.next, links))
 
 
-def last_visit_verdict(visits: Sequence[Visit], calibration_evidence_verdict_and_claim_check: Evidence) -> Verdict:
+def last_visit_verdict(visits: Sequence[Visit], calibration_evidence: Evidence) -> Verdict:
     """Verdict of the last visit.
-    calibration_evidence_verdict_and_claim_check : Evidence of the calibration
+    calibration_evidence : Evidence of the calibration
     """
     last, steps = visits[-1], _recommended_actions(visits)
     if not last.evidence.alarm:
         return judge_evidence(
             replace(
-                calibration_evidence_verdict_and_claim_check,
+                calibration_evidence,
                 statement=f"the calibration is valid at visit {len(visits)}, {last.name}",
                 steps=tuple(steps),
             )
@@ -270,26 +270,19 @@ def last_visit_verdict(visits: Sequence[Visit], calibration_evidence_verdict_and
     if last.allowed:
         return judge_evidence(
             replace(
-                calibration_evidence_verdict_and_claim_check,
+                calibration_evidence,
                 statement=statement,
                 steps=(),
-                unexplained=(
-                    sentence_on_effect_omitted_by_calibration(last),
-                    *calibration_evidence_verdict_and_claim_check.unexplained,
-                ),
+                unexplained=(sentence_on_effect_omitted_by_calibration(last), *calibration_evidence.unexplained),
                 look=steps[0],
             )
         )
     beyond = () if last.found is None else (refutation_sentence(last.found),)
     return judge_evidence(
         replace(
-            calibration_evidence_verdict_and_claim_check,
+            calibration_evidence,
             statement=statement,
-            refuted=(
-                change_alarm_sentence(last.evidence),
-                *beyond,
-                *calibration_evidence_verdict_and_claim_check.refuted,
-            ),
+            refuted=(change_alarm_sentence(last.evidence), *beyond, *calibration_evidence.refuted),
             look=steps[0],
         )
     )

@@ -24,11 +24,13 @@ GONE = 1e6  # rad, standard deviation of a reading that is left out
 def poses_with_platform_tilts(
     readings: TiltReadings, T: RigidTransform, own: Floats, common: Floats, measured: str = "pose"
 ) -> tuple[RigidTransform, Floats, Floats]:
-    """(poses (n,), own (n, 6, 6), common (n, 6, j)) of a platform.
+    """Poses of a platform with its tilts.
 
     Measured so, with what tilt sensors on it add.
     own, common : covariance of each pose and factor of what all share; measured : what was, as of Samples
     Readings that scatter more than poses and sensors explain count for less; one that is far off does not count.
+
+    Returns (poses (n,), own (n, 6, 6), common (n, 6, j)) of a platform
     Raises RigError where less than poses was measured
     """
     if measured != "pose":

@@ -152,7 +152,7 @@ SINGULAR = Quantity(
 
 
 def workspace_map_quantity_of_axis_margin(unit: str) -> Quantity:
-    """Quantity to draw on the workspace map.
+    """Workspace map's quantity of the axis margin.
 
     The greatest margin to the nearest axis limit in each cell.
     unit : of an axis, m or rad
@@ -173,7 +173,7 @@ def _cell_number_text(value: float) -> str:
 
 
 def cell_views(workspace: Workspace, quantity: Quantity) -> tuple[str, str]:
-    """Views (unit, SVG) of a Quantity over the cells.
+    """Views (unit, SVG) of a quantity over the workspace cells.
 
     From above (x, y) and from the side (x, z).
     """

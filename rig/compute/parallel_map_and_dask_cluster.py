@@ -130,8 +130,9 @@ class Cluster:
 
 @contextmanager
 def use_cluster(address: str | None) -> Iterator[Cluster | None]:
-    """Context manager: connect to the Dask cluster whose scheduler is at an address, tcp://HOST:PORT.
+    """Use the Dask cluster at an address (context manager).
 
+    The address is that of its scheduler, tcp://HOST:PORT.
     Raises MissingLibrary without Dask, RigError where no scheduler answers or it has no worker
     """
     global _at_work

@@ -40,9 +40,9 @@ class ControllerLimits:
 
 
 def limit_warnings(limits: ControllerLimits, controller: Controller, mechanism: Hexapod | Planar2) -> list[str]:
-    """A line for each kind of limit of a controller that is tighter than the rig.toml's.
+    """Warnings of controller limits tighter than the rig.toml's.
 
-    With both figures of the strut that it concerns most.
+    A line for each kind of limit, with both figures of the strut that it concerns most.
     """
     lines, ranges = [], mechanism.strut_range
     low, high = (limits.travel + controller.zero[:, None]).T

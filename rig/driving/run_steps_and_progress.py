@@ -162,7 +162,9 @@ def progress_from_journal(journal_rows: list[Row], steps: tuple[Step, ...]) -> P
 def lost_position_reason(
     progress: Progress, position: Floats, tolerance: float, started_anew: bool, can_home: bool
 ) -> str:
-    """Why a position (axes,) m that is read when a run is resumed cannot be believed.
+    """Reason why a position (axes,) m counts as lost.
+
+    Where it is read when a run is resumed and cannot be believed.
 
     "" where it can.
     tolerance : m, of a read-back; started_anew : whether the controller says that it has started since it was homed or

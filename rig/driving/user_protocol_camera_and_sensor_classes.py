@@ -46,9 +46,10 @@ def require_own_rig_toml(path: Path, design: Design) -> None:
 
 
 def load_user_class(stated: str, base: type[T], group: str, what: str) -> tuple[type[T], str]:
-    """(class derived from a base, the file that defines it) of "file:PATH" or "package:NAME".
+    """Load a user's class of "file:PATH" or "package:NAME".
 
     group : of the package's entry points; what : the class is, for messages
+    Returns (class derived from a base, the file that defines it)
     Raises FileError with the line where a file cannot be used, RigError for a package that is not there
     """
     kind, _, place = stated.partition(":")
@@ -66,7 +67,9 @@ def load_user_class(stated: str, base: type[T], group: str, what: str) -> tuple[
 
 
 def missing_member(kind: type[object], base: type[object], members: tuple[str, ...]) -> str | None:
-    """The first of some members (methods or attributes) that a class does not have of its own.
+    """Missing member of a user's class.
+
+    The first of some members (methods or attributes) that it does not have of its own.
 
     None for none.
     """
@@ -74,13 +77,18 @@ def missing_member(kind: type[object], base: type[object], members: tuple[str, .
 
 
 def fail_at_class(path: str, kind: type[object], message: str, field: str | None = None) -> FileError:
-    """FileError at the line of a class of a user's file, or of a name in its body."""
+    """FileError at a class of a user's file, or at a name in its body.
+
+    With the line.
+    """
     text = Path(path).read_text(encoding="utf-8")
     return FileError(path, f"{kind.__name__} {message}", line_of_class(text, kind.__name__, field))
 
 
 def guard_call(call: Callable[P, T], path: str, error_kind: type[RigError], owner: str) -> Callable[P, T]:
-    """The same method, whose failures name the file and the line.
+    """Guarded call of a user's method.
+
+    The same method, whose failures name the file and the line.
 
     Of a dialogue each of its steps.
     """

@@ -268,7 +268,7 @@ def load_json(path: Path, file_kind: str, *schemas: str) -> Entries:
 
 
 def json_data(value: object) -> object:
-    """Value as JSON holds it.
+    """JSON data of a value.
 
     Arrays and tuples as lists, dataclasses as tables of their fields, poses as entries.
     """

@@ -89,13 +89,16 @@ def run_user_file(path: Path) -> UserModule:
 
 
 def line_within(error: BaseException, path: Path | str) -> int | None:
-    """The last line of a file that an error came through, None for none."""
+    """Line within a file that an error came through, the last.
+
+    None for none.
+    """
     lines = [frame.lineno for frame in extract_tb(error.__traceback__) if frame.filename == str(path)]
     return lines[-1] if lines else None
 
 
 def line_of_class(text: str, name: str, field: str | None = None) -> int | None:
-    """Where a source text defines a class, or a name in its body.
+    """Line where a source text defines a class, or a name in its body.
 
     None where that is not at its top level.
     """

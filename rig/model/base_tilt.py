@@ -154,7 +154,7 @@ def has_gravity(channels: Collection[str]) -> bool:
 
 
 def logged_gravity(channel: Callable[[str], Floats]) -> Floats:
-    """(n, 3) m/s^2 of gravity in the base frame.
+    """Logged gravity (n, 3) m/s^2 in the base frame.
 
     channel : name -> (n,) values
     """
@@ -164,7 +164,7 @@ def logged_gravity(channel: Callable[[str], Floats]) -> Floats:
 def gravity_at_exposures(
     gravity: Floats, known: Collection[str], channel: Callable[[str], Floats], count: int
 ) -> Floats:
-    """(count, 3) m/s^2 of gravity in the base frame.
+    """Gravity (count, 3) m/s^2 at exposures, in the base frame.
 
     As logged where the base tilts, else as stated, gravity (3,).
     known : names of the sensor channels; channel : name -> (count,) values

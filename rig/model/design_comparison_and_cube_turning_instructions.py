@@ -109,7 +109,7 @@ def find_cube(text: str, targets: Sequence[Target]) -> tuple[str, str | None]:
 
 
 def parse_cube_turn_permission(word: str, targets: Sequence[Target]) -> tuple[str, str | None]:
-    """Parse a word of [experiment] may.
+    """Parse the permission of a cube turn, a word of [experiment] may.
 
     Returns (permission with the cube's name, None), or ("", problem in words)
     """

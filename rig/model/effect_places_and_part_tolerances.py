@@ -90,7 +90,9 @@ def parse_stage_place(text: str, kinds: Collection[str]) -> Place | None:
 
 @cache
 def axis_mask(effect_place: Place, places: tuple[str, ...]) -> Floats:
-    """Mask (axes,) of axes (texts of their places).
+    """Axis mask (axes,) of a place.
+
+    places : texts of the axes' places
 
     1.0 for those that a place is or includes, else 0.0.
     """

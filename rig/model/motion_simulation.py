@@ -170,7 +170,9 @@ def lean_of_base(
     effects: Sequence[Effect] = (),
     sensors: Sensors | None = None,
 ) -> Floats:
-    """Rotation vectors (n, 3) rad by which effects turn the base in the frame of poses.
+    """Lean of the base under effects, rotation vectors (n, 3) rad.
+
+    In the frame of poses.
 
     At poses T (n,).
     """

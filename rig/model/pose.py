@@ -95,7 +95,9 @@ def poses_pointing_along(directions: Floats) -> RigidTransform:
 
 
 def direction_difference(T_from: RigidTransform, T_to: RigidTransform) -> Floats:
-    """Small turn (n, 2) rad, about x and y of the poses T_from (n,).
+    """Difference of directions, a small turn (n, 2) rad.
+
+    About x and y of the poses T_from (n,).
 
     That takes their z axes to those of T_to (n,).
 

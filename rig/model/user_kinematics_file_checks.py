@@ -186,7 +186,9 @@ def _with_forward(file: KinematicsFile) -> KinematicsFile:
 
 
 def locked_poses(file: KinematicsFile, poses: Floats) -> Floats:
-    """Poses (n, 4, 4) with the coordinates that are no freedoms as at home.
+    """Poses (n, 4, 4) with the locked coordinates as at home.
+
+    Those that are no freedoms.
 
     The nearest that the platform can take.
     """

@@ -172,7 +172,7 @@ def unusable_images_error(unusable: list[UnreadableImage]) -> FileError:
 
 
 def undecodable_image_problem(path: Path) -> str | None:
-    """Why an image cannot be decoded, or None."""
+    """Problem of an undecodable image, or None."""
     try:
         read_image(path)
     except FileError as error:

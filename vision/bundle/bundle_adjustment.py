@@ -106,7 +106,7 @@ def adjust_bundle(
     lens_prior_sigmas: Callable[[Camera], Floats] = stated_lens_prior_sigmas,
     printing: Printing | None = None,
 ) -> Adjustment:
-    """Bundle adjustment.
+    """Adjust a bundle of cameras, marker places and poses.
 
     The cameras, places and poses that fit all corners best, weighted by covariance.
     observations : Observations, outliers taken out; state : State to start from, with its markers where these are free

@@ -283,7 +283,9 @@ def offset_from_stated(estimate: Estimate, stated: State, unknowns: Unknowns) ->
 
 
 def datum_markers(markers: MarkerMap, rows: Integers) -> Integers:
-    """Rows of the markers that hold their body's frame together.
+    """Datum markers, as rows.
+
+    They hold their body's frame together.
 
     Of rows (k,) of one body those whose places are stated, the first where none is.
     """

@@ -167,7 +167,7 @@ def grey_image_at_full_depth(image: Pixels) -> Floats:
 
 
 def grey_images_for_reader_and_fit(image: Pixels) -> tuple[Floats, Floats]:
-    """Grey images (height, width) of an image.
+    """Grey images (height, width) for the reader and for the fit.
 
     8 bit for the reader, and at full depth for the fit.
 

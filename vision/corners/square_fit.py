@@ -5,9 +5,9 @@ Homography, lens, blur and pixel grid.
 The whole marker is fitted at once (Gauss-Newton on the pixels near its edges): the homography from image to cells (8
 unknowns), the width of the edges (1), and the grey of black and of white, each a plane over the image (6). How
 brightness climbs across an edge is a tabulated edge spread function, the pixel's own width included: a Gaussian's, or
-one learnt from the images (vision/corners/edge_spread_function.py), one for each direction of edges. Where two
-edges meet, their product is corrected by a bivariate normal's correlated part (vision/corners/predicted_cell_white_share.py), because a
-marker's axes are seldom square in the image.
+one learnt from the images (vision/corners/edge_spread_function.py), one for each direction of edges. Where two edges
+meet, their product is corrected by a bivariate normal's correlated part (vision/corners/predicted_cell_white_share.py),
+because a marker's axes are seldom square in the image.
 Source: corner accuracy from edges, Rohr 1992; dense alignment of a marker, Wu et al., DodecaPen, UIST 2017
 """
 

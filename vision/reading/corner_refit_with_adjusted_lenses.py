@@ -62,8 +62,9 @@ def refit_corners(
     marker_map: MarkerMap,
     progress: Callable[[int, int], None] | None = None,
 ) -> Collected:
-    """Collected with the corners of all markers fitted once more, with the adjusted cameras.
+    """Corners of all markers refitted with the adjusted cameras.
 
+    Returns Collected
     Raises FileError naming the image that cannot be decoded
     """
     lenses, seen = {camera.name: camera for camera in adjusted_cameras}, group_corners_by_image(collected.corners)

@@ -158,7 +158,7 @@ class HeldOut(NamedTuple):
 
 
 def time_stretch_folds(count: int, folds: int) -> Integers:
-    """Fold (count,) of each frame.
+    """Folds (count,) of frames by stretches of time.
 
     Whole stretches in time.
 
@@ -168,7 +168,7 @@ def time_stretch_folds(count: int, folds: int) -> Integers:
 
 
 def frame_folds(frames: int, has_sudden_effects: bool, sides: Sequence[Booleans] = ()) -> Integers:
-    """Fold (F,) of each frame.
+    """Cross-validation folds (F,) of frames.
 
     Stretches of time, which with sudden effects are spread over both sides.
     sides : each (F,) bool, what is

@@ -1,7 +1,4 @@
-"""Finding confirmation against alternatives.
-
-Each admitted term against all candidates and smooth functions.
-"""
+"""Confirmation of findings against alternatives: all candidates and smooth functions."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -176,10 +173,7 @@ class Finding(Generic[C]):
 
 
 def is_significant(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
-    """Whether a Score is significant.
-
-    Too good for chance over all candidates, and worth its parameters.
-    """
+    """Whether a Score is significant: too good for chance over all candidates, and worth its parameters."""
     return score.p_value * count <= policy.alpha and score.delta_bic(size) >= policy.delta_bic
 
 
@@ -203,11 +197,9 @@ def confirm_terms(
 ) -> tuple[Fit, list[Finding[C]]]:
     """Confirm each term of a Fit against all candidates.
 
-    Removed, replaced, or retained with its alternatives.
-
-    The others stay admitted meanwhile, and a term's moment or choice is searched for again beside them. What was
-    replaced does not come back, and after a number of replacements nothing
-    is replaced any more: every term of the Fit is a finding in the end. scans : those made so far
+    Removed, replaced, or retained with its alternatives. The others stay admitted meanwhile, and a term's moment or
+    choice is searched for again beside them. What was replaced does not come back, and after a number of replacements
+    nothing is replaced any more: every term of the Fit is a finding in the end. scans : those made so far
     """
     policy, count = problem.policy, len(problem.candidates)
     findings: list[Finding[C]] = []
@@ -344,10 +336,8 @@ def refit_with_other_member_of_law(
 ) -> Fit | None:
     """Refit with another member of a term's law in its place that explains its residuals.
 
-    None where none does.
-
-    It is the last of the terms. A law is a family, and a machine need not follow its first formula. model : without it
-    but : members that are not tried
+    None where none does. It is the last of the terms. A law is a family, and a machine need not follow its first
+    formula. model : without it but : members that are not tried
     """
     site, size = problem.terms(fit)[number].site, problem.linear(model).size
     for score in _scores_of_other_members(problem, model, problem.terms(fit)[number]):

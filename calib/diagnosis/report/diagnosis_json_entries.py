@@ -314,7 +314,7 @@ def finding_entry(diagnosis: Diagnosis, finding: Finding[Any], proof: CrossValid
 
 
 def negligible_finding_remark_entries(diagnosis: Diagnosis) -> list[RemarkEntry]:
-    """Entries of a Diagnosis' remarks.
+    """Entries of a Diagnosis' remarks on negligible findings.
 
     What is there beyond chance and does not matter.
 
@@ -371,7 +371,7 @@ def _size_of(left: LackOfFit) -> dict[str, Value]:
 
 
 def misfit_before_and_after_entry(fit: Misfit) -> FitEntry:
-    """FitEntry of a Misfit.
+    """Entry (FitEntry) of a Misfit before and after.
 
     Held out, without and with the effects found, and what noise alone leaves.
     """

@@ -52,8 +52,9 @@ class MachineFigures(Protocol):
 
 
 def figures_of_arm_or_platform(diagnosis: Diagnosis, recording: Recording, report: Report) -> MachineFigures:
-    """MachineFigures of a Diagnosis, by what was measured.
+    """Page figures (MachineFigures) of an arm's or a platform's Diagnosis.
 
+    By what was measured.
     report : its Report
     """
     first = len(diagnosis.measured_findings)

@@ -102,7 +102,9 @@ def as_sentence(text: str) -> str:
 
 
 def excluded_outlier_texts(row: LeftOut) -> tuple[str, str, str, str]:
-    """Texts (frame, place, how far off, reason) of an outlying pose, or of corners.
+    """Texts on an excluded outlier, a pose or corners.
+
+    Each is frame, place, how far off, reason.
 
     Left out of a diagnosis.
     """
@@ -325,7 +327,10 @@ def noise_factor_text(factor: Value) -> str:
 
 
 def noise_times_text(times: dict[str, Value]) -> str:
-    """Text on the factors by which poses scatter more than is stated."""
+    """Text on the factors (times) of the stated noise.
+
+    By which poses scatter more than is stated.
+    """
     each = [f"{noise_factor_text(value)} in {kind}" for kind, value in times.items()]
     return (
         f"the noise of the poses exceeds what is stated: {' and '.join(each)} (or something moves the machine at "
@@ -334,7 +339,7 @@ def noise_times_text(times: dict[str, Value]) -> str:
 
 
 def all_clear_sentence(crowd: Crowd | None, noise_from: str, noise_times: dict[str, Value]) -> str:
-    """What it is worth that nothing was found.
+    """Sentence on what it is worth that nothing was found.
 
     Nothing, where the noise is not stated.
     """

@@ -45,8 +45,9 @@ CALL = CCall(
 
 
 def arm_correction_c_source(correction: ArmCorrection, physics: Physics | None, origin: str) -> CSource:
-    """CSource of an ArmCorrection and the Physics besides, or None.
+    """C source of an arm's correction (CSource).
 
+    Of an ArmCorrection and the Physics besides, or None.
     origin : of which file and by which version it is made, for its head
     Raises RigError for a way to extend corrections and for an effect that no C file states
     """

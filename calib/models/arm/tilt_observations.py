@@ -140,7 +140,7 @@ def planned_tilt_columns(
 
 
 def tilt_report(readings: TiltReadings | None, weights: TiltWeights | None) -> list[str]:
-    """Lines for a reader.
+    """Report on tilt sensors, as lines.
 
     Which tilt sensors were used, and how far they scatter beyond the noise stated for them.
     """

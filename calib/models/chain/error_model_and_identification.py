@@ -94,7 +94,9 @@ def _moved(stage: Stage, step: Floats) -> Stage:
 
 
 def stage_parameter_change_by_base_motion(stage: Stage) -> Floats:
-    """Columns (p, 6 or 3) of a stage's base motion.
+    """Change of a stage's parameters by base motion.
+
+    Columns (p, 6 or 3).
 
     Change of its parameters with its base frame.
     """

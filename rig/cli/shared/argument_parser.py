@@ -92,7 +92,7 @@ def nearest_word(word: str, known: Iterable[str]) -> str | None:
 
 
 def suggestion_text(word: str, known: Iterable[str]) -> str:
-    r"""Suggestion after a mistyped word.
+    r"""Suggestion text after a mistyped word.
 
     As in "; did you mean ..?"; "" where no known word is near.
     """

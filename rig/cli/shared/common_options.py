@@ -67,7 +67,7 @@ SEED = 0  # of the bootstrap; results are the same from run to run
 
 
 def file_or_stdout(text: str) -> Path:
-    """File path of an output option.
+    """Output file path, or standard output.
 
     `-` is standard output.
     """

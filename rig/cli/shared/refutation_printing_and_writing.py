@@ -28,7 +28,10 @@ def read_and_print_refutations(path: Path) -> tuple[Refutation, ...]:
 
 
 def print_refutations(path: Path, refutations: tuple[Refutation, ...]) -> None:
-    """Print on the error output what later recordings found against a calibration's file."""
+    """Print the refutations of a calibration's file.
+
+    What later recordings found against it, on the error output.
+    """
     for one in refutations:
         print(f"warning: {path} was {one.line}", file=sys.stderr)
 

@@ -159,7 +159,7 @@ def terminal_display() -> PlainLineDisplay | TerminalBlockDisplay:
 
 @contextmanager
 def run_displays(port: int | None, observer: RunObserver) -> Iterator[list[RunDisplay]]:
-    """Displays of a run.
+    """Displays of a run (context manager).
 
     Terminal, and the page where a port is given, served while the context lasts.
     """

@@ -121,7 +121,7 @@ class CommandSource:
 
 
 def checked_image(image: object, camera: Camera) -> Pixels:
-    """An image of a user's program, where it is one.
+    """Checked image of a user's program.
 
     Raises CameraError for another size or type.
     """

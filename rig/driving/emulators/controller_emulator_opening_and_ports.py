@@ -65,7 +65,7 @@ class EmulatorOptions:
 
 
 def load_emulator(path: Path, options: EmulatorOptions, clock: Clock) -> Emulator:
-    """Emulator of the controller of a rig.toml.
+    """Load the emulator of a rig.toml's controller.
 
     Raises RigError for a rig without controller or invalid options.
     """

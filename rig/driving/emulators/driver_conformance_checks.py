@@ -74,7 +74,7 @@ def check_conformance(design: Design, protocol: str, moves: int = 300, seed: int
 
 
 def conformance_design(path: Path | None) -> Design:
-    """The rig on which a protocol is tested.
+    """Design on which a protocol's conformance is tested.
 
     Of a rig.toml, or a hexapod.
     Raises RigError for one without struts or controller, and FileError.

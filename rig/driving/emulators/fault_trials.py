@@ -90,10 +90,11 @@ class MoveCounts:
 def emulated_bench(
     design: Design, protocol: str, orders: Sequence[str] = (), seed: int = 1, **controller: object
 ) -> tuple[Driver, Emulator, TrialClock]:
-    """(driver, emulator, clock) of a design's controller on a simulated clock.
+    """Emulated bench of a design's controller.
 
-    The struts 1 mm from home.
     protocol : as rig.toml states it; orders : faults, KIND or KIND:RATE; controller : other entries of [controller]
+
+    Returns (driver, emulator, clock), on a simulated clock, the struts 1 mm from home
     """
     clock = TrialClock()
     stated: dict[str, Any] = {"protocol": protocol, **controller}
@@ -141,12 +142,15 @@ def move_counts_with_faults(
 
 
 def times_executed(emulator: Emulator, before: int, target: Floats) -> int:
-    """How often a move to target (axes,) m was carried out, after the first `before` moves."""
+    """How many times a move to target (axes,) m was executed.
+
+    After the first `before` moves.
+    """
     return sum(bool(np.abs(one.target - target).max() < 1e-5) for one in emulator.machine.executed[before:])
 
 
 def bring_home(driver: Driver, emulator: Emulator) -> None:
-    """What an operator does until the rig is at home again.
+    """Bring a rig home again, as an operator does.
 
     Home; where that fails, clear the alarm; at last switch off and on.
     Raises ControllerFault where nothing helps.

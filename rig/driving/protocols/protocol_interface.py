@@ -158,7 +158,7 @@ def await_stopped(state: Callable[[], Dialogue[State]], command: str) -> Dialogu
 
 
 def is_never_complete(lines: Sequence[str]) -> bool:
-    """Whether answer lines are complete.
+    """Whether answer lines are complete, which they never are.
 
     Never, so that the whole timeout is awaited.
     """

@@ -71,8 +71,9 @@ def protocol_of_controller(controller: Controller, mechanism: StrutMechanism) ->
 
 
 def load_user_protocol(controller: Controller, count: int) -> LineProtocol:
-    """The protocol of `[controller] protocol = "file:.."` or "package:..".
+    """Load the user's protocol of `[controller] protocol`.
 
+    It states "file:.." or "package:..".
     Raises FileError with the line.
     """
     kind, path = load_user_class(controller.protocol, LineProtocol, GROUP, "protocol")

@@ -145,7 +145,9 @@ class LineProtocol:
 
 
 def state_problem(state: object, count: int) -> str | None:
-    """What is wrong with a State that a user's protocol gave, for `count` axes.
+    """Problem with a State that a user's protocol gave.
+
+    For `count` axes.
 
     None where nothing is.
     """

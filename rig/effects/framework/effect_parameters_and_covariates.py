@@ -49,7 +49,7 @@ class ControllerTerm:
 
 
 def controller_channel(name: str) -> str:
-    """The value of a sensor channel in C."""
+    """C expression of a controller's sensor channel."""
     return f"channels[RIG_{name.upper()}]"
 
 
@@ -322,7 +322,9 @@ def parameter_values(
 
 
 def quadrature_columns(travel: Floats, own: Booleans, rates: Sequence[float], phases: Sequence[float]) -> Floats:
-    """(k, n, axes, 2) sine and cosine of rate * travel (n, axes) + phase.
+    """Quadrature columns (k, n, axes, 2): sine and cosine of rate * travel + phase.
+
+    Travel (n, axes).
 
     Of rates and phases (k,), at own axes (axes,).
     """

@@ -151,17 +151,17 @@ def _words(over: str) -> str:
 
 
 def covariate_words(effect: Effect) -> str:
-    """What a curve, as an effect, is over, in words."""
+    """Words for what a curve, as an effect, is over."""
     return _words(effect.name.removeprefix(PREFIX))
 
 
 def _restored(over: str, place: str, values: Mapping[str, object]) -> UnmodelledCurve:
-    return unmodelled_curve(over)(place, **values)  # type: ignore[arg-type]
+    return curve_class_over_covariate(over)(place, **values)  # type: ignore[arg-type]
 
 
 @cache
-def unmodelled_curve(over: str) -> type[UnmodelledCurve]:
-    """The class of curves over a covariate.
+def curve_class_over_covariate(over: str) -> type[UnmodelledCurve]:
+    """Class of the curves over a covariate.
 
     TIME, TRAVEL, HISTORY, one of POSE or a sensor channel.
     """
@@ -169,8 +169,10 @@ def unmodelled_curve(over: str) -> type[UnmodelledCurve]:
     return type("UnmodelledCurve", (UnmodelledCurve,), own)
 
 
-def unmodelled_curves(channels: tuple[str, ...]) -> dict[str, type[UnmodelledCurve]]:
-    """{name: class} of the curves that sensor channels allow, those over time and motion among them; a channel that is
-    called like one of these has none.
+def curve_classes_by_covariate(channels: tuple[str, ...]) -> dict[str, type[UnmodelledCurve]]:
+    """Curve classes by covariate, {name: class}.
+
+    Those that sensor channels allow, those over time and motion among them. A channel that is called like one of these
+    has none.
     """
-    return {kind.name: kind for kind in map(unmodelled_curve, dict.fromkeys((*OWN, *channels)))}
+    return {kind.name: kind for kind in map(curve_class_over_covariate, dict.fromkeys((*OWN, *channels)))}

@@ -29,7 +29,7 @@ MOST_RADIANS = 6.5  # that joint values reach; so few degrees of travel calibrat
 
 
 def require_data(data: Path) -> None:
-    """Raise FileError for a path where nothing is.
+    """Require data at a path, else raise FileError.
 
     With the nearest that there is, and for an empty folder.
     """

@@ -236,9 +236,10 @@ def refracted_hour_angle_and_declination(places: Floats, latitude: float, weathe
 
 
 def refraction_terms(latitude: float, weather: Weather) -> tuple[float, float]:
-    """(rad of the tangent of the observed zenith distance, rad of its cube) of refraction.
+    """Refraction terms of light from stars.
 
     latitude : rad
+    Returns (rad of the tangent of the observed zenith distance, rad of its cube)
     """
     t, p, wave = weather.temperature, weather.pressure * 0.750062, weather.wavelength**-2
     vapour = weather.humidity * 4.579 * 10 ** (7.5 * t / (237.3 + t))  # mm of mercury, by Magnus

@@ -51,7 +51,9 @@ def link_frames(q: Floats, arm: Arm) -> Floats:
 
 
 def joint_values_with_zero_for_slides(q: Floats, arm: Arm) -> Floats:
-    """Turn angles (..., n) rad of the joints at joint values q (..., n).
+    """Joint values (..., n) rad with zero for slides.
+
+    Turn angles of the joints at joint values q (..., n).
 
     0 for slides.
     """

@@ -149,7 +149,7 @@ def _require_solved(left: Floats, values: Floats, mechanism: FileMechanism) -> N
 
 
 def nearest_reachable(T_base_platform: RigidTransform, mechanism: FileMechanism) -> RigidTransform:
-    """Poses (...) with the coordinates that are no freedoms as at home.
+    """Nearest reachable poses (...) of a platform with few freedoms.
 
     The nearest that the platform can take.
     """

@@ -140,7 +140,7 @@ def heading_html(line: str, level: int = 2) -> str:
 
 
 def section_html(title: str, parts: Sequence[str]) -> list[str]:
-    """Parts below a heading.
+    """HTML of a section, parts below a heading.
 
     Nothing where there are none.
     """

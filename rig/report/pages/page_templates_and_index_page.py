@@ -238,7 +238,7 @@ def refresh_indices(written_pages: Iterable[Path]) -> None:
 
 
 def index_and_source_links(page_file: Path, sources: Iterable[Path] = ()) -> list[Link]:
-    """Links of a page at a place.
+    """Links of a page to the index and to its sources.
 
     To the index above it, and to the pages of its sources, folders or files.
     """

@@ -117,7 +117,7 @@ class Geometry:
 
 
 def most_numbers(poses: int, k: int, freedoms: int, whole: bool) -> int:
-    """Numbers that a candidate may have.
+    """Most numbers that a candidate may have.
 
     Of each, ROOM rows are left to the geometry's freedoms in every fold.
     poses : that are fitted; k : numbers measured of each; freedoms : of the geometry; whole : whether the candidate
@@ -128,7 +128,10 @@ def most_numbers(poses: int, k: int, freedoms: int, whole: bool) -> int:
 
 
 def least_poses(k: int, freedoms: int, numbers: int = 1, whole: bool = False, start: int = LEAST) -> int:
-    """Poses that a candidate of so many numbers takes, counted up from start."""
+    """Least count of poses that a candidate needs.
+
+    For so many numbers, counted up from start.
+    """
     count = start
     while most_numbers(count, k, freedoms, whole) < numbers:
         count += 1

@@ -94,7 +94,7 @@ def merge_sinusoids_into_profiles(
 
 
 def refine_knots_and_parameters(fit: Fit, train: Booleans | None, policy: SelectionPolicy) -> Fit:
-    """Refine a Fit.
+    """Refine a Fit's profile knots and term parameters.
 
     As many profile knots, and as exact term parameters, as the data support.
 

@@ -240,7 +240,7 @@ def camera_edge_bias_freedoms(freedom_names: Sequence[tuple[str, str | int]], de
 
 
 def cube_seat_freedoms(freedom_names: Sequence[tuple[str, str | int]]) -> dict[str, list[int]]:
-    """Freedoms of the seats of remounted cubes.
+    """Freedoms of remounted cubes' seats.
 
     Returns {cube's place: indices of its six freedoms}
     """
