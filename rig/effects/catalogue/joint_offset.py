@@ -21,7 +21,8 @@ from rig.effects.framework.effect_parameters_and_covariates import (
 )
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_plate_axes, require_hexapod
+from rig.model.mechanisms.hexapod_singularity_and_cardan_twist import cardan_plate_axes
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 
 BALL = "cardan-ball"
 CARDANS = {"cardan-cardan": (0.0, 1.0), BALL: (0.0,)}  # ends that have one, by [actuator] joints

@@ -1,6 +1,6 @@
-"""Smooth curve for what no effect explains.
+"""Unmodelled smooth curve, as an effect.
 
-Over time, travel, a loop or a sensor: what the catalogue does not hold.
+It stands for what no effect of the catalogue explains: over time, travel, a loop or a sensor.
 
 They act as effects do, and are stored with a calibration as such; no search for names knows of them.
 """

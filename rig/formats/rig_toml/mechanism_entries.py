@@ -16,7 +16,8 @@ from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.output_files import write_text
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2, Stage
 from rig.model.mechanisms.file_mechanism import nominal_mechanism
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, singular_geometry_problem
+from rig.model.mechanisms.hexapod_singularity_and_cardan_twist import singular_geometry_problem
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 
 FILE = "file:"  # before the name of a kinematics file
 SHORTEST = 2e-3  # m; no strut is shorter, so that a smaller figure in a file in mm is in metres
