@@ -49,7 +49,7 @@ from rig.effects.texts.effect_text_parsing import parse_effect, require_existing
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model import mechanisms
-from rig.model.base_tilt_and_tilt_sensors import GRAVITY_SIGMA
+from rig.model.base_and_link_tilts import GRAVITY_SIGMA
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, has_axes, has_links, is_hexapod, require_arm

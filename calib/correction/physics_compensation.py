@@ -24,7 +24,7 @@ from rig.errors import NotConverged, RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model import mechanisms, motion_simulation
 from rig.model import motion_simulation as machine
-from rig.model.base_tilt_and_tilt_sensors import GRAVITY, BaseTilt, has_gravity
+from rig.model.base_and_link_tilts import GRAVITY, BaseTilt, has_gravity
 from rig.model.design import Actuator, Design, Platform
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain

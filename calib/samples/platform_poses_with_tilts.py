@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.model.base_tilt_and_tilt_sensors import TiltReadings, linearised_tilts
+from rig.model.base_and_link_tilts import TiltReadings, linearised_tilts
 from rig.model.pose import exp
 
 ROUNDS = 5  # of linearising about the poses and the mounting, and of weighing readings

@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.samples.platform_poses_with_tilts import poses_with_platform_tilts
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
-from rig.model.base_tilt_and_tilt_sensors import TiltReadings, gravity_at_exposures, has_gravity
+from rig.model.base_and_link_tilts import TiltReadings, gravity_at_exposures, has_gravity
 from rig.model.design import Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, nearest_reachable_poses
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording

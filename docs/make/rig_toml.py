@@ -18,7 +18,7 @@ from rig.formats.length_and_angle_units import UnitNames
 from rig.formats.rig_toml import arm_dynamics_entries, design_from_rig_toml
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
 from rig.formats.rig_toml.mechanism_entries import Joint
-from rig.model.base_tilt_and_tilt_sensors import BaseTilt, TiltSensor
+from rig.model.base_and_link_tilts import BaseTilt, TiltSensor
 from rig.model.design import (
     Actuator,
     Arm,

@@ -22,13 +22,7 @@ from rig.formats.csv_and_parquet_tables_and_time_origin import (
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import require_complete_folder, write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model.base_tilt_and_tilt_sensors import (
-    GRAVITY,
-    BaseTilt,
-    gravity_channels,
-    has_gravity,
-    times_between_small_turns,
-)
+from rig.model.base_and_link_tilts import GRAVITY, BaseTilt, gravity_channels, has_gravity, times_between_small_turns
 from rig.model.design import Design, Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
 from rig.recording.image_file_check_and_reading import UnreadableImage

@@ -20,7 +20,7 @@ from rig.errors import RigError
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
-from rig.model.base_tilt_and_tilt_sensors import BaseTilt
+from rig.model.base_and_link_tilts import BaseTilt
 from rig.model.design import Camera, Design
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.pose import exp, pose_difference

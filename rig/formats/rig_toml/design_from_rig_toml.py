@@ -17,7 +17,7 @@ from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import camera_instrument_and_cube_entries
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table, user_program_text
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_table
-from rig.model.base_tilt_and_tilt_sensors import ANGLE_UNITS, BaseTilt, TiltSensor
+from rig.model.base_and_link_tilts import ANGLE_UNITS, BaseTilt, TiltSensor
 from rig.model.calibration_board import parse_board
 from rig.model.design import (
     DICTIONARIES,

@@ -1,4 +1,4 @@
-"""Tilt of a machine's base, and tilt sensors.
+"""Tilts of a machine's base and links, by sensors.
 
 By a sensor channel, gravity in the base's frame as it turns; sensors are on links.
 """
