@@ -103,7 +103,9 @@ def project(points: Floats, matrix: Floats, distortion: Floats) -> Floats:
 
 
 def project_jacobian(points: Floats, matrix: Floats, distortion: Floats) -> tuple[Floats, Floats, Floats]:
-    """Projected pixels (..., 2), and their Jacobian to the point (..., 2, 3) and the lens (..., 2, 4 + terms).
+    """Projected pixels (..., 2), and their Jacobian.
+
+    With the point (..., 2, 3) and the lens (..., 2, 4 + terms).
 
     Lens columns: fx fy cx cy (px/px), then the distortion terms in OpenCV's order.
     """
@@ -122,7 +124,9 @@ def project_jacobian(points: Floats, matrix: Floats, distortion: Floats) -> tupl
 
 
 def undistort(uv: Floats, matrix: Floats, distortion: Floats) -> Floats:
-    """Undistorted ideal coordinates x/z, y/z (..., 2) of pixels (..., 2), by Newton on the lens to 1e-13.
+    """Undistorted ideal coordinates (..., 2) of pixels (..., 2).
+
+    x/z, y/z by Newton on the lens to 1e-13.
 
     Pixels to which the lens maps nothing come back as NaN.
     """

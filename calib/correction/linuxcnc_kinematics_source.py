@@ -27,7 +27,9 @@ MARGIN = 0.1  # share of the Jacobian's least singular value at home that must r
 def linuxcnc_kinematics_source(
     correction: AnyCorrection, physics: Physics | None, origin: str, units: str = "mm"
 ) -> CSource:
-    """CSource of LinuxCNC's kinematics module "rigkins" of a hexapod's Correction and the Physics besides.
+    """LinuxCNC kinematics source (CSource) of a hexapod's correction.
+
+    LinuxCNC's kinematics module "rigkins", of the Correction and the Physics besides.
 
     Or None.
     origin : of which file and by which version it is made; units : "mm" or "m", LinuxCNC's LINEAR_UNITS

@@ -186,7 +186,9 @@ def refuted_calibrations(
 def unexplained_findings_and_refutations(
     marks: Marks, paths: Iterable[Path], include_later_refutations: bool
 ) -> OfCalibrations:
-    """What calibrations of a recording leave unexplained, and which of them are refuted.
+    """Unexplained findings and refutations of calibrations of a recording.
+
+    What they leave unexplained, and which of them are refuted.
 
     By its marks.
     include_later_refutations : whether what other recordings found against them counts, as for what is learnt from the

@@ -44,8 +44,9 @@ class UserModule:
 
 
 def read_user_text(path: Path) -> tuple[str, str]:
-    """(text, SHA-256 of the bytes) of a user's Python file.
+    """Read the text of a user's Python file.
 
+    Returns (text, SHA-256 of the bytes)
     Raises FileError, with the line for what is no text.
     """
     if is_remote(path):

@@ -105,11 +105,12 @@ class TiltReadings:
 
 
 def linearised_tilts(readings: TiltReadings, links: Floats, mounting: Floats) -> tuple[Floats, Floats, Floats]:
-    """(residuals (n, s, 2) rad, read less predicted; turns (n, s, 2, 3), change of the angles with a link's turn about
-    the axes of the frame of poses; mounting columns (n, s, 2, 3 + 3 s)) of readings.
+    """Linearised tilts of readings.
 
     links : (n, s, 3, 3) orientations of the sensors' links in the frame of poses; mounting : (3 + 3 s,) rad, small
         turns of gravity in that frame, then of each sensor about its own axes
+    Returns (residuals (n, s, 2) rad, read less predicted; turns (n, s, 2, 3), change of the angles with a link's turn
+    about the axes of the frame of poses; mounting columns (n, s, 2, 3 + 3 s))
     """
     s = len(readings.sensors)
     stated = Rotation.from_rotvec([sensor.mount for sensor in readings.sensors]).as_matrix()
@@ -187,9 +188,10 @@ def times_between_small_turns(t: Floats, tilts: tuple[BaseTilt, ...], channels: 
 def gravity_channels(
     gravity: Floats, tilts: tuple[BaseTilt, ...], channel: Callable[[str], Floats]
 ) -> dict[str, Floats]:
-    """{channel: (n,) m/s^2} of gravity in the base frame under tilts, each carried by those before it.
+    """Channels of gravity in the base frame under tilts.
 
     gravity : (3,) m/s^2 where all stand at zero; channel : name -> (n,) values
+    Returns {channel: (n,) m/s^2}, each tilt carried by those before it
     """
     turned = Rotation.identity()
     for tilt in tilts:

@@ -205,8 +205,9 @@ def difference_step(tolerance: float) -> float:
 
 
 def freedom_columns(file: KinematicsFile, poses: Floats, p: Floats) -> Floats:
-    """Change (n, axes, freedoms) of the axes with the freedoms (m or rad, along and about the base's axes) at poses
-    (n, 4, 4).
+    """Columns (n, axes, freedoms) of the axes' change with the freedoms.
+
+    m or rad, along and about the base's axes, at poses (n, 4, 4).
     """
     out = np.empty((len(poses), len(file.axes), len(file.freedoms)))
     for k, freedom in enumerate(file.freedoms):
@@ -224,7 +225,7 @@ def freedom_columns(file: KinematicsFile, poses: Floats, p: Floats) -> Floats:
 
 
 def parameter_columns(file: KinematicsFile, poses: Floats, p: Floats, which: Integers) -> Floats:
-    """Change (n, axes, k) of the axes with parameters.
+    """Columns (n, axes, k) of the axes' change with parameters.
 
     Those of an index `which` (k,), in their units.
     """

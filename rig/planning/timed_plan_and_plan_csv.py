@@ -138,9 +138,7 @@ def plan_of_time_table(design: Design, path: str) -> Plan | None:
     """Plan of a table with times (frame,t,l1..l6).
 
     None for a table without times.
-    Raises FileError with line and column for what is no such table. it; None for a table without times. Raises
-    FileError with line and column for what is no
-    such table.
+    Raises FileError with line and column for what is no such table.
     """
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(
         Path(path), ("frame", *design.mechanism.axes), (PAYLOAD,)

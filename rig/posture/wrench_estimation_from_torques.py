@@ -172,7 +172,10 @@ def _corrected(m: ObserverModel, k: int, state: Floats, P: Floats) -> tuple[Floa
 
 
 def most_likely_random_walk_rates(model: ObserverModel) -> Floats:
-    """Most likely rates (6,) N/sqrt(s), Nm/sqrt(s) of the wrench's random walk for an ObserverModel's readings."""
+    """Most likely rates (6,) of the wrench's random walk.
+
+    In N/sqrt(s), Nm/sqrt(s), for an ObserverModel's readings.
+    """
     motion = model.motion
     part = slice(0, PART)
     short = ObserverModel(

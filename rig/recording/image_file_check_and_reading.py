@@ -47,7 +47,6 @@ def image_file_problem(path: Path, camera: Camera | None = None) -> str | None:
 def open_image_file_problem(file: BinaryIO, camera: Camera | None = None, max_pixels: int = MOST_PIXELS) -> str | None:
     """Problem of an open image file as text, or None.
 
-    max_pixels : px that it may have.
     max_pixels : px that it may have. Raises OSError where it cannot be read.
     """
     head = file.read(HEAD)

@@ -368,8 +368,11 @@ def is_insignificant_beside_smooth_functions(
     unexplained: list[LackOfFit],
     asked: int,
 ) -> bool:
-    """Whether a Finding of a Fit is insignificant with smooth functions of what the unexplained residuals, or what is
-    left at its own place, depend on. after : the residuals with all findings"""
+    """Whether a Finding is insignificant beside smooth functions.
+
+    after : the residuals with all findings; smooth functions of what the unexplained residuals, or what is left at its
+    own place, depend on
+    """
     assert isinstance(problem, SmoothCover)
     place, known = finding.score.candidate.site, {(u.place, u.depends_on) for u in unexplained}
     if unexplained and not _stays(problem, finding, fit, unexplained, asked):

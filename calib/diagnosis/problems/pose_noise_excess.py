@@ -96,8 +96,9 @@ def noise_factors(residuals: PoseResiduals) -> dict[str, Value] | None:
 
 
 def scaled_pose_covariance(covariance: Floats, factors: dict[str, Value]) -> Floats:
-    """Covariance (F, k, k) of poses, positions or directions whose standard deviations are scaled by factors, those not
-    estimated by 1.
+    """Pose covariance (F, k, k) scaled by noise factors.
+
+    Of poses, positions or directions whose standard deviations are scaled by factors, those not estimated by 1.
     """
     times = np.ones(covariance.shape[-1])
     for name, part in noise_parts(covariance.shape[-1]).items():

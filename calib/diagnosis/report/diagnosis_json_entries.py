@@ -347,7 +347,7 @@ def remark_reason_sentence(reason: str) -> str:
 
 
 def largest_unexplained(diagnosis: Diagnosis) -> Unexplained | None:
-    """Largest unexplained lack of fit of a Diagnosis, else the scatter of poses beyond their stated noise, or N"""
+    """Largest unexplained lack of fit of a Diagnosis, else the scatter of poses beyond their stated noise, or None."""
     if diagnosis.left:
         first = diagnosis.left[0]
         return Unexplained(str(first.place), first.magnitude, first.unit, first.depends_on)

@@ -74,7 +74,9 @@ def joint_correction_field_samples(samples: Samples, arm: Arm, shared: Floats) -
 
 
 def commanded_minus_joint_values_by_stated_arm(samples: Samples, placed_arm: Arm) -> CorrectionSummands:
-    """Commands less the joint values that give the measured poses by the stated arm (CorrectionSummands).
+    """Commanded minus joint values by the stated arm (CorrectionSummands).
+
+    The joint values are those that give the measured poses.
 
     They are the joint correction summands. placed_arm : placed as the instrument sees it
     covariance : what all poses share included. Raises RigError as `joint_space_summands`
@@ -84,7 +86,9 @@ def commanded_minus_joint_values_by_stated_arm(samples: Samples, placed_arm: Arm
 
 
 def commanded_minus_joint_values_of_measured_poses(samples: Samples, arm: Arm, shared: Floats) -> CorrectionSummands:
-    """Commands less the nearest joint values that give the measured poses, rad or m (CorrectionSummands).
+    """Commanded minus joint values of measured poses (CorrectionSummands).
+
+    The nearest joint values that give the poses, rad or m.
 
     They are the joint correction summands.
     arm : the model; shared : (j,) draw of the poses' common errors, taken out

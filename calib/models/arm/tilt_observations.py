@@ -115,7 +115,10 @@ def link_turns_by_parameters(readings: TiltReadings, q: Floats, arm: Arm, pose_j
 
 
 def link_turns_by_joints(readings: TiltReadings, q: Floats, arm: Arm) -> Floats:
-    """(n, s, 3, joints) rad per rad of each joint, by which joints turn the sensors' links."""
+    """Turns (n, s, 3, joints) of the sensors' links by the joints.
+
+    In rad per rad of each joint.
+    """
     z = np.swapaxes(mechanism.link_frames(q, arm)[:, : len(arm.joints), :3, 2], 1, 2) * ~arm.slides
     return np.stack([z * (np.arange(len(arm.joints)) < sensor.link) for sensor in readings.sensors], axis=1)
 

@@ -23,8 +23,6 @@ def join_negative_numbers(words: Iterable[str]) -> list[str]:
     """Join options with negative numbers.
 
     `--pose -0.1,0,0` becomes `--pose=-0.1,0,0`, as argparse needs it.
-
-    `--pose -0.1,0,0` becomes `--pose=-0.1,0,0`, as argparse needs it.
     """
     joined: list[str] = []
     for word in words:
@@ -80,8 +78,6 @@ def nearest_word(word: str, known: Iterable[str]) -> str | None:
     """Nearest known word to a mistyped one.
 
     None where none is near, or the word is known or an abbreviation.
-
-    None where none is near, or the word is known or an abbreviation.
     """
     found = list(known)
     if word in found or any(word.startswith("--") and name.startswith(word) for name in found):
@@ -102,8 +98,6 @@ def suggestion_text(word: str, known: Iterable[str]) -> str:
 
 def completion_script(parser: ArgumentParser, shell: str) -> str:
     """Completion script of a shell (bash, zsh, fish) for a parser of all commands.
-
-    File names where files are named.
 
     File names where files are named.
     """

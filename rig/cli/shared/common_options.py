@@ -43,7 +43,10 @@ SHARED = (
 
 
 def add_common_options(parser: ArgumentParser, command: str) -> None:
-    """Add the common options of all commands (--quiet, --progress), and worker options where the command uses them."""
+    """Add the common options of all commands.
+
+    They are --quiet and --progress, and worker options where the command uses them.
+    """
     if command in SHARED:
         from rig.cli.shared.worker_options_and_pool import add_worker_options
 

@@ -44,7 +44,10 @@ def print_measurement(result: MeasurementResult) -> None:
 
 
 def print_uncertainty_of_poses_from_limbs(poses_from_limbs: MeasuredLimbPoses) -> None:
-    """Print the standard uncertainty of platform poses from measuring limbs, and their agreement with vision."""
+    """Print the uncertainty of poses from measuring limbs.
+
+    The standard uncertainty of platform poses, and their agreement with vision.
+    """
     position, rotation = rms_uncertainty(poses_from_limbs.poses.covariance)
     print(
         f"poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad (standard uncertainty, RMS), of "

@@ -19,7 +19,6 @@ def parse_length(text: str) -> float:
     """Parse a length with its unit, such as 20um, 0.02mm or 2e-5m, in m.
 
     Raises ArgumentTypeError for anything else.
-    Raises ArgumentTypeError for anything else.
     """
     for unit, scale in (("um", 1e-6), ("mm", 1e-3), ("m", 1.0)):
         if text.endswith(unit):
@@ -45,11 +44,9 @@ TOLERANCE_UNITS = {
 
 
 def parse_tolerance(text: str) -> tuple[str, float]:
-    r"""Parse a tolerance such as 20um or 0.1mrad.
+    """Parse a tolerance such as 20um or 0.1mrad.
 
-    Returns (\"position\", m) or (\"rotation\", rad)
-    Returns (\"position\", m) or (\"rotation\", rad)
-    Raises ArgumentTypeError
+    Returns ("position", m) or ("rotation", rad)
     Raises ArgumentTypeError
     """
     found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*([a-z]+)\s*", text)
@@ -65,7 +62,6 @@ def length_and_angle(texts: Sequence[str]) -> tuple[float, float]:
 
     50um 0.2mrad, or two figures in m and rad.
 
-    50um 0.2mrad, or two figures in m and rad.
     Raises RigError for anything else
     """
     try:

@@ -43,7 +43,6 @@ def write_refutation(
 
     Warns where that fails.
 
-    Warns where that fails.
     finding : a sentence without its full stop; state : BAD (None), or CHECK where it leaves something out
     """
     from rig.report.verdict_and_refutations import NAME, Refutation, State, add_refutation

@@ -58,7 +58,6 @@ def encode_frame(direction: str, number: int | None, text: str) -> bytes:
     """Encode a numbered text as a frame.
 
     direction : ">" to the controller, "<" from it.
-    direction : ">" to the controller, "<" from it.
     """
     body = f"{'-' if number is None else number} {text}"
     return f"{direction}{body}*{_checksum(body)}\n".encode("ascii")

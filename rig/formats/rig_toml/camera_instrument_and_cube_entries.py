@@ -38,7 +38,6 @@ SOURCES = ("uvc", "gstreamer", "genicam", "folder", "emulator", "command", *NETW
 def cameras_of_tables(tables: list[Entries]) -> tuple[Camera, ...]:
     """The Cameras of [[camera]] tables.
 
-    Raises FileError with line and column.
     Raises FileError with line and column for anything that is no camera.
     """
     found: list[Camera] = []

@@ -55,7 +55,6 @@ LARGEST = 1 << 22  # bytes of a rig.toml
 def load_design(path: str | Path) -> Design:
     """Load the Design of a rig.toml.
 
-    Raises FileError with line and column.
     Raises FileError with line and column for anything missing, malformed or implausible.
     """
     return design_of_entries(load_entries(path))

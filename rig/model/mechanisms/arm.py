@@ -149,7 +149,10 @@ def home_values(arm: Arm) -> Floats:
 
 
 def axis_loads(T: RigidTransform, q: Floats, arm: Arm, wrench: Floats) -> Floats:
-    """Loads (m, n) N m (slides: N) of the joints that hold a wrench (m, 6) on the platform."""
+    """Axis loads (m, n) N m (slides: N) of the joints that hold a wrench.
+
+    A wrench (m, 6) on the platform.
+    """
     return -np.einsum("mij,mi->mj", jacobian(q, arm), wrench)
 
 

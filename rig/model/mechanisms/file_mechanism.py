@@ -225,7 +225,10 @@ def loop_jacobian(T_base_platform: RigidTransform, mechanism: FileMechanism) -> 
 
 
 def parameter_units_and_scales(mechanism: FileMechanism) -> tuple[tuple[str, ...], Floats]:
-    """(units; (k,) unit of it for each m of the scaled parameters) of the identified parameters."""
+    """Units and scales of the identified parameters.
+
+    Returns (units; (k,) unit of it for each m of the scaled parameters)
+    """
     free, stated = identified_parameters(mechanism), mechanism.stated
     return tuple(stated.units[k] for k in free), stated.tolerances[free] / SCALE
 
@@ -259,7 +262,10 @@ def home_values(mechanism: FileMechanism) -> Floats:
 
 
 def axis_loads(T: RigidTransform, values: Floats, mechanism: FileMechanism, wrench: Floats) -> Floats:
-    """Loads (n, axes) N or N m of the axes that hold a wrench (n, 6) on the platform. Guides take the rest."""
+    """Axis loads (n, axes) N or N m that hold a wrench.
+
+    A wrench (n, 6) on the platform. Guides take the rest.
+    """
     return -np.einsum("nij,ni->nj", np.linalg.pinv(jacobian(T, mechanism)), wrench)
 
 

@@ -115,8 +115,9 @@ def home_values(hexapod: Hexapod) -> Floats:
 
 
 def axis_loads(T: RigidTransform, lengths: Floats, hexapod: Hexapod, wrench: Floats) -> Floats:
-    """Loads (n, 6) N of the struts, pushing, that hold a wrench (n, 6) on the platform: J^T f + w = 0.
+    """Axis loads (n, 6) N of the struts that hold a wrench.
 
+    Pushing, with a wrench (n, 6) on the platform: J^T f + w = 0.
     Source: Merlet, Parallel Robots, 2nd ed., ch. 9
     """
     return cast(Floats, np.linalg.solve(np.swapaxes(jacobian(T, hexapod), 1, 2), -wrench[..., None])[..., 0])
@@ -157,7 +158,10 @@ def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, hexapod: Hexapod) 
 
 
 def link_points(lengths: Floats, hexapod: Hexapod) -> None:
-    """None, for lengths (n, 6) m: a hexapod has no arm links to draw."""
+    """Link points of a hexapod: none.
+
+    For lengths (n, 6) m; it has no arm links to draw.
+    """
     return None
 
 

@@ -26,8 +26,6 @@ def singular_geometry_problem(hexapod: Hexapod) -> str | None:
 
     None where it is not.
 
-    None where it is not.
-
     Joints on similar hexagons, one plate turned against the other or not, leave it loose wherever it stands.
     Sources: Ma and Angeles, Architecture singularities of parallel manipulators, 1992; Merlet, Parallel Robots, 2nd
     ed., ch. 6

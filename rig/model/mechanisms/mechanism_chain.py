@@ -173,7 +173,10 @@ def home_values(chain: Chain) -> Floats:
 
 
 def axis_loads(T: RigidTransform, values: Floats, chain: Chain, wrench: Floats) -> Floats:
-    """Loads (n, axes of all) N or N m of the axes that hold a wrench (n, 6) on the platform, each alone."""
+    """Axis loads (n, axes of all) N or N m that hold a wrench.
+
+    Those that hold a wrench (n, 6) on the platform, each alone.
+    """
     return -np.einsum("nij,ni->nj", jacobian(values, chain), wrench)
 
 
@@ -188,7 +191,10 @@ def link_weight_loads(T: RigidTransform, values: Floats, chain: Chain, gravity: 
 def axis_deviation_and_sway_by_member_growth(
     T: RigidTransform, values: Floats, chain: Chain, share: Floats
 ) -> tuple[Floats, Floats]:
-    """Deviation (n, axes of all) and sway (n, 6) by the growth of the stages' members by shares (n, axes of all)."""
+    """Axis deviation and sway by growth of the stages' members.
+
+    Deviation (n, axes of all) and sway (n, 6), by shares (n, axes of all) of the growth.
+    """
     parts, at, deviations, sway = stage_transforms(values, chain), 0, [], np.zeros((len(share), 6))
     for (stage, own), part, back in zip(stages_and_values(values, chain), parts, stage_tangent_maps(parts)):
         longer, moved = KINDS[stage.kind].axis_deviation_and_sway_by_member_growth(
@@ -214,9 +220,9 @@ def jacobian_rows_by_axis(T: RigidTransform, values: Floats, chain: Chain) -> Fl
 
 
 def link_points(values: Floats, chain: Chain) -> None:
-    """None: there are no points of links to draw at values (n, axes).
+    """Link points of a chain: none.
 
-    As a chain is drawn without links.
+    At values (n, axes); a chain is drawn without links.
     """
     return None
 

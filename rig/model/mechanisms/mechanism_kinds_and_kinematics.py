@@ -321,16 +321,19 @@ def geometric_parameters(mechanism: Parallel) -> Floats:
 
 
 def parameter_units_and_scales(mechanism: Parallel) -> tuple[tuple[str, ...], Floats]:
-    """(units, "m" or "rad"; (p,) how much of it each of the geometric parameters counts) of a parallel mechanism."""
+    """Units and scales of a parallel mechanism's parameters.
+
+    Returns (units, "m" or "rad"; (p,) how much of it each of the geometric parameters counts)
+    """
     if isinstance(mechanism, FileMechanism):
         return file_mechanism.parameter_units_and_scales(mechanism)
     return ("m",) * len(NAMES[mechanism.kind]), np.ones(len(NAMES[mechanism.kind]))
 
 
 def parameter_group_sizes(mechanism: Parallel) -> tuple[int, int]:
-    """How many of the parameters are joints' coordinates and how many are zeros.
+    """Sizes of the groups of parameters.
 
-    A kinematics file has one group.
+    How many are joints' coordinates and how many are zeros; a kinematics file has one group.
     """
     count = len(geometric_parameters(mechanism))
     return (count, 0) if isinstance(mechanism, FileMechanism) else (count - len(mechanism.axes), len(mechanism.axes))

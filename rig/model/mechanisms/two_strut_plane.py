@@ -92,7 +92,10 @@ def home_values(planar: Planar2) -> Floats:
 
 
 def axis_loads(T: RigidTransform, lengths: Floats, planar: Planar2, wrench: Floats) -> Floats:
-    """Loads (n, 2) N of the struts, pushing, that hold a wrench (n, 6) on the hinge; a guide takes the rest."""
+    """Axis loads (n, 2) N of the struts that hold a wrench.
+
+    Pushing, with a wrench (n, 6) on the hinge; a guide takes the rest.
+    """
     return cast(
         Floats, np.linalg.solve(np.swapaxes(jacobian(T, planar)[..., :2], 1, 2), -wrench[..., :2, None])[..., 0]
     )
@@ -132,7 +135,10 @@ def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, planar: Planar2) -
 
 
 def link_points(lengths: Floats, planar: Planar2) -> None:
-    """None, for lengths (n, 2) m: two struts have no arm links to draw."""
+    """Link points of two struts: none.
+
+    For lengths (n, 2) m; they have no arm links to draw.
+    """
     return None
 
 

@@ -76,9 +76,9 @@ def svg_text(x: float, y: float, words: str, anchor: str = "start", style: str =
 
 
 def svg_text_or_empty_if_too_large(box: tuple[float, float, float, float], words: str, style: str = "") -> str:
-    r"""SVG text within a box, centred.
+    """SVG text within a box, centred.
 
-    \"\" where it does not fit.
+    "" where it does not fit.
     box : (left, top, width, height)
     """
     x, y, across, up = box
@@ -177,9 +177,9 @@ def list_html(lines: Iterable[str], ordered: bool = False) -> str:
 
 
 def table_html(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    r"""HTML of a scrolling table.
+    """HTML of a scrolling table.
 
-    header : of its columns, \"\" for one without; rows : of text and numbers
+    header : of its columns, "" for one without; rows : of text and numbers
     """
     lines = [[str(cell) for cell in row] for row in rows]
     said = [_of_text(column) for column in zip(*lines)] or [False] * len(header)
