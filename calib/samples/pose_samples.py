@@ -1,4 +1,7 @@
-"""Samples of commanded and measured poses, with their conditions: from an instrument's poses, images or poses.csv."""
+"""Samples of commanded and measured poses.
+
+With their conditions: from an instrument's poses, images or poses.csv.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +14,10 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.samples.platform_tilts import poses_with_platform_tilts
+from calib.samples.platform_poses_with_tilts import poses_with_platform_tilts
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
-from rig.model.base_tilt import TiltReadings, gravity_at_exposures, has_gravity
+from rig.model.base_and_link_tilts import TiltReadings, gravity_at_exposures, has_gravity
 from rig.model.design import Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, nearest_reachable_poses
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording
@@ -314,8 +317,9 @@ def sample_recording(
     progress: Callable[[str, int, int], None] | None = None,
     on_corners: Callable[[Corners], None] | None = None,
 ) -> Sampled:
-    """Samples of a recording (Sampled): from its instrument's poses, its corners or images, or poses.csv.
+    """Samples of a recording (Sampled).
 
+    From its instrument's poses, its corners or images, or poses.csv.
     progress : called with (label, done, of), or None; on_corners : called with the Corners before they are measured, or
         None
     Raises RigError without commands, NotEnoughData without poses, and what look raises

@@ -1,4 +1,7 @@
-"""Geometry classes of mechanisms (hexapod, planar, arm, chain, of a file, free): frozen dataclasses in m and rad."""
+"""Geometry classes of mechanisms.
+
+Hexapod, planar, arm, chain, of a file, free: frozen dataclasses in m and rad.
+"""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,8 +12,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats
-from rig.model.kinematics_file import KinematicsFile
-from rig.model.kinematics_file_checks import kinematics_of_source
+from rig.model.user_kinematics_file import KinematicsFile
+from rig.model.user_kinematics_file_checks import kinematics_of_source
 
 
 def _array(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> Floats:
@@ -24,7 +27,11 @@ def _array(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> Floats
 
 
 def freeze_array(instance: object, name: str, shape: tuple[int | None, ...]) -> None:
-    """Freeze an array field of a dataclass instance: read-only floats of a shape. Raises ValueError otherwise."""
+    """Freeze an array field of a dataclass instance.
+
+    Read-only floats of a shape.
+    Raises ValueError otherwise.
+    """
     object.__setattr__(instance, name, _array(getattr(instance, name), shape, name))
 
 

@@ -1,4 +1,4 @@
-"""Certification of an arm's calibration: fit to all samples, errors from stretches held out in turn."""
+"""Certification of an arm's calibration by stretches held out in turn."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -57,7 +57,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Instrument
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import FILL, sobol_configurations
+from rig.planning.configuration_generators import FILL, sobol_configurations
 
 STRETCHES = 30  # in time; every third is held out at once, so a third of the samples, and each sample once
 PARTS = 3

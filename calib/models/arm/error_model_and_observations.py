@@ -1,4 +1,6 @@
-"""Error model of an arm: independent parameters, pose Jacobians, and observations by an instrument.
+"""Error model of an arm, and observations by an instrument.
+
+Independent parameters and pose Jacobians.
 
 Parameters stand in one vector of 12 + 5 n: the base (where the arm stands in the instrument's frame; tangent x y z rx
 ry rz on the right, m and rad), then theta, d, a, alpha, beta of every row (rad, m, m, rad, rad), then the tool (where
@@ -21,7 +23,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.model.base_tilt import TiltReadings
+from rig.model.base_and_link_tilts import TiltReadings
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import direction_difference, exp, pose, pose_difference, skew
@@ -31,7 +33,10 @@ TANGENT = ("x", "y", "z", "rx", "ry", "rz")
 
 
 def joint_zeros(arm: Arm) -> Floats:
-    """Joint zeros (n,) rad, m for slides: the offset of each joint's value in its row, theta or d."""
+    """Joint zeros (n,) rad, m for slides.
+
+    The offset of each joint's value in its row, theta or d.
+    """
     return np.where(arm.slides, arm.rows[:, 1], arm.rows[:, 0])
 
 
@@ -62,23 +67,33 @@ def arm_with_parameter_step(arm: Arm, step: Floats) -> Arm:
 
 
 def predicted_target_poses(q: Floats, arm: Arm) -> RigidTransform:
-    """Predicted poses (...) of the instrument's target in the instrument's frame, at joint values q (..., n)."""
+    """Predicted poses (...) of the instrument's target in the instrument's frame.
+
+    At joint values q (..., n).
+    """
     return mechanism.forward(q, arm)
 
 
 def pose_residuals(q: Floats, T_measured: RigidTransform, arm: Arm) -> Floats:
-    """Pose residuals (..., 6) m, rad: measured against predicted, in the predicted target frame."""
+    """Pose residuals (..., 6) m, rad.
+
+    Measured against predicted, in the predicted target frame.
+    """
     return pose_difference(predicted_target_poses(q, arm), T_measured)
 
 
 def joint_jacobian(q: Floats, arm: Arm) -> Floats:
-    """Joint Jacobian (..., 6, n): change of the target's pose (m, rad) with joint values q (..., n)."""
+    """Joint Jacobian (..., 6, n).
+
+    Change of the target's pose (m, rad) with joint values q (..., n).
+    """
     return mechanism.jacobian(q, arm)
 
 
 def parameter_jacobian(q: Floats, arm: Arm) -> Floats:
-    """Parameter Jacobian (..., 6, 12 + 5 n): change of the target's pose (m, rad) with the parameters.
+    """Parameter Jacobian (..., 6, 12 + 5 n).
 
+    Change of the target's pose (m, rad) with the parameters.
     q : (..., n) rad or m. At the tool the columns are the identity; all others are axis x lever over axis, seen in the
         target.
     """
@@ -204,7 +219,10 @@ def observation_jacobian(kind: str, pose_jacobian: Floats, q: Floats, arm: Arm) 
 
 
 def sample_observations(samples: Samples) -> Observations:
-    """Observations of Samples: whole poses, or the part of them that was measured, with what tilt sensors showed."""
+    """Observations of Samples.
+
+    Whole poses, or the part of them that was measured, with what tilt sensors showed.
+    """
     return replace(_instrument_observations(samples), tilts=samples.tilts)
 
 
@@ -228,12 +246,18 @@ def _instrument_observations(samples: Samples) -> Observations:
 
 
 def pose_observations(samples: Samples) -> Observations:
-    """Pose observations of Samples: whole poses, with their covariance and common errors."""
+    """Pose observations of Samples.
+
+    Whole poses, with their covariance and common errors.
+    """
     return Observations("pose", samples.effective, samples.T_base_platform, samples.covariance, samples.common)
 
 
 def position_observations(q: Floats, positions: Floats, sigma: float | Floats) -> Observations:
-    """Position observations: the target's positions (m, 3) m at joint angles q (m, n)."""
+    """Position observations.
+
+    The target's positions (m, 3) m at joint angles q (m, n).
+    """
     variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
     return Observations(
         "position", np.asarray(q, float), np.asarray(positions, float), variance * np.eye(3), np.zeros((len(q), 3, 0))
@@ -241,7 +265,10 @@ def position_observations(q: Floats, positions: Floats, sigma: float | Floats) -
 
 
 def orientation_observations(q: Floats, orientations: RigidTransform, sigma: float | Floats) -> Observations:
-    """Orientation observations: rotations (m,) of the target at joint angles q (m, n); sigma (rad) about each axis."""
+    """Orientation observations.
+
+    Rotations (m,) of the target at joint angles q (m, n); sigma (rad) about each axis.
+    """
     variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
     return Observations(
         "orientation", np.asarray(q, float), orientations, variance * np.eye(3), np.zeros((len(q), 3, 0))
@@ -249,13 +276,19 @@ def orientation_observations(q: Floats, orientations: RigidTransform, sigma: flo
 
 
 def direction_observations(q: Floats, pointing: RigidTransform, sigma: float | Floats) -> Observations:
-    """Direction observations: poses (m,) whose z axes the target's points along at q (m, n); sigma (rad) across it."""
+    """Direction observations.
+
+    Poses (m,) whose z axes the target's points along at q (m, n); sigma (rad) across it.
+    """
     variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
     return Observations("direction", np.asarray(q, float), pointing, variance * np.eye(2), np.zeros((len(q), 2, 0)))
 
 
 def distance_observations(q: Floats, distances: Floats, sigma: float | Floats) -> Observations:
-    """Distance observations: a drawn wire's lengths (m,) m at joint angles q (m, n)."""
+    """Distance observations.
+
+    A drawn wire's lengths (m,) m at joint angles q (m, n).
+    """
     variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
     return Observations(
         "distance", np.asarray(q, float), np.asarray(distances, float), np.array(variance), np.zeros((len(q), 1, 0))
@@ -294,7 +327,9 @@ class Rank:
 
 
 def parameter_rank(B: Floats, free: Booleans, names: tuple[str, ...], units: tuple[str, ...]) -> Rank:
-    """Rank of the parameter columns B (rows, p), whitened, of the requested parameters: free (p,) bool.
+    """Rank of the parameter columns B (rows, p), whitened, of the requested parameters.
+
+    Free (p,) bool.
 
     A column is dependent where, those before it given, the data leave its parameter less certain than PLAUSIBLE: a
     plain zero of the pivoted QR, but also a direction in which only rounding or noise would be fitted.
@@ -350,7 +385,10 @@ def generally_independent_parameters(arm: Arm, kind: str) -> Booleans:
 
 
 def is_next_axis_near_parallel(arm: Arm) -> Booleans:
-    """Whether (n,) the next axis is near parallel to each row's axis, so that beta (Hayati) replaces d."""
+    """Whether (n,) the next axis is near parallel to each row's axis.
+
+    So that beta (Hayati) replaces d.
+    """
     return np.asarray(np.abs(np.cos(arm.rows[:, 3]) * np.cos(arm.rows[:, 4])) > PARALLEL)
 
 

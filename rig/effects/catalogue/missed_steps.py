@@ -1,4 +1,7 @@
-"""Missed steps: from one moment on, an axis is off by whole motor steps."""
+"""Missed steps of an axis' motor.
+
+From one moment on, the axis is off by whole motor steps.
+"""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
