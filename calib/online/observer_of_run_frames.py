@@ -18,11 +18,12 @@ from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import D
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import RecordedFrame
-from rig.driving.run_journal_and_recording import (
+from rig.driving.run_journal import (
     CameraExposures,
     Departure,
     Ended,
     Exposed,
+    PositionReports,
     PositionUnknown,
     Readings,
     Remark,
@@ -57,7 +58,7 @@ class MeasuredFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What displays show. phase : in words; frame, frames, step, steps : how far; left : s; lengths, goal : (axes,) m
+    """What displays show. phase : in words; frame, frames, step, steps : how far, frames 0 where nobody knows how many there will be; left : s; lengths, goal : (axes,) m
     ranges : (axes, 2) m; alarms : the latest; seen : the latest Seen, None before the first; ended : why, None while it
         goes."""
 
@@ -141,7 +142,8 @@ class RunObserver:
         self._waiting: list[Alarm] = []  # jumps that vision has not confirmed
         self._begun, self._done, self._way = clock.now(), 0, step_distances(planned, start)
         speed = design.controller.max_speed.min() if design.controller else np.inf
-        self._travel, self._planned = self._way / speed, planned
+        speeds = np.array([speed if step.speed is None else step.speed for step in planned])
+        self._travel, self._planned = self._way / speeds, planned
         frames = sum(step.frames for step in planned)
         self.view = View(
             "starting",
@@ -173,9 +175,11 @@ class RunObserver:
                 left=self._left(row.step),
             )
         elif isinstance(row, Exposed):
-            self.update(phase="exposed", frame=row.frame + 1)
+            self.update(phase="exposing in motion" if row.times else "exposed", frame=row.frame + 1)
         elif isinstance(row, Resumed):
             self.update(phase=row.found, lengths=np.array(row.position))
+        elif isinstance(row, PositionReports):
+            self.update(lengths=np.array(row.positions[-1]))
         elif isinstance(row, Remark | CameraExposures | PositionUnknown):
             return  # alarms are shown as such, and the end says why
         elif isinstance(row, Ended):
@@ -191,6 +195,10 @@ class RunObserver:
         """A frame is on disk: it is measured while the run goes on."""
         if self._live is not None or self.source is not None:
             self._queue.put((shot, self._read))
+
+    def ignore_limbs(self) -> None:
+        """Compare no limbs with vision: in motion they are not read at the moment of the exposure."""
+        self._limbs = None
 
     def stop(self) -> str:
         """Why the run should stop."""

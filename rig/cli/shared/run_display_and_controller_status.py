@@ -62,7 +62,7 @@ class PlainLineDisplay:
         """A line for a new phase, a new pose, a new alarm."""
         if view.phase != self._phase and not view.phase.startswith(("settling", "exposed")):
             left = f", {_minutes_and_seconds(view.left)} left" if np.isfinite(view.left) and view.left > 0 else ""
-            self._print(f"[{view.frame}/{view.frames}] {view.phase}{left}")
+            self._print(f"[{view.frame}{f'/{view.frames}' if view.frames else ''}] {view.phase}{left}")
         self._phase = view.phase
         if view.seen is not None and view.seen is not self._seen:
             self._seen = view.seen
@@ -100,7 +100,8 @@ class TerminalBlockDisplay:
 def run_view_lines(view: View) -> list[str]:
     """Lines of a run's view (RunView) for the terminal: progress, strut bars, latest pose, alarms."""
     left = f", {_minutes_and_seconds(view.left)} left" if np.isfinite(view.left) and view.left > 0 else ""
-    lines = [f"frame {view.frame} of {view.frames}, step {view.step} of {view.steps}{left}", view.phase]
+    frames = f"frame {view.frame} of {view.frames}" if view.frames else f"{view.frame} frames in motion"
+    lines = [f"{frames}, step {view.step} of {view.steps}{left}", view.phase]
     for i, (length, goal, (low, high)) in enumerate(zip(view.lengths, view.goal, view.ranges), 1):
         at, to = (int(np.clip((value - low) / (high - low), 0, 1) * (WIDTH - 1)) for value in (length, goal))
         bar = "".join("#" if k == at else "+" if k == to else "-" for k in range(WIDTH))

@@ -20,7 +20,7 @@ from rig.cli.shared.run_display_and_controller_status import PlainLineDisplay, T
 from rig.driving.cameras.camera_interface_and_grabbing import Frame
 from rig.driving.clock import SimulatedClock
 from rig.driving.move_and_record_loop import RecordedFrame
-from rig.driving.run_journal_and_recording import Departure, Ended, Exposed, Readings
+from rig.driving.run_journal import Departure, Ended, Exposed, Readings
 from rig.driving.run_steps_and_progress import steps_of_plan
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
