@@ -63,6 +63,8 @@ class Measurement(OneLineRepr):
     adjustment : the last Adjustment, for its shared unknowns
     stages : {number (from 1): Measurement} of a chain's stages below the last that carry targets, of T_base_stage;
         common has the same draws
+    to_frame_time : (n, 2) px by which corners would lie elsewhere had all cameras exposed at their frame's time, None
+        where they did
     """
 
     design: Design
@@ -80,6 +82,7 @@ class Measurement(OneLineRepr):
     factor: float
     adjustment: Adjustment
     stages: dict[int, Measurement] = field(default_factory=dict)
+    to_frame_time: Floats | None = None
 
     def __str__(self) -> str:
         return f"{len(self.frames)} of {len(self.frames) + len(self.unsolved)} frames solved"

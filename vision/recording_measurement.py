@@ -27,7 +27,7 @@ from vision.predict import MarkerMap, marker_map
 from vision.reading.corner_refit_with_adjusted_lenses import ROUNDS, SETTLED, largest_lens_difference, refit_corners
 from vision.reading.marker_identity_mistakes_found_against_rig_toml import LOOKED_AT, no_marker_reason
 from vision.reading.recording_corners import Collected, collect_corners, image_reader, search_missed_markers
-from vision.readout_motion import Rates
+from vision.readout_motion import Rates, ReadoutMotion
 from vision.recording_adjustment import (
     Measurement,
     has_hand_cameras,
@@ -144,7 +144,7 @@ def _measured(
     if places not in PLACES:
         raise ValueError(f"places takes {PLACES}, got {places!r}")
     frames, t = recording.exposures.times()
-    markers = marker_map(design)
+    markers, motion = marker_map(design), None if rates is None else ReadoutMotion(recording, rates)
 
     def said(label: str) -> Callable[[int, int], None] | None:
         return (lambda done, of: progress(label, done, of)) if progress else None
@@ -155,10 +155,9 @@ def _measured(
         if look:
             look(corners)
         observed = observations_from_corners(corners, frames, design, markers, correlation)
-        if rates is None or markers.stage.any():  # of a chain's stages only the last has rates
+        if motion is None or markers.stage.any():  # of a chain's stages only the last has rates
             return adjusted(observed)
-        moved = readout_motion.observations_with_readout_motion(observed, design, rates)
-        return readout_motion.with_uncertainty_of_rates(adjusted(moved), rates)
+        return motion.measured(observed, adjusted)
 
     def adjusted(observed: Observations) -> Measurement:
         loose = is_on_remounted_cube(observed, design, markers)

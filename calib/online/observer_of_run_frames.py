@@ -58,8 +58,9 @@ class MeasuredFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What displays show. phase : in words; frame, frames, step, steps : how far, frames 0 where nobody knows how many there will be; left : s; lengths, goal : (axes,) m
-    ranges : (axes, 2) m; alarms : the latest; seen : the latest Seen, None before the first; ended : why, None while it
+    """What displays show. phase : in words; frame, frames, step, steps : how far; left : s; lengths, goal : (axes,) m
+    ranges : (axes, 2) m; alarms : the latest; seen : the latest Seen, None before the first;
+        frames is 0 where nobody knows how many there will be; ended : why, None while it
         goes."""
 
     phase: str

@@ -122,7 +122,7 @@ class RunOptions:
         if not self.uses_cameras(design):
             raise RigError("--in-motion exposes cameras during the moves, and this run has none")
         if any(camera.mount == "hand" for camera in design.cameras):
-            raise RigError("--in-motion takes cameras that stand; a camera that the platform carries is exposed at rest")
+            raise RigError("--in-motion takes cameras that stand; one that the platform carries is exposed at rest")
         if self.calibration is not None or self.limbs is not None or self.stop_on & {"jump", "drift", "limbs"}:
             raise RigError(
                 "in motion the clocks of cameras and controller must be known before a pose says anything of the "

@@ -51,8 +51,8 @@ def arguments(parser: ArgumentParser) -> None:
         "--in-motion",
         metavar="MM/S",
         type=parse_number,
-        help="expose during the moves, at this speed of the strut that moves most; the plan's places are passed without "
-        "waiting, and rig measure and rig calibrate find by how much the clocks of cameras and controller differ",
+        help="expose during the moves, at this speed of the strut that moves most; the plan's places are passed "
+        "without waiting; rig measure and rig calibrate find by how much the clocks of cameras and controller differ",
     )
     parser.add_argument(
         "--interval",

@@ -39,7 +39,9 @@ def profile_of_reports(start: Floats, goal: Floats, reports: Sequence[PositionRe
     way = goal - start
     busiest = float(np.abs(way).max())
     t, width = np.array([r.t for r in reports]), np.array([r.answered - r.requested for r in reports])
-    share = np.array([r.lengths - start for r in reports]).reshape(len(reports), -1) @ way / max(float(way @ way), 1e-30)
+    share = (
+        np.array([r.lengths - start for r in reports]).reshape(len(reports), -1) @ way / max(float(way @ way), 1e-30)
+    )
     passing = (share > 1e-3) & (share < 1 - 1e-3)
     if busiest == 0 or passing.sum() < FEWEST:
         return FittedProfile((), None)

@@ -92,9 +92,7 @@ class GrowingRecording:
                     "frames.csv",
                     "".join(
                         f"{row.frame},{t:.6f},{camera},{image}\n"
-                        for t, camera, image in zip(
-                            row.times or (row.t,) * len(row.cameras), row.cameras, row.images
-                        )
+                        for t, camera, image in zip(row.times or (row.t,) * len(row.cameras), row.cameras, row.images)
                     ),
                 ),
             ]

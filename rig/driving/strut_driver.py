@@ -198,8 +198,8 @@ class Driver:
         read-back agrees.
 
         speed : m/s of the strut that moves most, in place of a share; report : takes every read-back on the way
-        Raises ValueError for a speed that a strut may not have, Unreachable before anything moves; PositionLost, ControllerFault, Stalled, LinkLost, NoAnswer, Stopped
-        with the struts stopped. Nothing is clipped.
+        Raises ValueError for a speed that a strut may not have, Unreachable before anything moves; PositionLost,
+        ControllerFault, Stalled, LinkLost, NoAnswer, Stopped with the struts stopped. Nothing is clipped.
         """
         if not 0 < share <= 1:
             raise ValueError(f"share must be above 0 and at most 1, got {share}")
@@ -264,11 +264,7 @@ class Driver:
         raise Stalled(f"sent {TRIES} times, and nothing moved: {verdict.reason}")
 
     def _watch(
-        self,
-        start: Floats,
-        target: Floats,
-        verdict: Verdict,
-        report: Callable[[PositionReport], None] | None,
+        self, start: Floats, target: Floats, verdict: Verdict, report: Callable[[PositionReport], None] | None
     ) -> bool:
         """True when the struts have arrived, False when they never began and no answer came."""
         if verdict.accepted is False:
