@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_and_json_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers, Json
 from rig.effects.framework.machine_motion_and_play import Path, lagged_path
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod
@@ -55,6 +55,18 @@ class Clocks:
     moving: int
     speed: float
     frames: tuple[int, int]
+
+    def tree(self) -> Json:
+        """As JSON has it; null for a lag that is not determined by itself."""
+        return {
+            "frames": list(self.frames),
+            "moving": self.moving,
+            "speed_m_per_s": self.speed,
+            "offset_s": self.offset,
+            "offset_sigma_s": self.offset_sigma,
+            "lag_s": self.lag,
+            "lag_sigma_s": self.lag_sigma if np.isfinite(self.lag_sigma) else None,
+        }
 
     def __str__(self) -> str:
         late = "late" if self.offset < 0 else "early"

@@ -27,6 +27,7 @@ from rig.report.verdict_and_refutations_by_later_recordings import (
 from vision.bundle.adjustment_validation_and_determinacy import DeterminedUnknowns, HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places, adjusted_markers
 from vision.bundle.unknown_priors import stated_lens_prior_sigmas
+from vision.clocks_of_moving_exposures import Clocks
 from vision.reading.marker_identity_mistakes_found_against_rig_toml import Suspect
 from vision.reading.recording_corners import Collected
 from vision.recording_adjustment import Measurement
@@ -42,7 +43,8 @@ class MeasurementResult(OneLineRepr):
     """What there is to say of a measurement. collected : what its images gave, or None; held : of frames held out;
     places : vision Places where markers' stated places were adjusted, else None; statement : lines on what the
     recording determines; suspects : markers that are not as in rig.toml
-    determination : the combinations of unknowns that the recording determines, or None"""
+    determination : the combinations of unknowns that the recording determines, or None; clocks : of cameras and
+    commands, of each recording with enough exposures in motion"""
 
     recording: Recording
     measurement: Measurement
@@ -52,6 +54,7 @@ class MeasurementResult(OneLineRepr):
     statement: Sequence[str] = ()
     suspects: Sequence[Suspect] = ()
     determination: DeterminedUnknowns | None = None
+    clocks: tuple[Clocks, ...] = ()
 
     @property
     def uncertainty(self) -> tuple[float, float]:
@@ -122,6 +125,7 @@ class MeasurementResult(OneLineRepr):
             if not isinstance(self.held, NotHeldOut)
             else None,
             "cameras": cameras,
+            "clocks": [one.tree() for one in self.clocks],
             "verdict": self.verdict.tree(),
         }
 

@@ -63,8 +63,7 @@ class Measurement(OneLineRepr):
     adjustment : the last Adjustment, for its shared unknowns
     stages : {number (from 1): Measurement} of a chain's stages below the last that carry targets, of T_base_stage;
         common has the same draws
-    to_frame_time : (n, 2) px by which corners would lie elsewhere had all cameras exposed at their frame's time, None
-        where they did
+    to_frame_time : (n, 2) px by which corners would lie elsewhere had all cameras exposed at once, None where they did
     """
 
     design: Design

@@ -39,6 +39,8 @@ def print_measurement(result: MeasurementResult) -> None:
     if result.places:
         _print_places(result.places)
     _print_cameras(result)
+    for clocks in result.clocks:
+        print(clocks)
     if result.determination is not None:
         print(result.determination.summary())
 
@@ -149,6 +151,8 @@ def print_calibration_verdict_errors_and_corrections(result: CalibrationResult) 
         print("\n".join(done.found.report()))
     else:
         _print_struts(done, result.calibration.physics)
+    for clocks in result.clocks:
+        print(f"taken into account: {clocks}")
     _print_pose_counts(result)
 
 
