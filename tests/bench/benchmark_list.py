@@ -10,6 +10,7 @@ from tests.bench import (
     diagnosis,
     driving,
     edge_fit_width,
+    exposures_in_motion,
     false_findings,
     formula_search,
     forward_kinematics,
@@ -63,4 +64,5 @@ NAMED = {
     "accusations": accusations,
     "masks": masks,
     "false_findings": false_findings,
+    "motion": exposures_in_motion,
 }  # minutes: only where they are named
