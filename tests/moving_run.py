@@ -8,7 +8,6 @@ import numpy as np
 
 from tests.truth.case import Case, draw
 from tests.truth.eyes import BETWEEN, Eyes
-from tests.truth.motion import Conditions
 from tests.truth.sights import Rolling
 from tests.truth.written import rig_toml
 
@@ -20,7 +19,7 @@ port = "{port}"
 max_speed = {speed}
 max_acceleration = {acceleration}
 """
-CAMERA = '''"""A camera that waits, exposes, and stamps its images by a clock that is late; it notes when it truly exposed."""
+CAMERA = '''"""A camera that waits, exposes, and stamps images by a late clock; it notes when it truly exposed."""
 
 import time
 
@@ -65,15 +64,10 @@ def corners_seen(
         sight = Rolling(ROW_TIME if rolling else 0.0)
         eyes = Eyes((camera,), (camera,), case.eyes.cubes, case.eyes.sigma, sight)
         around = tuple(case.machine.forward(lengths_at(t[:, i] + late)) for late in (-BETWEEN, 0.0, BETWEEN))
-        seen = eyes.corners(t[:, i], around, still(case), rng)
+        seen = eyes.corners(t[:, i], around, case.day, rng)
         seen[:, 1] = i
         rows.append(seen)
     return np.concatenate(rows)
-
-
-def still(case: Case) -> Conditions:
-    """Conditions of the case, of which its cameras' zoom takes none."""
-    return case.day
 
 
 def write_corners(case: Case, folder: Path, rows: np.ndarray) -> None:

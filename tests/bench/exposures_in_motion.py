@@ -1,4 +1,4 @@
-"""Exposed in motion at 20 mm/s: are poses and calibration as good as of the same poses standing, and is the time offset found?
+"""Exposures in motion at 20 mm/s: are poses and calibration as good as at rest, and is the time offset found?
 
 An emulated controller and `rig run --in-motion` in processes of their own, three free-running cameras whose stamps are
 late by 7.3 ms, corners seen by tests.truth at each camera's and each row's own time.
