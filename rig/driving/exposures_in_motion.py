@@ -7,11 +7,13 @@ from types import TracebackType
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving.cameras.camera_interface_and_grabbing import Frame, SynchronisedCameras
+from rig.driving.cameras.camera_interface_and_grabbing import CameraError, Frame, SynchronisedCameras
 from rig.driving.clock import Clock
 from rig.driving.controller_status_and_operator_advice import PositionReport
 from rig.driving.run_journal import PositionReports
+from rig.recording.exposure_table import ONE_FRAME
 
+ACCIDENTS = 4  # frames in a row
 LOOK = 0.005  # s between looks at whether the move is over, and whether a report has come
 
 
@@ -20,6 +22,7 @@ class FramesDuringMove:
 
     shutter : all cameras; interval : s from one exposure to the next, at least
     keep : takes ({camera: Frame}, reports that it was not given before), from that thread; halt : stops the axes
+    remark : takes a line on a frame that was not kept
     reports : PositionReports of the move so far
     Leaving it raises what taking or keeping a frame raised; that stops the axes at once.
     """
@@ -31,10 +34,11 @@ class FramesDuringMove:
         interval: float,
         keep: Callable[[dict[str, Frame], list[PositionReport]], None],
         halt: Callable[[], object],
+        remark: Callable[[str], None],
     ) -> None:
         self.reports: list[PositionReport] = []
         self._shutter, self._clock, self._interval, self._keep, self._halt = shutter, clock, interval, keep, halt
-        self._written = 0
+        self._remark, self._written, self._apart = remark, 0, 0
         self._over, self._failed = threading.Event(), False
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._expose, daemon=True)
@@ -71,11 +75,27 @@ class FramesDuringMove:
                     continue
                 due = self._clock.now() + self._interval
                 frames = self._shutter.grab()
-                if self._is_covered(max(frame.t for frame in frames.values())):
+                if self._are_one_frame(frames) and self._is_covered(max(frame.t for frame in frames.values())):
                     self._keep(frames, self.unwritten())
         except BaseException as error:  # whatever it is ends the move, and the run with it
             self._error = error
             self._halt()
+
+    def _are_one_frame(self, frames: dict[str, Frame]) -> bool:
+        """Whether cameras exposed within the time that a frame may take. Raises CameraError where they did not so often
+        in a row that it is no accident.
+        """
+        first, *others = frames.items()
+        late = {name: frame.t - first[1].t for name, frame in others if abs(frame.t - first[1].t) > ONE_FRAME}
+        self._apart = self._apart + 1 if late else 0
+        if not late:
+            return True
+        text = ", ".join(f"{name} {seconds:+.3f} s" for name, seconds in late.items())
+        text = f"exposed more than {ONE_FRAME:g} s from {first[0]}: {text}"
+        if self._apart >= ACCIDENTS:
+            raise CameraError(f"{ACCIDENTS} frames in a row, {text}; such cameras cannot expose in motion together")
+        self._remark(f"a frame was not kept, as cameras {text}")
+        return False
 
     def _is_covered(self, t: float) -> bool:
         """Whether it is known where the axes were at t (s): by a later report, which is waited for, or as they stand

@@ -223,7 +223,7 @@ class RunOperator:
             self.watcher.seen(RecordedFrame(number, index, times[0], at, frames))
             number += 1
 
-        exposing = FramesDuringMove(bench.shutter, bench.clock, bench.interval, keep, bench.machine.stop)
+        exposing = FramesDuringMove(bench.shutter, bench.clock, bench.interval, keep, bench.machine.stop, self.remark)
         try:
             with exposing:
                 bench.machine.move(goal, speed=speed, report=exposing.report)

@@ -1,11 +1,12 @@
 """Runs that expose during the moves: what commands.csv and frames.csv say, what is kept, stopped and resumed."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from rig.driving.run_journal import Departure, Ended, Exposed, PositionReports, Resumed, read_journal
+from rig.driving.run_journal import Departure, Ended, Exposed, PositionReports, Remark, Resumed, read_journal
 from rig.errors import RigError, Stopped
 from rig.recording import recording_folder
 from tests.emulated_run import RigInThread
@@ -85,6 +86,25 @@ def test_a_camera_that_fails_stops_the_struts_in_the_move(made, tmp_path, monkey
     exposed = [row.frame for row in rows(tmp_path / "rec") if isinstance(row, Exposed)]
     assert exposed == list(range(len(exposed))), "frames go on in number"
     recording_folder.load_recording(tmp_path / "rec")
+
+
+def test_cameras_that_expose_too_far_apart_make_no_frame(made, tmp_path, monkeypatch):
+    from rig.driving.cameras.camera_interface_and_grabbing import CameraError, SynchronisedCameras
+
+    grab, apart = SynchronisedCameras.grab, [0.0, 0.2, 0.0]
+
+    def two(self):
+        (frame,) = grab(self).values()
+        late = replace(frame, t=frame.t + (apart.pop(0) if len(apart) > 1 else apart[0]))
+        return {"cam0": frame, "cam1": late}
+
+    monkeypatch.setattr(SynchronisedCameras, "grab", two)
+    moving(made, tmp_path / "rec")
+    remarks = [row.text for row in rows(tmp_path / "rec") if isinstance(row, Remark)]
+    assert sum("not kept, as cameras exposed more than 0.1 s from cam0: cam1 +0.200 s" in text for text in remarks) == 1
+    apart[:] = [-0.3]
+    with pytest.raises(CameraError, match="4 frames in a row.* cannot expose in motion together"):
+        moving(made, tmp_path / "apart")
 
 
 def test_it_can_be_stopped_in_the_move(made, tmp_path):
