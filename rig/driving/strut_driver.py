@@ -22,9 +22,9 @@ from rig.driving.controller_status_and_operator_advice import (
     PositionReport,
     operator_advice,
 )
+from rig.driving.port_opening import open_port
 from rig.driving.protocols.protocol_interface import Dialogue, Segment, State, Verdict
 from rig.driving.request_and_answer_exchange_with_controller import Link, Port
-from rig.driving.serial_port import SerialPort, find_usb_port
 from rig.driving.trapezoidal_move_profile_and_path_check import speed_share_of_move, straight_move_segment
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
 from rig.model import mechanisms
@@ -64,7 +64,7 @@ class Driver:
         self._protocol = protocols.protocol_of_controller(c, self.mechanism)
         self.link = Link(
             self._protocol,
-            opener or (lambda: SerialPort(find_usb_port(c.port, c.usb), c.baudrate, self.clock)),
+            opener or (lambda: open_port(c.port, c.usb, c.baudrate, self.clock)),
             self.clock,
             c.timeout,
             trace,

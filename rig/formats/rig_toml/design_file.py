@@ -16,7 +16,7 @@ from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_o
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_table
 from rig.model.base_tilt import ANGLE_UNITS, BaseTilt, TiltSensor
 from rig.model.calibration_board import parse_board
-from rig.model.controller_protocol_list_and_port_name_check import is_user_program, port_problem
+from rig.model.controller_protocol_list_and_port_name_check import is_motor_record, is_user_program, port_problem
 from rig.model.design import (
     DICTIONARIES,
     FACES,
@@ -144,10 +144,11 @@ def _controller(table: Entries, mechanism: Mechanism, actuator: Actuator) -> Con
     n = len(mechanism.axes)
     if not has_struts(mechanism):
         table.fail(f"[controller] drives struts; a mechanism of kind {mechanism.kind!r} has none")
-    axes = table.get("axes", [])
+    protocol = _protocol(table)
+    axes, fits = table.get("axes", []), is_motor_record if protocol == "epics" else str.isalnum
     if (
         not isinstance(axes, list)
-        or not all(isinstance(name, str) and name.isalnum() for name in axes)
+        or not all(isinstance(name, str) and fits(name) for name in axes)
         or len(set(axes)) not in (0, n)
     ):
         table.fail(f"{table.name('axes')} must list {n} different names, got {axes!r}", "axes", value=axes)
@@ -155,7 +156,8 @@ def _controller(table: Entries, mechanism: Mechanism, actuator: Actuator) -> Con
     speed = table.each("max_speed", n, actuator.max_speed or REQUIRED, above=0, most=100, unit="m/s")
     step = table.number("max_step", None, above=0, most=LARGEST_RIG, unit="m")
     home = table.each("home", n, None, above=0, most=LARGEST_RIG, unit="m (joint centre to joint centre)")
-    protocol = _protocol(table)
+    if protocol == "epics" and not axes:
+        table.fail(f"protocol epics takes {table.name('axes')}: the names of {n} motor records", "protocol")
     if protocol == "gcs-hexapod":
         if not is_hexapod(mechanism):
             table.fail(f"protocol gcs-hexapod drives a hexapod, not a mechanism of kind {mechanism.kind!r}", "protocol")
