@@ -150,6 +150,8 @@ class ChannelAccessPort:
     def _receive(self) -> None:
         try:
             data = self._socket.recv(MOST)
+            if hasattr(socket, "TCP_QUICKACK"):  # a server that waits for acknowledgements would answer 40 ms late
+                self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
         except OSError as error:
             raise LinkLost(f"{self._url}: connection lost: {error.strerror or error}") from None
         if not data:

@@ -13,6 +13,7 @@ from rig.driving.controller_limits import ControllerLimits
 from rig.driving.numbered_frames_with_checksum import encode_frame, last_valid_frame_in_line
 from rig.driving.protocols.own_strut_protocol import NUMBERS
 from rig.driving.protocols.protocol_interface import (
+    POLL,
     TRIES,
     Dialogue,
     Exchange,
@@ -22,6 +23,7 @@ from rig.driving.protocols.protocol_interface import (
     Verdict,
     await_homed,
     await_stopped,
+    pause_dialogue,
 )
 from rig.driving.urgent_stop import stop_of_motor_records
 from rig.errors import ControllerFault, NoAnswer
@@ -40,6 +42,7 @@ MAJOR = 2  # severity of an alarm, from which a motor is not moved
 GO = 3  # of SPMG
 HELD = {0: "Stop", 1: "Pause"}  # of SPMG
 STATE = ("RBV", "DMOV", "MSTA", "SEVR", "SPMG", "HOMF", "HOMR")
+LINGERS = 1.0  # s for which MSTA may still have what a homing clears
 EXACT = 1e-6  # share by which a figure may differ that a record reads back
 
 
@@ -98,8 +101,12 @@ class Epics:
 
     def home(self, timeout: float) -> Dialogue[Verdict]:
         everyone = np.ones(len(self.motors), bool)
-        self._homed = False
+        self._homed, before = False, (yield from self._state()).fault
         begun = yield from self._put("HOMF", 1.0 * everyone, everyone, tries=1, read_back=False)
+        for _ in range(int(LINGERS / POLL)):
+            if not before or (yield from self._state()).fault != before:
+                break
+            yield from pause_dialogue()
         return (yield from await_homed(begun, self.state, timeout))
 
     def stop(self) -> Dialogue[Verdict]:
