@@ -114,7 +114,7 @@ class EpicsMotors(Emulator):
         counters = self.machine.counters(self.now)
         target = counters.copy()
         target[at] = values / MM
-        self._violated = 1.0 * ((target < self.limits[:, 0] - 1e-9) | (target > self.limits[:, 1] + 1e-9))
+        self._violated[:] = 1.0 * ((target < self.limits[:, 0] - 1e-9) | (target > self.limits[:, 1] + 1e-9))
         refused = self._violated.any() or self.machine.fault(self.now) or (self._mode != GO).any() or self.machine.deaf
         if refused or not self.machine.homed and self.busy:
             return set()

@@ -41,7 +41,8 @@ SEVERITIES = ("no", "minor", "major", "invalid")
 MAJOR = 2  # severity of an alarm, from which a motor is not moved
 GO = 3  # of SPMG
 HELD = {0: "Stop", 1: "Pause"}  # of SPMG
-STATE = ("RBV", "DMOV", "MSTA", "SEVR", "SPMG", "HOMF", "HOMR")
+STATE = ("HOMF", "HOMR", "DMOV", "MSTA", "SEVR", "SPMG", "RBV")  # read in this order: what is final once the first
+# says that nothing goes on is read after it
 LINGERS = 1.0  # s for which MSTA may still have what a homing clears
 EXACT = 1e-6  # share by which a figure may differ that a record reads back
 
@@ -143,7 +144,7 @@ class Epics:
     def _state(self) -> Dialogue[State]:
         names = [f"{motor}.{field}" for motor in self.motors for field in STATE]
         values = np.array([float(word) for word in (yield from self._asked(names))]).reshape(len(self.motors), -1)
-        positions, done, status, severity, mode, forward, reverse = values.T
+        forward, reverse, done, status, severity, mode, positions = values.T
         bits = status.astype(int)
         faults = [
             f"{motor} {text}" for motor, word in zip(self.motors, bits) for bit, text in BITS.items() if word >> bit & 1

@@ -65,7 +65,7 @@ def protocol_of_controller(controller: Controller, mechanism: StrutMechanism) ->
             controller.enable_password,
         )
     if controller.protocol == "epics":
-        return Epics(controller.axes or tuple(f"m{i + 1}" for i in range(axis_count)))
+        return Epics(controller.axes)
     raise ValueError(f"no protocol {controller.protocol!r}")
 
 

@@ -1,5 +1,6 @@
 """EPICS motor records of a soft IOC in another process: moves, limits, stalls, stops, and an IOC that dies."""
 
+import re
 import socket
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from rig.driving.emulators.controller_emulator_opening_and_ports import home_len
 from rig.driving.numbered_frames_with_checksum import encode_frame, last_valid_frame_in_line
 from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.driving.strut_driver import Driver
-from rig.errors import ControllerFault, LinkLost, MissingLibrary, PositionLost, Stopped
+from rig.errors import ControllerFault, FileError, LinkLost, MissingLibrary, PositionLost, Stopped
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.cli import run
@@ -173,6 +174,12 @@ def test_an_ioc_that_dies_in_a_move_ends_it_and_nothing_is_believed_after(ioc, d
             later.move(home(later))
         later.home()
         later.move(home(later) + STEP)
+
+
+def test_a_controller_without_names_of_records_is_refused(path):
+    path.write_text(re.sub("^axes = .*$", "", path.read_text(), flags=re.MULTILINE))
+    with pytest.raises(FileError, match="protocol epics takes .*axes: the names of 6 motor records"):
+        design_file.load_design(path)
 
 
 def test_what_is_no_motor_record_or_not_there_is_named(ioc, path):
