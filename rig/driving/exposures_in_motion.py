@@ -7,9 +7,9 @@ from types import TracebackType
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving.cameras.camera_interface_and_grabbing import CameraError, Frame, SynchronisedCameras
+from rig.driving.cameras.camera_interface_and_synchronised_grabbing import CameraError, Frame, SynchronisedCameras
 from rig.driving.clock import Clock
-from rig.driving.controller_status_and_operator_advice import PositionReport
+from rig.driving.controller_status_and_limits import PositionReport
 from rig.driving.run_journal import PositionReports
 from rig.recording.exposure_table import ONE_FRAME
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from rig.array_and_json_types import Floats
-from rig.driving.controller_status_and_operator_advice import PositionReport
+from rig.driving.controller_status_and_limits import PositionReport
 from rig.driving.trapezoidal_move_profile_and_path_check import Way, trapezoidal_profile
 
 FEWEST = 8  # reports in motion from which a profile is fitted

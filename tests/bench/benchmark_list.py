@@ -25,6 +25,7 @@ from tests.bench import (
     physics,
     recordings_and_renders,
     scale,
+    several_faults,
     simulated_images_loop,
     tour,
     truth,
@@ -65,4 +66,5 @@ NAMED = {
     "masks": masks,
     "false_findings": false_findings,
     "motion": exposures_in_motion,
+    "several_faults": several_faults,
 }  # minutes: only where they are named

@@ -9,7 +9,8 @@ from urllib.parse import unquote
 import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats
-from rig.driving.controller_limits import ControllerLimits
+from rig.driving.controller_address_and_urgent_stop import stop_of_motor_records
+from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.driving.numbered_frames_with_checksum import encode_frame, last_valid_frame_in_line
 from rig.driving.protocols.own_strut_protocol import NUMBERS
 from rig.driving.protocols.protocol_interface import (
@@ -25,7 +26,6 @@ from rig.driving.protocols.protocol_interface import (
     await_stopped,
     pause_dialogue,
 )
-from rig.driving.urgent_stop import stop_of_motor_records
 from rig.errors import ControllerFault, NoAnswer
 
 UNITS = {"m": 1.0, "cm": 1e2, "mm": 1e3, "um": 1e6, "micron": 1e6, "microns": 1e6, "nm": 1e9}  # in a metre

@@ -4,7 +4,8 @@ import re
 
 import numpy as np
 
-from rig.driving.controller_limits import ControllerLimits
+from rig.driving.controller_address_and_urgent_stop import STOPS
+from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.driving.numbered_frames_with_checksum import Frame, encode_frame, last_valid_frame_in_line
 from rig.driving.protocols.protocol_interface import (
     TRIES,
@@ -17,7 +18,6 @@ from rig.driving.protocols.protocol_interface import (
     await_homed,
     await_stopped,
 )
-from rig.driving.urgent_stop import STOPS
 from rig.errors import ControllerFault, NoAnswer
 
 NM = 1e9

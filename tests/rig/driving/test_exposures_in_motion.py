@@ -61,7 +61,7 @@ def test_a_frame_is_written_after_a_report_that_follows_it(made, tmp_path):
 
 
 def test_a_camera_that_fails_stops_the_struts_in_the_move(made, tmp_path, monkeypatch):
-    from rig.driving.cameras.camera_interface_and_grabbing import CameraError, SynchronisedCameras
+    from rig.driving.cameras.camera_interface_and_synchronised_grabbing import CameraError, SynchronisedCameras
 
     grab, count = SynchronisedCameras.grab, 0
 
@@ -89,7 +89,7 @@ def test_a_camera_that_fails_stops_the_struts_in_the_move(made, tmp_path, monkey
 
 
 def test_cameras_that_expose_too_far_apart_make_no_frame(made, tmp_path, monkeypatch):
-    from rig.driving.cameras.camera_interface_and_grabbing import CameraError, SynchronisedCameras
+    from rig.driving.cameras.camera_interface_and_synchronised_grabbing import CameraError, SynchronisedCameras
 
     grab, apart = SynchronisedCameras.grab, [0.0, 0.2, 0.0]
 
