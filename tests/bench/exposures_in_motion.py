@@ -44,8 +44,9 @@ RIG = [sys.executable, "-c", "from rig.cli.command_line import main; import sys;
 
 @dataclass(frozen=True)
 class Outcome:
-    """poses : how many; minutes : of the run; measured, reached : ((m, rad) in motion, (m, rad) standing), RMS errors of
-    poses measured and of poses reached by the calibration at other places; offset, sigma, wanted : s, found, stated, true
+    """poses : how many; minutes : of the run; measured, reached : ((m, rad) in motion, (m, rad) standing), RMS errors
+    of poses measured, and of poses reached by the calibration at other places; offset, sigma, wanted : s, found,
+    stated, true
     """
 
     poses: int
