@@ -9,7 +9,7 @@ from threading import Thread
 
 import numpy as np
 
-from calib.online.observer_of_run_frames import RunDisplay, RunObserver, RunStop
+from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_options_cameras_sensors_and_observer import RunOptions as RunOptions
 from calib.online.run_options_cameras_sensors_and_observer import (
     compile_kernels_for_run,
@@ -18,6 +18,7 @@ from calib.online.run_options_cameras_sensors_and_observer import (
     run_observer,
     set_exposures,
 )
+from calib.online.run_state import RunDisplay
 from rig.array_and_json_types import Floats
 from rig.driving import trapezoidal_move_profile_and_path_check
 from rig.driving.cameras.camera_interface_and_synchronised_grabbing import SynchronisedCameras
