@@ -15,7 +15,7 @@ from vision.checks.recording_refusal_and_cube_layout_remarks import (
     refuse_spoilt_files,
 )
 from vision.clocks_of_moving_exposures import clocks_of_recording
-from vision.measurement_result import MeasurementResult
+from vision.measurement_result import MeasurementResult, camera_offset_lines
 from vision.predict import marker_map
 from vision.reading.marker_identity_mistakes import find_suspicious_markers
 from vision.reading.recording_corners import image_reader
@@ -88,5 +88,5 @@ def measure(
     wrong = find_suspicious_markers(as_seen, marker_map(seen.design), collected.repeated if collected else (), read)
     own = measured.covariance - measured.common @ np.swapaxes(measured.common, 1, 2)
     clocks = clocks_of_recording(recording, measured.frames, measured.T_base_platform, own, measured.common)
-    statement = [*map(str, clocks), *determination.lines()]
+    statement = [*map(str, clocks), *camera_offset_lines(measured), *determination.lines()]
     return MeasurementResult(recording, measured, held, collected, moved, statement, wrong, determination, clocks)

@@ -119,9 +119,23 @@ class MeasurementResult(OneLineRepr):
             if not isinstance(self.held, NotHeldOut)
             else None,
             "cameras": cameras,
+            "camera_offsets_s": list(m.camera_offsets),
             "clocks": [one.tree() for one in self.clocks],
             "verdict": self.verdict.tree(),
         }
+
+
+def camera_offset_lines(measured: Measurement) -> list[str]:
+    """A line for each camera that was found to expose at other moments than its times say."""
+    names, lines = [camera.name for camera in measured.design.cameras], []
+    for name, offset in zip(names, measured.camera_offsets):
+        if offset:
+            side = "later" if offset > 0 else "earlier"
+            lines.append(
+                f"camera {name!r} exposes {abs(offset) * 1e3:.3f} ms {side} than its times say, relative to "
+                f"{names[0]!r}; this is taken into account"
+            )
+    return lines
 
 
 def focal_length_alarms(stated: Sequence[Camera], adjusted: Sequence[Camera]) -> list[str]:

@@ -59,11 +59,26 @@ def test_poses_and_clocks_of_a_machine_that_moves(moving):
     exposures = recording.exposures
     at_once = replace(exposures, t=exposures.times()[1][exposures.frame])
     alike, _ = measure_recording(replace(recording, exposures=at_once))
-    wrong = rigid.rms(rigid.errors(alike.T_base_platform.as_matrix(), truth[alike.frames]))
-    assert wrong[0] > 3 * error[0], "the cameras' own times are used"
+    assert np.abs(np.array(alike.camera_offsets) - DELAYS).max() < 2e-4, "which are found where nobody states them"
+    unstated = rigid.rms(rigid.errors(alike.T_base_platform.as_matrix(), truth[alike.frames]))
+    assert unstated[0] < 1.2 * error[0] and found.camera_offsets == ()
     assert found.to_frame_time is not None and np.linalg.norm(found.to_frame_time, axis=1).max() > 1.0
     still = np.linalg.norm(found.to_frame_time[found.observations.camera == 0], axis=1)
     assert still.max() < 1e-9, "the first camera's time is the frame's"
+
+
+def test_cameras_whose_stamps_are_late_by_different_times(moving):
+    recording, truth, case = moving
+    names, late = [camera.name for camera in recording.design.cameras], np.array([0.0, 0.004, -0.0025])  # s
+    e = recording.exposures
+    told = replace(e, t=e.t + late[[names.index(name) for name in e.camera]])
+    found, _ = measure_recording(replace(recording, exposures=told))
+    assert np.abs(np.array(found.camera_offsets) + late).max() < 2e-4
+    error = rigid.rms(rigid.errors(found.T_base_platform.as_matrix(), truth[found.frames]))
+    rest, _ = measure_recording(recording)
+    assert rest.camera_offsets == ()
+    assert error[0] < 1.2 * rigid.rms(rigid.errors(rest.T_base_platform.as_matrix(), truth[rest.frames]))[0]
+    assert abs(clocks(replace(recording, exposures=told), found)[0].offset - OFFSET) < 2e-4
 
 
 def test_an_offset_and_a_lag_are_told_apart_by_reversals(tmp_path):

@@ -19,7 +19,7 @@ from rig.model import mechanisms
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from vision.bundle.adjustment_validation_and_determinacy import NotHeldOut
 from vision.bundle.marker_displacements import Places
-from vision.measurement_result import MeasurementResult
+from vision.measurement_result import MeasurementResult, camera_offset_lines
 
 
 def print_measurement(result: MeasurementResult) -> None:
@@ -39,8 +39,8 @@ def print_measurement(result: MeasurementResult) -> None:
     if result.places:
         _print_places(result.places)
     _print_cameras(result)
-    for clocks in result.clocks:
-        print(clocks)
+    for line in (*result.clocks, *camera_offset_lines(result.measurement)):
+        print(line)
     if result.determination is not None:
         print(result.determination.summary())
 
