@@ -60,7 +60,7 @@ class Measurement(OneLineRepr):
     every frame where neither camera nor marker moves; weights : (k, 2, 2) px^2 covariance of the solved frames' corners
     with that allowed for; factor : what stated covariances were multiplied by
     adjustment : the last Adjustment, for its shared unknowns
-    stages : {number (from 1): Measurement} of a chain's stages below the last, of T_base_stage; common has the same draws
+    stages : {number (from 1): Measurement} of a chain's lower stages, of T_base_stage; common has the same draws
     to_frame_time : (n, 2) px by which corners would lie elsewhere had all cameras exposed at once, None where they did
     camera_offsets : s by which each camera exposes later than its times say, relative to the first, () for nothing
     """

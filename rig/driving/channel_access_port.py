@@ -85,11 +85,11 @@ class ChannelAccessPort:
         verb, *rest = words
         names = [word.rpartition("=")[0] or word for word in rest]
         try:
-            channels = self._connected(names)
+            self._connect(names)
         except _Refused as error:
             self._out += encode_frame("<", number, f"ERR {quote(str(error))}")
             return
-        kinds = self._ca.ChannelType
+        kinds, channels = self._ca.ChannelType, [self._channels[name] for name in names]
         writes = [
             channel.write((float(word.rpartition("=")[2]),), data_type=kinds.DOUBLE, notify=False)
             for channel, word in zip(channels, rest)
@@ -115,8 +115,8 @@ class ChannelAccessPort:
                 words = " ".join(_shown(reply.data[0]) for reply in replies)
                 self._out += encode_frame("<", number, f"OK {words}")
 
-    def _connected(self, names: list[str]) -> list[Any]:
-        """Channels of names, made where they are not yet. Raises _Refused for one that the server does not have."""
+    def _connect(self, names: list[str]) -> None:
+        """Make channels of names where they are not yet. Raises _Refused for one that the server does not have."""
         fresh = [name for name in dict.fromkeys(names) if name not in self._channels]
         for name in fresh:
             self._channels[name] = self._ca.ClientChannel(name, self._circuit)
@@ -126,7 +126,6 @@ class ChannelAccessPort:
         for name in fresh:
             while not self._is_made(name):
                 self._await(end, f"no channel {name}")
-        return [self._channels[name] for name in names]
 
     def _is_made(self, name: str) -> bool:
         state = self._channels[name].states[self._ca.CLIENT]
@@ -141,7 +140,7 @@ class ChannelAccessPort:
             raise _Refused(f"{what} within {PATIENCE:g} s")
         self._receive()
 
-    def _send(self, *commands: Any) -> None:
+    def _send(self, *commands: object) -> None:
         try:
             self._socket.sendall(b"".join(bytes(part) for part in self._circuit.send(*commands)))
         except OSError as error:
