@@ -112,18 +112,14 @@ def run(case: Case, folder: Path, plan: str) -> None:
     )
     controller = CONTROLLER.format(port=folder / "port", speed=0.025, acceleration=0.1)
     (folder / "rig.toml").write_text(rig_text(case, True, "file:late.py") + controller)
-    emulator = subprocess.Popen(
-        [*RIG, "emulate", folder / "rig.toml", "--link", folder / "port", "--history", folder / "history.csv"],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        emulator.stdout.readline()
-        words = ["--plan", plan, "--in-motion", f"{SPEED:g}", "--no-measure", "--exposure", "keep"]
-        subprocess.run([*RIG, "run", folder / "rig.toml", *words, "--out", folder / "REC"], check=True)
-    finally:
-        emulator.terminate()
-        emulator.wait()
+    emulate = [*RIG, "emulate", folder / "rig.toml", "--link", folder / "port", "--history", folder / "history.csv"]
+    with subprocess.Popen(emulate, stdout=subprocess.PIPE, text=True) as emulator:
+        try:
+            emulator.stdout.readline()
+            words = ["--plan", plan, "--in-motion", f"{SPEED:g}", "--no-measure", "--exposure", "keep"]
+            subprocess.run([*RIG, "run", folder / "rig.toml", *words, "--out", folder / "REC"], check=True)
+        finally:
+            emulator.terminate()
 
 
 def table_of_frames(folder: Path) -> np.ndarray:
