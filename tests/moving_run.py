@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.driving.emulators.emulated_axis_motion_and_homing import MovingAxes
 from tests.truth.case import Case, draw
 from tests.truth.eyes import BETWEEN, Eyes
 from tests.truth.sights import Rolling
@@ -90,3 +91,25 @@ def table_of(path: Path) -> np.ndarray:
     """(n, columns) numbers of a CSV file."""
     with open(path, encoding="utf-8") as file:
         return np.array([[float(cell) for cell in row] for row in list(csv.reader(file))[1:]])
+
+
+def write_moving_recording(folder: Path, offset: float, delays: np.ndarray, speed: float) -> tuple[Case, np.ndarray]:
+    """A recording of a machine that never rests, its cameras rolling: its Case, and (n, 4, 4) its true poses.
+
+    offset : s by which stamps are early; delays : (cameras,) s by which cameras expose one after the other; speed : m/s
+    """
+    case, rng = case_of_moving_machine(3), np.random.default_rng(1)
+    low, high = case.owner.ranges.T
+    middle = (low + high) / 2
+    axes = MovingAxes(0.0, middle, np.full(6, speed), np.full(6, 0.1))
+    end = 1.0
+    for goal in middle + 0.35 * (high - low) * rng.uniform(-1, 1, (14, 6)):
+        end = axes.go(end, goal)
+    true = np.arange(1.0, end, 0.6)[:, None] + delays
+    (folder / "rig.toml").write_text(rig_text(case, True))
+    t, lengths = axes.knots()
+    lines = [f"{at:.6f}," + ",".join(f"{value:.9f}" for value in row) for at, row in zip(t, lengths)]
+    (folder / "commands.csv").write_text("t,l1,l2,l3,l4,l5,l6\n" + "\n".join(lines) + "\n")
+    write_frames(case, folder, true - offset)
+    write_corners(case, folder, corners_seen(case, axes.lengths_at, true, True, 7))
+    return case, case.machine.forward(axes.lengths_at(true[:, 0]))

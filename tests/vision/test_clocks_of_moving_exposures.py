@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.driving.emulators.emulated_axis_motion_and_homing import MovingAxes
 from rig.recording.recording_folder import Commands, load_recording
 from tests.cli import run
-from tests.moving_run import case_of_moving_machine, corners_seen, rig_text, write_corners, write_frames
+from tests.moving_run import write_moving_recording
 from tests.truth import rigid
 from vision.clocks_of_moving_exposures import clocks_of_recording, lagged_commands
 from vision.recording_measurement import measure_recording
@@ -31,21 +30,9 @@ def clocks(recording, found):
 @pytest.fixture(scope="module")
 def moving(tmp_path_factory):
     """(Recording of a machine that never rests, its cameras rolling, apart and early; (n, 4, 4) its true poses)."""
-    folder, case = tmp_path_factory.mktemp("moving"), case_of_moving_machine(3)
-    low, high = case.owner.ranges.T
-    middle, rng = (low + high) / 2, np.random.default_rng(1)
-    axes = MovingAxes(0.0, middle, np.full(6, SPEED), np.full(6, 0.1))
-    end = 1.0
-    for goal in middle + 0.35 * (high - low) * rng.uniform(-1, 1, (14, 6)):
-        end = axes.go(end, goal)
-    true = np.arange(1.0, end, 0.6)[:, None] + DELAYS
-    (folder / "rig.toml").write_text(rig_text(case, True))
-    t, lengths = axes.knots()
-    lines = [f"{at:.6f}," + ",".join(f"{value:.9f}" for value in row) for at, row in zip(t, lengths)]
-    (folder / "commands.csv").write_text("t,l1,l2,l3,l4,l5,l6\n" + "\n".join(lines) + "\n")
-    write_frames(case, folder, true - OFFSET)
-    write_corners(case, folder, corners_seen(case, axes.lengths_at, true, True, 7))
-    return load_recording(folder), case.machine.forward(axes.lengths_at(true[:, 0])), case
+    folder = tmp_path_factory.mktemp("moving")
+    case, true = write_moving_recording(folder, OFFSET, DELAYS, SPEED)
+    return load_recording(folder), true, case
 
 
 def test_poses_and_clocks_of_a_machine_that_moves(moving):
