@@ -234,7 +234,7 @@ class RunOperator:
         found = profile_of_reports(start, goal, exposing.reports, speed)
         way = tuple((t - self._origin, share) for t, share in found.way)
         self.write(Arrival(max(ended, way[-1][0] if way else ended), index, tuple(goal.tolist()), True, way))
-        if exposing.reports and not way:
+        if found.rms is not None and not way:
             self.remark(f"step {index + 1}: the reported positions follow no trapezoid; they stand for the way")
         self._look()
 

@@ -38,12 +38,12 @@ def profile_of_reports(start: Floats, goal: Floats, reports: Sequence[PositionRe
     """
     way = goal - start
     busiest = float(np.abs(way).max())
+    if busiest == 0 or len(reports) < FEWEST:
+        return FittedProfile((), None)
     t, width = np.array([r.t for r in reports]), np.array([r.answered - r.requested for r in reports])
-    share = (
-        np.array([r.lengths - start for r in reports]).reshape(len(reports), -1) @ way / max(float(way @ way), 1e-30)
-    )
+    share = np.array([r.lengths - start for r in reports]) @ way / float(way @ way)
     passing = (share > 1e-3) & (share < 1 - 1e-3)
-    if busiest == 0 or passing.sum() < FEWEST:
+    if passing.sum() < FEWEST:
         return FittedProfile((), None)
     used = (t > t[passing][0] - INCLUDED) & (t < t[passing][-1] + INCLUDED)
     t, width, share, origin = t[used], width[used], share[used], float(t[passing][0])
