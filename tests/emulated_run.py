@@ -26,6 +26,12 @@ max_acceleration = 500.0
 """
 
 
+def controller_text(protocol: str, port: object) -> str:
+    """[controller] of a rig.toml."""
+    names = [f"m{k}" for k in range(1, 7)]
+    return CONTROLLER.format(protocol=protocol, port=port) + (f"axes = {names}\n" if protocol == "epics" else "")
+
+
 def cameras(listening: socket.socket) -> None:
     """Answer as an emulator's cameras do, with images of one grey."""
     while True:
@@ -50,7 +56,7 @@ def _emulate(folder: str, protocol: str, pipe) -> None:
     text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(
         0.3, cameras=1, width=WIDTH, height=HEIGHT
     ).replace('shutter = "global"', f'shutter = "global"\nsource = "emulator:127.0.0.1:{listening.getsockname()[1]}"')
-    (Path(folder) / "rig.toml").write_text(text + CONTROLLER.format(protocol=protocol, port=link))
+    (Path(folder) / "rig.toml").write_text(text + controller_text(protocol, link))
     clock = SystemClock()
     made = emulators.emulator_of_design(
         design_from_rig_toml.load_design(Path(folder) / "rig.toml"), Faults((), np.random.default_rng(0)), clock
@@ -130,7 +136,7 @@ class RigInThread:
             'shutter = "global"', f'shutter = "global"\nsource = "emulator:127.0.0.1:{listening.getsockname()[1]}"'
         )
         self.path = folder / "rig.toml"
-        self.path.write_text(text + CONTROLLER.format(protocol="grblhal", port=folder / "port") + controller)
+        self.path.write_text(text + controller_text("grblhal", folder / "port") + controller)
         self.design = design_from_rig_toml.load_design(self.path)
         self.emulator = emulators.emulator_of_design(self.design, Faults((), np.random.default_rng(0)), SystemClock())
         wire = controller_emulator_opening_and_ports.Terminal(folder / "port")

@@ -6,6 +6,8 @@ A recording measured, its poses with covariance, its cameras adjusted.
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from rig.recording.recording_folder import Recording
 from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_adjustment, determined_combinations
 from vision.bundle.marker_displacements import compare_stated_and_adjusted_places
@@ -15,7 +17,8 @@ from vision.checks.recording_refusal_and_cube_layout_remarks import (
     make_spoilt_corner_refusal,
     refuse_spoilt_files,
 )
-from vision.measurement_result import MeasurementResult
+from vision.clocks_of_moving_exposures import clocks_of_recording
+from vision.measurement_result import MeasurementResult, camera_offset_lines
 from vision.predict import marker_map
 from vision.reading.marker_identity_mistakes import find_suspicious_markers
 from vision.reading.recording_corners import image_reader
@@ -86,4 +89,7 @@ def measure(
         as_seen, determination = invert_measured_poses(measured), determination.from_the_hand()
     read = image_reader(seen) if any(recording.exposures.image) else None
     wrong = find_suspicious_markers(as_seen, marker_map(seen.design), collected.repeated if collected else (), read)
-    return MeasurementResult(recording, measured, held, collected, moved, determination.lines(), wrong, determination)
+    own = measured.covariance - measured.common @ np.swapaxes(measured.common, 1, 2)
+    clocks = clocks_of_recording(recording, measured.frames, measured.T_base_platform, own, measured.common)
+    statement = [*map(str, clocks), *camera_offset_lines(measured), *determination.lines()]
+    return MeasurementResult(recording, measured, held, collected, moved, statement, wrong, determination, clocks)

@@ -24,6 +24,7 @@ from rig.report.verdict_and_refutations import AGREES, Evidence, MissingEvidence
 from vision.bundle.adjustment_validation_and_determinacy import DeterminedUnknowns, HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places, adjusted_markers
 from vision.bundle.priors_of_unknowns import stated_lens_prior_sigmas
+from vision.clocks_of_moving_exposures import Clocks
 from vision.reading.marker_identity_mistakes import Suspect
 from vision.reading.recording_corners import Collected
 from vision.recording_adjustment import Measurement
@@ -39,7 +40,8 @@ class MeasurementResult(OneLineRepr):
     """What there is to say of a measurement. collected : what its images gave, or None; held : of frames held out;
     places : vision Places where markers' stated places were adjusted, else None; statement : lines on what the
     recording determines; suspects : markers that are not as in rig.toml
-    determination : the combinations of unknowns that the recording determines, or None"""
+    determination : the combinations of unknowns that the recording determines, or None; clocks : of cameras and
+    commands, of each recording with enough exposures in motion"""
 
     recording: Recording
     measurement: Measurement
@@ -49,6 +51,7 @@ class MeasurementResult(OneLineRepr):
     statement: Sequence[str] = ()
     suspects: Sequence[Suspect] = ()
     determination: DeterminedUnknowns | None = None
+    clocks: tuple[Clocks, ...] = ()
 
     @property
     def uncertainty(self) -> tuple[float, float]:
@@ -119,8 +122,23 @@ class MeasurementResult(OneLineRepr):
             if not isinstance(self.held, NotHeldOut)
             else None,
             "cameras": cameras,
+            "camera_offsets_s": list(m.camera_offsets),
+            "clocks": [one.tree() for one in self.clocks],
             "verdict": self.verdict.tree(),
         }
+
+
+def camera_offset_lines(measured: Measurement) -> list[str]:
+    """A line for each camera that was found to expose at other moments than its times say."""
+    names, lines = [camera.name for camera in measured.design.cameras], []
+    for name, offset in zip(names, measured.camera_offsets):
+        if offset:
+            side = "later" if offset > 0 else "earlier"
+            lines.append(
+                f"camera {name!r} exposes {abs(offset) * 1e3:.3f} ms {side} than its times say, relative to "
+                f"{names[0]!r}; this is taken into account"
+            )
+    return lines
 
 
 def focal_length_alarms(stated: Sequence[Camera], adjusted: Sequence[Camera]) -> list[str]:

@@ -1,7 +1,6 @@
 """Adjustment of a recording's corners.
 
 Cameras, and the platform's pose in every frame with covariance.
-Recordings with hand cameras, stages and remounted cubes are turned into recordings with fixed cameras.
 In the platform's own frame a hand camera stands still and the base's markers move. So it is measured like any rig, with
 base and platform exchanged; its stated pose holds the platform's frame, the markers' stated places the base's.
 
@@ -62,8 +61,9 @@ class Measurement(OneLineRepr):
     every frame where neither camera nor marker moves; weights : (k, 2, 2) px^2 covariance of the solved frames' corners
     with that allowed for; factor : what stated covariances were multiplied by
     adjustment : the last Adjustment, for its shared unknowns
-    stages : {number (from 1): Measurement} of a chain's stages below the last that carry targets, of T_base_stage;
-        common has the same draws
+    stages : {number (from 1): Measurement} of a chain's lower stages, of T_base_stage; common has the same draws
+    to_frame_time : (n, 2) px by which corners would lie elsewhere had all cameras exposed at once, None where they did
+    camera_offsets : s by which each camera exposes later than its times say, relative to the first, () for nothing
     """
 
     design: Design
@@ -81,6 +81,8 @@ class Measurement(OneLineRepr):
     factor: float
     adjustment: Adjustment
     stages: dict[int, Measurement] = field(default_factory=dict)
+    to_frame_time: Floats | None = None
+    camera_offsets: tuple[float, ...] = ()
 
     def __str__(self) -> str:
         return f"{len(self.frames)} of {len(self.frames) + len(self.unsolved)} frames solved"

@@ -39,7 +39,7 @@ from vision.recording_adjustment import (
     measure_without_remounted_cubes,
     recording_seen_from_hand,
 )
-from vision.rolling_shutter_motion import Rates
+from vision.rolling_shutter_motion import Rates, ReadoutMotion
 
 REFUSED = 0.05  # of the frames; where more show enough and are refused, the stated places are doubted
 ASIDE = 0.2  # of the corners of solved frames; where more are set aside, the stated lenses are doubted
@@ -149,7 +149,7 @@ def _measured(
     if places not in PLACES:
         raise ValueError(f"places takes {PLACES}, got {places!r}")
     frames, t = recording.exposures.times()
-    markers = marker_map(design)
+    markers, motion = marker_map(design), None if rates is None else ReadoutMotion(recording, rates)
 
     def said(label: str) -> Callable[[int, int], None] | None:
         return (lambda done, of: progress(label, done, of)) if progress else None
@@ -160,10 +160,9 @@ def _measured(
         if look:
             look(corners)
         observed = observations_from_corners(corners, frames, design, markers, correlation)
-        if rates is None or markers.stage.any():  # of a chain's stages only the last has rates
+        if motion is None or markers.stage.any():  # of a chain's stages only the last has rates
             return adjusted(observed)
-        moved = rolling_shutter_motion.observations_with_readout_motion(observed, design, rates)
-        return rolling_shutter_motion.with_uncertainty_of_rates(adjusted(moved), rates)
+        return motion.measured(observed, adjusted)
 
     def adjusted(observed: Observations) -> Measurement:
         loose = is_on_remounted_cube(observed, design, markers)

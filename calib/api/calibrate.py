@@ -48,6 +48,7 @@ from calib.models.machine_models import Certified
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
 from calib.report import platform_and_lens_calibration_pages as platform_page
 from calib.samples.pose_samples import Sampled, Samples, sample_recording
+from calib.samples.poses_on_one_clock import clocks_of_samples, recording_and_poses_on_one_clock
 from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_text_parsing import Kinds
@@ -65,6 +66,7 @@ from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations import Verdict
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+from vision.clocks_of_moving_exposures import Clocks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,6 +138,7 @@ Known = tuple[Physics, Floats] | None  # physics fitted with the geometry, and t
 class CalibrationResult(OneLineRepr):
     """A calibration with what it was made from. recording : one, of all; sampled : its poses; samples : Samples that
     were fitted, with what physics says of their commands; done : what was fitted; extended : the extension, or None
+    clocks : of cameras and commands, taken into account, of each recording with enough exposures in motion
     """
 
     calibration: Calibration
@@ -144,6 +147,7 @@ class CalibrationResult(OneLineRepr):
     samples: Samples
     done: Certified
     extended: ExtendedCorrection | None = None
+    clocks: tuple[Clocks, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
@@ -172,6 +176,7 @@ class CalibrationResult(OneLineRepr):
             "held_out": held and asdict(held),
             "claim": claim and asdict(claim),
             "poses": len(self.sampled.samples),
+            "clocks": [one.tree() for one in self.clocks],
             "confounds": confounds and confounds.tree(),
             "pointing_terms": None if self.pointing_terms is None else self.pointing_terms.tree(),
             "verdict": self.verdict.tree(),
@@ -234,8 +239,12 @@ def calibrate(
         else:
             sampled = sample_recording(recording, progress=progress, on_corners=prepared.look)
         _require_tilt_readings(recording)
+        clocks: tuple[Clocks, ...] = ()
+        if not options.with_findings and options.limbs is None:  # which tell clocks and lags themselves
+            clocks = clocks_of_samples(recording, sampled.samples)
+            recording, sampled = recording_and_poses_on_one_clock(recording, sampled, clocks)
         sampled = replace(sampled, files=(*sampled.files, *(plugin.path for plugin in options.effects)))
-        return _calibrated(recording, sampled, findings, kinds, options, call)
+        return replace(_calibrated(recording, sampled, findings, kinds, options, call), clocks=clocks)
 
 
 def _require_tilt_readings(recording: Recording) -> None:

@@ -12,7 +12,7 @@ from threading import Thread
 
 import numpy as np
 
-from calib.online.observer_of_run_frames import RunDisplay, RunObserver, RunStop
+from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_options_cameras_sensors_and_observer import RunOptions as RunOptions
 from calib.online.run_options_cameras_sensors_and_observer import (
     compile_kernels_for_run,
@@ -21,6 +21,7 @@ from calib.online.run_options_cameras_sensors_and_observer import (
     run_observer,
     set_exposures,
 )
+from calib.online.run_state import RunDisplay
 from rig.array_and_json_types import Floats
 from rig.driving import trapezoidal_move_profile_and_path_check
 from rig.driving.cameras.camera_interface_and_synchronised_grabbing import SynchronisedCameras
@@ -29,7 +30,7 @@ from rig.driving.controller_status_and_limits import TRUST, ControllerStatus, re
 from rig.driving.driver_opening_and_settled_status import open_driver, settled_status
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.driving.move_and_record_loop import RunOperator
-from rig.driving.run_journal_and_recording import Began, CameraExposures, Journal
+from rig.driving.run_journal import Began, CameraExposures, Journal
 from rig.driving.run_steps_and_progress import (
     Progress,
     Step,
@@ -37,6 +38,7 @@ from rig.driving.run_steps_and_progress import (
     lost_position_reason,
     progress_from_journal,
     step_distances,
+    steps_in_motion,
     steps_of_plan,
 )
 from rig.driving.settling_check import Settling, parse_settling
@@ -68,7 +70,7 @@ class PlannedRun:
 
     @property
     def frames(self) -> int:
-        """How many frames are taken."""
+        """How many frames are taken at rest; 0 in motion, where cameras expose for as long as the moves take."""
         return sum(step.frames for step in self.steps)
 
     def distances(self) -> Floats:
@@ -125,7 +127,7 @@ class PlannedRun:
                 before = progress_from_journal(journal.rows, self.steps)
                 if before.ended == "":
                     notice(f"{out} is finished: every step of its plan is done; nothing was opened or moved")
-                    return self.frames
+                    return before.number
             seeing = options.uses_cameras(self.design)
             shutter = open_cameras(self.design, clock) if seeing else None
             if shutter is not None:
@@ -140,7 +142,9 @@ class PlannedRun:
                 notice(f"warning: {line}")
             homes, status = self._home(driver, settled_status(driver, clock), before, notice)
             check_steps(self.steps, status.lengths, move_checker(self.design))
-            bench = open_sensors_and_assemble_equipment(self.design, driver, shutter, self.settling, clock)
+            bench = open_sensors_and_assemble_equipment(
+                self.design, driver, shutter, self.settling, clock, options.interval
+            )
             exposures = self._set_exposures(shutter, before, notice)
             if fresh:
                 write_bytes(out / "rig.toml", read_bytes(self.path))
@@ -161,7 +165,7 @@ class PlannedRun:
                 operator.run()
             finally:
                 observer.finish()
-        return observer.state.frames
+            return progress_from_journal(journal.rows, self.steps).number
 
     def _home(
         self, driver: Driver, status: ControllerStatus, before: Progress | None, notice: Notice
@@ -210,6 +214,7 @@ class PlannedRun:
         if began.sha256 != _hash(self.steps):
             raise RigError(
                 f"{out} is of another plan than --plan {self.plan} --seed {self.options.seed} on {self.path}"
+                + ("" if self.options.in_motion is None else f", in motion at {self.options.in_motion * 1e3:g} mm/s")
             )
 
 
@@ -231,6 +236,8 @@ def plan_run(design: Design, path: Path, plan: str, options: RunOptions = STANDA
     settling = parse_settling(options.settle)
     options.accepted_limbs(design)
     options.refuse_unsuited(design)
+    if options.in_motion is not None:
+        steps = steps_in_motion(steps, options.in_motion, design.driver().max_speed)
     return PlannedRun(design, path, plan, steps, settling, options)
 
 
@@ -296,8 +303,10 @@ def _origin(journal: Journal, clock: Clock, notice: Notice) -> float:
 
 
 def _hash(planned: tuple[Step, ...]) -> str:
-    """sha256 of the places and exposures of a plan."""
+    """sha256 of the places and exposures of a plan, and of the speed of exposures in motion."""
     digest = hashlib.sha256()
     for step in planned:
         digest.update(np.round(step.goal, 9).tobytes() + step.frames.to_bytes(4, "little"))
+        if step.speed is not None:
+            digest.update(f"in motion at {step.speed:.9f}".encode())
     return digest.hexdigest()

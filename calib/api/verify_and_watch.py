@@ -47,6 +47,7 @@ from calib.report.verification_and_repeated_visit_pages import (
 )
 from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
 from calib.samples.pose_samples import Sampled, Samples, sample_recording
+from calib.samples.poses_on_one_clock import clocks_of_samples, recording_and_poses_on_one_clock
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model.pose import rms_uncertainty
@@ -55,6 +56,7 @@ from rig.recording.recording_table_loading_and_writing import Poses
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations import Refutation, State, Verdict
+from vision.clocks_of_moving_exposures import Clocks
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -151,6 +153,10 @@ def verify(
     """
     calibration.refuse_kind(recording.design.mechanism.kind, str(recording.folder))
     sampled = sample_recording(recording, progress=progress)
+    clocks: tuple[Clocks, ...] = ()
+    if calibration.physics is None:  # whose effects tell clocks themselves; a lag is the machine's own
+        clocks = tuple(replace(one, lag=0.0) for one in clocks_of_samples(recording, sampled.samples))
+        recording, sampled = recording_and_poses_on_one_clock(recording, sampled, clocks)
     placed = samples_without_displacement(calibration, recording, sampled.samples)
     samples = placed.samples
     label = configuration_numbers(samples.commanded, axis_travel_limits(calibration.correction.nominal))
@@ -169,7 +175,7 @@ def verify(
         None if wanted is None else _driven(calibration, recording, sampled.samples, wanted),
         sampled.measurement.unsolved if sampled.measurement is not None else {},
         confounds_of_recordings([recording]),
-        placed.lines,
+        (*placed.lines, *(f"taken into account: {one}" for one in clocks)),
         placed.unexpected,
     )
     return VerificationResult(recording, sampled, figures, placed.placement)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rig.driving.run_journal_and_recording import Ended, read_journal
+from rig.driving.run_journal import Ended, read_journal
 from rig.driving.run_steps_and_progress import steps_of_plan
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml

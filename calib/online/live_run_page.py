@@ -10,9 +10,11 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.online.observer_of_run_frames import MeasuredFrame, RunObserver, RunState
+from calib.online.observer_of_run_frames import RunObserver
+from calib.online.run_state import MeasuredFrame, RunState
 from calib.report.pose_and_effect_figures import closed_outline, fixed_rig_lines
 from rig.array_and_json_types import Floats, Integers, Json
+from rig.driving.move_and_record_loop import RecordedFrame
 from rig.model.design import Camera, Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 from rig.model.pose import pose_to_vector, transform_points
@@ -64,6 +66,7 @@ class RunPage:
         self.url = self._server.url
         self._history: list[Json] = []
         self._shown: MeasuredFrame | None = None
+        self._pictured: RecordedFrame | None = None
         self._markers = marker_map(self._design.without_stages()) if self._design.targets else None
         self._fixed = fixed_rig_lines(self._design, self._markers)
 
@@ -79,7 +82,9 @@ class RunPage:
         if state.seen is not None and state.seen is not self._shown:
             self._shown = state.seen
             self._history = [*self._history[1 - LATEST :], _figures(state.seen)]
-            images = {name: partial(encode_jpeg, frame.image) for name, frame in state.seen.shot.frames.items()}
+            images = _jpegs(state.seen.shot)
+        elif state.seen is None and state.shot is not None and state.shot is not self._pictured:
+            self._pictured, images = state.shot, _jpegs(state.shot)
         self._server.show(partial(self._event, state, self._history), images)
 
     def close(self) -> None:
@@ -87,12 +92,23 @@ class RunPage:
 
     def _event(self, state: RunState, history: list[Json]) -> Json:
         struts = [
-            {"low": low * 1e3, "high": high * 1e3, "at": at * 1e3, "goal": goal * 1e3}
+            {
+                "low": low * 1e3,
+                "high": high * 1e3,
+                "at": at * 1e3,
+                "goal": goal * 1e3,
+                "room": min(at - low, high - at) * 1e3,
+            }
             for (low, high), at, goal in zip(state.ranges.tolist(), state.lengths.tolist(), state.goal.tolist())
         ]
         T = state.seen.sight.T_base_platform if state.seen is not None else None
         return {
             "verdict": run_verdict(state).tree(),
+            "activity": state.activity,
+            "then": state.then,
+            "events": [{"t": t, "text": text} for t, text in state.events],
+            "readings": [{"name": name, "value": value} for name, value in state.readings.items()],
+            "pictures": None if state.shot is None or state.seen is not None else _pictures(state.shot, self._design),
             "phase": state.phase,
             "frame": state.frame,
             "frames": state.frames,
@@ -106,6 +122,20 @@ class RunPage:
             "seen": None if state.seen is None else _seen(state.seen, self._design, self._markers),
             "rig": _rig(self._design, self._fixed, self._markers, T),
         }
+
+
+def _jpegs(shot: RecordedFrame) -> dict[str, Callable[[], bytes]]:
+    """{camera: makes its JPEG}."""
+    return {name: partial(encode_jpeg, frame.image) for name, frame in shot.frames.items()}
+
+
+def _pictures(shot: RecordedFrame, design: Design) -> Json:
+    """Cameras of a frame that is not measured."""
+    sizes = {camera.name: (camera.width, camera.height) for camera in design.cameras}
+    return {
+        "frame": shot.number,
+        "cameras": [{"name": name, "width": sizes[name][0], "height": sizes[name][1]} for name in shot.frames],
+    }
 
 
 def _figures(seen: MeasuredFrame) -> Json:

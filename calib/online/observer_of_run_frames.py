@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Protocol, TypedDict, Unpack
+from typing import Unpack
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -18,14 +18,16 @@ from calib.certification.redundant_limb_checks import has_six_measuring_limbs
 from calib.online.filter_kernels_and_change_detection import change_sentence
 from calib.online.live_learner_and_limb_agreement import Learner, Learnt, LimbWatch
 from calib.online.measuring_limb_poses_checked_by_vision import Disagreement, LiveLimbPoses
+from calib.online.run_state import MeasuredFrame, RunDisplay, RunState, RunStateChanges, journal_row_in_words
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import RecordedFrame
-from rig.driving.run_journal_and_recording import (
+from rig.driving.run_journal import (
     CameraExposures,
     Departure,
     Ended,
     Exposed,
+    PositionReports,
     PositionUnknown,
     Readings,
     Remark,
@@ -41,68 +43,8 @@ from vision.reading.camera_and_marker_alarms import Alarm, Watch
 from vision.reading.live_measurement import Live, Sight, sight_from_measuring_limbs
 
 WAITING = 4  # frames that may wait to be measured before the run waits for them
+LOGGED = 60  # events that are kept for displays
 LATEST = 30  # alarms that are kept for displays
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MeasuredFrame:
-    """A frame that was measured. delay : s from the end of its exposure to its pose; learnt : what the learner made of
-    it, or None
-    blur : {camera: px, width of the markers' edges}, a figure of focus; rms : px of its corners, {camera: px}."""
-
-    shot: RecordedFrame
-    sight: Sight
-    learnt: Learnt | None
-    delay: float
-    rms: dict[str, float]
-    blur: dict[str, float]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RunState:
-    """What displays show. phase : in words; frame, frames, step, steps : how far; left : s; lengths, goal : (axes,) m
-    ranges : (axes, 2) m; alarms : the latest; seen : the latest Seen, None before the first; ended : why, None while it
-        goes."""
-
-    phase: str
-    frame: int
-    frames: int
-    step: int
-    steps: int
-    left: float
-    lengths: Floats
-    goal: Floats
-    ranges: Floats
-    alarms: tuple[Alarm, ...]
-    seen: MeasuredFrame | None
-    ended: str | None
-
-
-class RunStateChanges(TypedDict, total=False):
-    """Fields of a RunState that have changed."""
-
-    phase: str
-    frame: int
-    frames: int
-    step: int
-    steps: int
-    left: float
-    lengths: Floats
-    goal: Floats
-    ranges: Floats
-    alarms: tuple[Alarm, ...]
-    seen: MeasuredFrame | None
-    ended: str | None
-
-
-class RunDisplay(Protocol):
-    """Something that shows a run."""
-
-    def show(self, state: RunState) -> None:
-        """The run as it stands now."""
-
-    def close(self) -> None:
-        """The run is over."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +86,8 @@ class RunObserver:
         self._waiting: list[Alarm] = []  # jumps that vision has not confirmed
         self._begun, self._done, self._way = clock.now(), 0, step_distances(planned, start)
         speed = design.controller.max_speed.min() if design.controller else np.inf
-        self._travel, self._planned = self._way / speed, planned
+        speeds = np.array([speed if step.speed is None else step.speed for step in planned])
+        self._travel, self._planned = self._way / speeds, planned
         frames = sum(step.frames for step in planned)
         self.state = RunState(
             "starting",
@@ -167,33 +110,56 @@ class RunObserver:
 
     def happened(self, row: Row) -> None:
         """A row is on disk."""
+        if text := journal_row_in_words(row):
+            self.update(events=(*self.state.events[1 - LOGGED :], (row.t, text)))
         if isinstance(row, Departure):
             self._done += 1
             self.update(
+                activity="moving",
+                then=self._then(row.step),
                 phase=f"moving to step {row.step + 1}",
                 step=row.step + 1,
                 goal=np.array(row.goal),
                 left=self._left(row.step),
             )
         elif isinstance(row, Exposed):
-            self.update(phase="exposed", frame=row.frame + 1)
+            self.update(phase="exposing in motion" if row.times else "exposed", frame=row.frame + 1)
         elif isinstance(row, Resumed):
             self.update(phase=row.found, lengths=np.array(row.position))
+        elif isinstance(row, PositionReports):
+            self.update(lengths=np.array(row.positions[-1]))
         elif isinstance(row, Remark | CameraExposures | PositionUnknown):
             return  # alarms are shown as such, and the end says why
         elif isinstance(row, Ended):
-            self.update(phase="done" if not row.reason else f"ended: {row.reason}", ended=row.reason, left=0.0)
+            phase = "done" if not row.reason else f"ended: {row.reason}"
+            self.update(activity="ended", then="", phase=phase, ended=row.reason, left=0.0)
         elif isinstance(row, Readings):
             values = dict(zip(row.channels, row.values))
+            self.update(readings=values)
             if self._limbs is not None and "m1" in values:
                 self._read = np.array([values[name] for name in self._limbs.channels])
         else:
-            self.update(phase="settling", lengths=np.array(getattr(row, "position", self.state.lengths)))
+            self.update(
+                activity="holding", phase="settling", lengths=np.array(getattr(row, "position", self.state.lengths))
+            )
 
     def seen(self, shot: RecordedFrame) -> None:
         """A frame is on disk: it is measured while the run goes on."""
+        self.update(shot=shot)
         if self._live is not None or self.source is not None:
             self._queue.put((shot, self._read))
+
+    def _then(self, step: int) -> str:
+        """What comes after the move of a step (from 0)."""
+        frames = self._planned[step].frames
+        here = f"{frames} frame{'s' * (frames != 1)} there" if frames else ""
+        if step + 1 == len(self._planned):
+            return ", ".join(filter(None, (here, "the end")))
+        return ", ".join(filter(None, (here, f"step {step + 2} ({self._way[step + 1] * 1e3:.1f} mm)")))
+
+    def ignore_limbs(self) -> None:
+        """Compare no limbs with vision: in motion they are not read at the moment of the exposure."""
+        self._limbs = None
 
     def stop(self) -> str:
         """Why the run should stop."""

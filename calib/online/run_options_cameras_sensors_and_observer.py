@@ -52,6 +52,8 @@ class RunOptions:
     the position that the controller reads is believed; resume : whether a run is gone on with; trace : file of the
     bytes exchanged with the controller, or None; cameras : whether those of the rig take images; without, or where it
     has none, places are visited for other instruments
+    in_motion : m/s of the strut that moves most, at which cameras expose during the moves; None at rest; interval : s
+    from one exposure in motion to the next, at least
     """
 
     seed: int = 0
@@ -67,6 +69,8 @@ class RunOptions:
     resume: bool = False
     trace: Path | None = None
     cameras: bool = True
+    in_motion: float | None = None
+    interval: float = 0.25
 
     def uses_cameras(self, design: Design) -> bool:
         """Whether images are taken."""
@@ -101,6 +105,8 @@ class RunOptions:
         """
         if not self.uses_cameras(design) and (self.limbs is not None or self.settle == "images"):
             raise RigError("without cameras there is neither --settle images nor --limbs, which vision must check")
+        if self.in_motion is not None:
+            self._refuse_unsuited_in_motion(design)
         calibration = self.calibration
         if calibration is None:
             return
@@ -110,6 +116,21 @@ class RunOptions:
                 f"{self.calibration_name} is of a mechanism of kind {calibration.correction.nominal.kind!r}, the "
                 f"rig's is {design.mechanism.kind!r}"
             )
+
+    def _refuse_unsuited_in_motion(self, design: Design) -> None:
+        """Raise RigError for what takes struts at rest, or clocks that are known to agree."""
+        if not self.uses_cameras(design):
+            raise RigError("--in-motion exposes cameras during the moves, and this run has none")
+        if any(camera.mount == "hand" for camera in design.cameras):
+            raise RigError("--in-motion takes cameras that stand; one that the platform carries is exposed at rest")
+        if self.calibration is not None or self.limbs is not None or self.stop_on & {"jump", "drift", "limbs"}:
+            raise RigError(
+                "in motion the clocks of cameras and controller must be known before a pose says anything of the "
+                "struts, and they are found afterwards: leave out --calibration, --limbs and --stop-on jump, drift and "
+                "limbs"
+            )
+        if not self.interval >= 0:
+            raise RigError(f"--interval takes seconds of at least 0, not {self.interval:g}")
 
 
 def compile_kernels_for_run(design: Design) -> None:
@@ -148,9 +169,14 @@ def open_cameras(design: Design, clock: Clock) -> SynchronisedCameras:
 
 
 def open_sensors_and_assemble_equipment(
-    design: Design, driver: Driver, shutter: SynchronisedCameras | None, settling: Settling, clock: Clock
+    design: Design,
+    driver: Driver,
+    shutter: SynchronisedCameras | None,
+    settling: Settling,
+    clock: Clock,
+    interval: float,
 ) -> RunEquipment:
-    """Open the RunEquipment of a run, with its sensors if any.
+    """Open the RunEquipment of a run, with its sensors if any. interval : s, as of RunOptions
 
     Raises RigError for settling by limbs that nobody reads.
     """
@@ -168,6 +194,7 @@ def open_sensors_and_assemble_equipment(
         save_image,
         sensing.read if sensing else None,
         sensing.limbs if sensing else None,
+        interval,
     )
 
 
@@ -236,10 +263,12 @@ def run_observer(
         and (has_hand_cameras(design) or any(target.body == "platform" for target in design.targets))
     )
     learner = None
-    if measured and is_hexapod(design.mechanism):
+    if measured and is_hexapod(design.mechanism) and options.in_motion is None:
         shared = 0 if accepted is None else SHARED_DRAWS
         learner = Learner(design.mechanism, options.calibration, options.tolerance, shared)
     observer = RunObserver(design, planned, start, clock, Live(design) if measured else None, learner, stopping)
+    if options.in_motion is not None:
+        observer.ignore_limbs()
     if accepted is not None and options.limbs is not None:
         observer.source = LiveLimbPoses(accepted, options.limbs.every)
         observer.withdraw = partial(_withdraw, options.limbs.path, str(out))

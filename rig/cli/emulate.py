@@ -17,7 +17,7 @@ from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_nu
 if TYPE_CHECKING:
     from synthetic.emulated_cameras import EmulatedCameraProcess
 
-PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "linuxcnc", "struts")  # as rig.model.design, which would load SciPy
+PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "linuxcnc", "struts", "epics")  # as rig.model.design has
 
 
 def arguments(parser: ArgumentParser) -> None:

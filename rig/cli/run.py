@@ -52,6 +52,19 @@ def arguments(parser: ArgumentParser) -> None:
         "(until measuring limbs agree to this); default time:1",
     )
     parser.add_argument(
+        "--in-motion",
+        metavar="MM/S",
+        type=parse_number,
+        help="expose during the moves, at this speed of the strut that moves most; the plan's places are passed "
+        "without waiting; rig measure and rig calibrate find by how much the clocks of cameras and controller differ",
+    )
+    parser.add_argument(
+        "--interval",
+        metavar="SECONDS",
+        type=parse_number,
+        help="of --in-motion: from one exposure to the next, at least (default 0.25)",
+    )
+    parser.add_argument(
         "--exposure",
         metavar="SECONDS",
         help='of all cameras; by default so that markers are bright and do not clip; "keep" leaves them as they are',
@@ -117,7 +130,9 @@ def _options(arguments: Namespace) -> RunOptions:
     from calib.api.machine_run import RunOptions
     from calib.files import calibration_file
 
-    exposure, known = arguments.exposure, arguments.calibration
+    exposure, known, speed = arguments.exposure, arguments.calibration, arguments.in_motion
+    if arguments.interval is not None and speed is None:
+        raise RigError("--interval is of --in-motion; at rest a plan states how often cameras expose")
     if arguments.tolerance and not known:
         raise RigError("--tolerance takes a --calibration to compare the poses with")
     return RunOptions(
@@ -134,6 +149,8 @@ def _options(arguments: Namespace) -> RunOptions:
         arguments.resume,
         arguments.trace,
         not arguments.no_cameras,
+        None if speed is None else speed / 1e3,
+        0.25 if arguments.interval is None else arguments.interval,
     )
 
 
@@ -158,10 +175,15 @@ def _print_plan(planned: PlannedRun) -> None:
     cameras = planned.design.cameras if planned.options.cameras else ()
     for k, step in enumerate(steps):
         exposed = f"{step.frames} frame{'s' * (step.frames != 1)}" if step.frames else "passed on the way"
+        exposed = exposed if step.speed is None else "exposed on the way"
         print(f"step {k + 1}: {lengths_text(step.goal)}, {distances[k] * 1e3:.1f} mm to go, {exposed}")
     pixels, slowest = sum(camera.width * camera.height for camera in cameras), np.min(planned.design.driver().max_speed)
+    seconds = (distances / (planned.options.in_motion or slowest)).sum()
+    frames, most = planned.frames, ""
+    if planned.options.in_motion is not None:
+        frames, most = int(seconds / max(planned.options.interval, 1e-3)), "at most "
     print(
-        f"{len(steps)} steps, {planned.frames} frames of {len(cameras)} cameras, {distances.sum() * 1e3:.0f} mm of the "
-        f"busiest strut, {(distances / slowest).sum() / 60:.1f} min of moving; at most "
-        f"{planned.frames * pixels / 1e9:.2f} GB of images; nothing was moved"
+        f"{len(steps)} steps, {most}{frames} frames of {len(cameras)} cameras, {distances.sum() * 1e3:.0f} mm of the "
+        f"busiest strut, {seconds / 60:.1f} min of moving; at most "
+        f"{frames * pixels / 1e9:.2f} GB of images; nothing was moved"
     )

@@ -6,25 +6,41 @@ What a rig.toml states of its controller is read here as text alone; whoever goe
 """
 
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from rig.driving.channel_access_port import ChannelAccessPort
 from rig.driving.clock import Clock
 from rig.driving.controller_lock import ControllerLock
-from rig.driving.serial_port import SerialPort, find_usb_port
+from rig.driving.numbered_frames_with_checksum import encode_frame
+from rig.driving.port_opening import open_port
+from rig.driving.serial_port import SerialPort
 from rig.errors import FileError
 from rig.formats.user_python_file import class_literal, read_user_text
 
 CLIENT = "rig 1.0"  # who greets linuxcncrsh
-STOPS = {"grblhal": b"!", "gcs": b"\x18", "gcs-hexapod": b"\x18", "linuxcnc": b"SET ABORT\r\n", "struts": b"!"}
+STOPS = {
+    "grblhal": b"!",
+    "gcs": b"\x18",
+    "gcs-hexapod": b"\x18",
+    "linuxcnc": b"SET ABORT\r\n",
+    "struts": b"!",
+    "epics": b"",  # which takes the names of the records, see stop_of_motor_records
+}
+
+
+def stop_of_motor_records(motors: Iterable[str]) -> bytes:
+    """Bytes that stop EPICS motor records, as rig.driving.channel_access_port takes them."""
+    return encode_frame(">", 0, f"PUT {' '.join(f'{motor}.STOP=1' for motor in motors)}")
 
 
 @dataclass(frozen=True, slots=True)
 class ControllerAddress:
     """Where a controller is, and how it is spoken to. port, usb, baudrate, protocol, password, enable_password : as
-    [controller] states them; stop : its protocol's bytes that stop it
+    [controller] states them; stop : its protocol's bytes that stop it; axes : the controller's names of them, ()
+    where they have usual ones
     """
 
     protocol: str
@@ -34,10 +50,13 @@ class ControllerAddress:
     password: str
     enable_password: str
     stop: bytes
+    axes: tuple[str, ...] = ()
 
     def urgent_stop(self) -> bytes:
         """Bytes that stop it though nothing was sent to it before."""
         stop = self.stop
+        if self.protocol == "epics":
+            return stop_of_motor_records(self.axes)
         if self.protocol != "linuxcnc":
             return stop
         return f"HELLO {self.password} {CLIENT}\r\nSET ENABLE {self.enable_password}\r\n".encode() + stop
@@ -48,7 +67,7 @@ class StoppedController:
     """A controller that was sent its urgent stop. lock, port : held, open; sent : what; t : when, s on the clock"""
 
     lock: ControllerLock
-    port: SerialPort
+    port: SerialPort | ChannelAccessPort
     sent: bytes
     t: float
 
@@ -67,13 +86,16 @@ def controller_address_in_rig_toml(path: Path, port: str | None) -> ControllerAd
     words = {"port": "", "usb": "", "password": "EMC", "enable_password": "EMCTOO", **table}
     words |= {"port": port, "usb": ""} if port else {}
     baudrate, protocol = table.get("baudrate", 115200), table.get("protocol")
+    axes = table.get("axes", [])
     texts = [words[name] for name in ("port", "usb", "password", "enable_password")]
     stop = _stop_bytes(protocol, path) if isinstance(protocol, str) else None
     if stop is None or not all(isinstance(text, str) for text in texts) or type(baudrate) is not int:
         return None
     if not (texts[0] or texts[1]):
         return None
-    return ControllerAddress(str(protocol), texts[0], texts[1], baudrate, texts[2], texts[3], stop)
+    if not isinstance(axes, list) or not all(isinstance(name, str) for name in axes):
+        return None
+    return ControllerAddress(str(protocol), texts[0], texts[1], baudrate, texts[2], texts[3], stop, tuple(axes))
 
 
 def _stop_bytes(protocol: str, path: Path) -> bytes | None:
@@ -101,7 +123,7 @@ def urgently_stopped_controller(address: ControllerAddress, clock: Clock) -> Ite
     Raises RigError where another process drives it, LinkLost where its port does not open.
     """
     with ControllerLock(address.port, address.usb) as lock:
-        port = SerialPort(find_usb_port(address.port, address.usb), address.baudrate, clock)
+        port = open_port(address.port, address.usb, address.baudrate, clock)
         try:
             data = address.urgent_stop()
             port.write(data)

@@ -165,6 +165,7 @@ def _address(name: str) -> tuple[str, int]:
 KILLED = 2.0  # s in which a process that was killed is gone
 KILL: int = getattr(signal, "SIGKILL", signal.SIGTERM)  # Windows ends a process at once by either
 STOP = b"stop"  # what is sent to a process that this user may not signal
+USUAL_PORTS = {"ca": 5064}  # of URLs that name none
 _held: set[socket.socket] = set()  # of this process, which no forked child may hold on to
 
 
@@ -316,7 +317,7 @@ def _addresses(url: str) -> set[str]:
     """Words for the TCP port that a URL names, one for each address of its host; the URL itself where it names none."""
     try:
         parts = urlsplit(url)
-        host, port = parts.hostname, parts.port
+        host, port = parts.hostname, parts.port or USUAL_PORTS.get(parts.scheme)
     except ValueError:
         host, port = None, None
     if not host or port is None:

@@ -173,6 +173,20 @@ class FinishedMove:
     note: str
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionReport:
+    """Lengths (n,) m that the controller reported on request. requested, answered : s on the clock"""
+
+    requested: float
+    answered: float
+    lengths: Floats
+
+    @property
+    def t(self) -> float:
+        """s, middle of the time in which the lengths were read."""
+        return (self.requested + self.answered) / 2
+
+
 TRUST = "home it (rig home), or, where the lengths reported are true, use --trust (rig run: --no-home)"
 ANEW = f"the controller has restarted since the last contact; {TRUST}"
 OUT_OF_RANGE = "is [controller] zero the length, joint centre to joint centre, at which the controller counts 0?"

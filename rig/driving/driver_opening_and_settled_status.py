@@ -12,9 +12,9 @@ from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_address_and_urgent_stop import ControllerAddress, StoppedController
 from rig.driving.controller_lock import ControllerLock
 from rig.driving.controller_status_and_limits import ControllerStatus
+from rig.driving.port_opening import open_port
 from rig.driving.protocols import protocol_of_controller
 from rig.driving.request_and_answer_exchange_with_controller import Port
-from rig.driving.serial_port import SerialPort, find_usb_port
 from rig.driving.strut_driver import Driver
 from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
 from rig.errors import FileError, RigError
@@ -47,7 +47,7 @@ def address_of_controller(controller: Controller, mechanism: Mechanism) -> Contr
     if not (c.port or c.usb):
         raise RigError("[controller] names no port")
     stop = protocol_of_controller(c, require_struts(mechanism)).urgent_stop
-    return ControllerAddress(c.protocol, c.port, c.usb, c.baudrate, c.password, c.enable_password, stop)
+    return ControllerAddress(c.protocol, c.port, c.usb, c.baudrate, c.password, c.enable_password, stop, c.axes)
 
 
 @contextmanager
@@ -85,7 +85,7 @@ def open_driver(
 def _opener(design: Design, stopped: StoppedController | None, clock: Clock) -> Callable[[], Port]:
     """Opens the controller's port: the one that is open already, once, and it anew after that."""
     c, opened = design.driver(), [] if stopped is None else [stopped.port]
-    return lambda: opened.pop() if opened else SerialPort(find_usb_port(c.port, c.usb), c.baudrate, clock)
+    return lambda: opened.pop() if opened else open_port(c.port, c.usb, c.baudrate, clock)
 
 
 def settled_status(

@@ -15,12 +15,15 @@ import numpy as np
 from rig.array_and_json_types import Floats, Pixels
 from rig.driving.cameras.camera_interface_and_synchronised_grabbing import Frame, SynchronisedCameras
 from rig.driving.clock import Clock
-from rig.driving.run_journal_and_recording import (
+from rig.driving.controller_status_and_limits import PositionReport
+from rig.driving.exposures_in_motion import FramesDuringMove, lengths_reported_at, row_of_reports
+from rig.driving.move_profile_from_position_reports import profile_of_reports
+from rig.driving.recording_from_run_journal import GrowingRecording
+from rig.driving.run_journal import (
     Arrival,
     Departure,
     Ended,
     Exposed,
-    GrowingRecording,
     Journal,
     PositionUnknown,
     Readings,
@@ -45,7 +48,13 @@ class Machine(Protocol):
     def lengths(self) -> Floats:
         """(axes,) m, as the controller reads them."""
 
-    def move(self, lengths: Floats) -> object:
+    def move(
+        self,
+        lengths: Floats,
+        share: float = 1.0,
+        speed: float | None = None,
+        report: Callable[[PositionReport], None] | None = None,
+    ) -> object:
         """Move there; returns once the axes rest and read back within tolerance. Raises MotionError otherwise."""
 
     def stop(self) -> object:
@@ -81,7 +90,7 @@ class RunEquipment:
     """What a run works with. tolerance : m, of a read-back; time_profile : (start, goal (axes,) m, from, until s) ->
     share of the way through time
     readings : {channel: value} of sensors now, or None; limbs : their (6,) m, or None; save : (path, image) puts an
-        image on disk"""
+        image on disk; interval : s from one exposure in motion to the next, at least"""
 
     machine: Machine
     shutter: SynchronisedCameras | None
@@ -92,6 +101,7 @@ class RunEquipment:
     save: Callable[[Path, Pixels], None]
     readings: Callable[[], dict[str, float]] | None = None
     limbs: Callable[[], Floats] | None = None
+    interval: float = 0.25
 
 
 class RunOperator:
@@ -174,7 +184,10 @@ class RunOperator:
             return  # wherever the struts stand by now
         if not state.arrived:
             self._wanted()
-            self._move(state.step, state.position, step.goal)
+            if step.speed is None:
+                self._move(state.step, state.position, step.goal)
+            else:
+                self._move_exposing(state, step.goal, step.speed)
         number = state.number
         for k in range(state.frames, step.frames):
             self._wanted()
@@ -194,6 +207,43 @@ class RunOperator:
         self.write(
             Arrival(ended, index, tuple(goal.tolist()), True, self.bench.time_profile(start, goal, begun, ended))
         )
+
+    def _move_exposing(self, state: Progress, goal: Floats, speed: float) -> None:
+        """A move at a speed (m/s) during which frames are taken, each written once the positions about it are."""
+        bench, index, number, start = self.bench, state.step, state.number, state.position
+        if bench.shutter is None:
+            raise RigError("exposures in motion take cameras")
+        self._look()
+        self.write(Departure(self.now(), index, tuple(start.tolist()), tuple(goal.tolist())))
+
+        def keep(frames: dict[str, Frame], reports: list[PositionReport]) -> None:
+            nonlocal number
+            self._write_reports(reports)
+            names = self._save(number, frames)
+            times = tuple(float(frame.t) - self._origin for frame in frames.values())
+            sigma = tuple(float(frame.t_sigma) for frame in frames.values())
+            self.write(Exposed(times[0], index, number, sigma, tuple(frames), names, (), times))
+            at = lengths_reported_at(exposing.reports, times[0] + self._origin, start)
+            self.watcher.seen(RecordedFrame(number, index, times[0], at, frames))
+            number += 1
+
+        exposing = FramesDuringMove(bench.shutter, bench.clock, bench.interval, keep, bench.machine.stop, self.remark)
+        try:
+            with exposing:
+                bench.machine.move(goal, speed=speed, report=exposing.report)
+                ended = self.now()
+        finally:
+            self._write_reports(exposing.unwritten())
+        found = profile_of_reports(start, goal, exposing.reports, speed)
+        way = tuple((t - self._origin, share) for t, share in found.way)
+        self.write(Arrival(max(ended, way[-1][0] if way else ended), index, tuple(goal.tolist()), True, way))
+        if found.rms is not None and not way:
+            self.remark(f"step {index + 1}: the reported positions follow no trapezoid; they stand for the way")
+        self._look()
+
+    def _write_reports(self, reports: list[PositionReport]) -> None:
+        if reports:
+            self.write(row_of_reports(self.now(), reports, self._origin))
 
     def _settle(self) -> None:
         bench, shutter = self.bench, self.bench.shutter
@@ -216,13 +266,7 @@ class RunOperator:
         frames = bench.shutter.grab() if bench.shutter else {}
         self._look()
         self._rest_position(number, goal, at, "after")
-        names = {camera: f"images/{camera}/{number:05d}.png" for camera in frames}
-        with ThreadPoolExecutor(max(len(frames), 1)) as pool:  # packing an image takes as long as reading it
-            list(pool.map(lambda camera: bench.save(self._folder / names[camera], frames[camera].image), frames))
-        for folder in {
-            place for name in names.values() for place in (self._folder / name).parents if self._folder in place.parents
-        }:
-            sync_folder(folder)
+        names = self._save(number, frames)
         t = float(np.mean([frame.t for frame in frames.values()])) - self._origin if frames else self.now()
         self.write(
             Exposed(
@@ -231,11 +275,22 @@ class RunOperator:
                 number,
                 tuple(float(f.t_sigma) for f in frames.values()),
                 tuple(frames),
-                tuple(names.values()),
+                names,
                 tuple(at.tolist()),
             )
         )
         self.watcher.seen(RecordedFrame(number, index, t, goal, frames))
+
+    def _save(self, number: int, frames: dict[str, Frame]) -> tuple[str, ...]:
+        """Put a frame's images on disk; returns their names in the folder, one for each camera."""
+        names = {camera: f"images/{camera}/{number:05d}.png" for camera in frames}
+        with ThreadPoolExecutor(max(len(frames), 1)) as pool:  # packing an image takes as long as reading it
+            list(pool.map(lambda camera: self.bench.save(self._folder / names[camera], frames[camera].image), frames))
+        for folder in {
+            place for name in names.values() for place in (self._folder / name).parents if self._folder in place.parents
+        }:
+            sync_folder(folder)
+        return tuple(names.values())
 
     def _rest_position(self, number: int, goal: Floats, at: Floats, when: str) -> Floats:
         """(axes,) m read now. Raises MotionError where that is neither the goal nor where they were before, `at`."""

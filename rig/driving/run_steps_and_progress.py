@@ -9,13 +9,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving.run_journal_and_recording import (
+from rig.driving.run_journal import (
     Arrival,
     Began,
     CameraExposures,
     Departure,
     Ended,
     Exposed,
+    PositionReports,
     PositionUnknown,
     Readings,
     Remark,
@@ -32,11 +33,12 @@ INSTANT = 1e-6  # s about an exposure in which the struts must not move
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
     """One move and what follows it. goal : (axes,) m; frames : how many exposures are taken there, 0 for a place passed
-    on the way.
+    on the way; speed : m/s of the strut that moves most where cameras expose during the move, None where they do not
     """
 
     goal: Floats
     frames: int
+    speed: float | None = None
 
 
 def steps_of_plan(plan: Plan) -> tuple[Step, ...]:
@@ -67,6 +69,19 @@ def steps_of_plan(plan: Plan) -> tuple[Step, ...]:
         exposed[place[before]] += 1
     last = np.flatnonzero(exposed)[-1]
     return tuple(Step(goal, int(count)) for goal, count in zip(goals[: last + 1], exposed))
+
+
+def steps_in_motion(steps: tuple[Step, ...], speed: float, max_speed: Floats) -> tuple[Step, ...]:
+    """The steps of a plan as moves at a speed (m/s of the strut that moves most), exposed all the way.
+
+    max_speed : (axes,) m/s. Raises RigError for a speed that a strut may not have.
+    """
+    if not 0 < speed <= max_speed.min():
+        raise RigError(
+            f"--in-motion {speed * 1e3:g} mm/s: [controller] max_speed allows above 0 and at most "
+            f"{max_speed.min() * 1e3:g} mm/s"
+        )
+    return tuple(Step(step.goal, 0, speed) for step in steps)
 
 
 def check_steps(steps: tuple[Step, ...], start: Floats, check_move: Callable[[Floats, Floats], None]) -> None:
@@ -135,7 +150,13 @@ def progress_from_journal(journal_rows: list[Row], steps: tuple[Step, ...]) -> P
     pending, arrived, ended, position = None, False, None, np.array(journal_rows[0].position)
     lost, exposures = "", dict[str, float]()
     for row in journal_rows:
-        ended = row.reason if isinstance(row, Ended) else None if not isinstance(row, Remark | Readings) else ended
+        ended = (
+            row.reason
+            if isinstance(row, Ended)
+            else ended
+            if isinstance(row, Remark | Readings | PositionReports)
+            else None
+        )
         if isinstance(row, Departure):
             if row.step != step:  # the one before was done
                 if row.step != step + 1 or frames < steps[step].frames:

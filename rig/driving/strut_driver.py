@@ -22,14 +22,15 @@ from rig.driving.controller_status_and_limits import (
     ControllerLimits,
     ControllerStatus,
     FinishedMove,
+    PositionReport,
     limit_warnings,
     limits_of_linuxcnc_ini,
     operator_advice,
 )
+from rig.driving.port_opening import open_port
 from rig.driving.protocols.protocol_interface import Dialogue, Segment, State, Verdict
 from rig.driving.request_and_answer_exchange_with_controller import Link, Port
-from rig.driving.serial_port import SerialPort, find_usb_port
-from rig.driving.trapezoidal_move_profile_and_path_check import straight_move_segment
+from rig.driving.trapezoidal_move_profile_and_path_check import speed_share_of_move, straight_move_segment
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
 from rig.model import mechanisms
 from rig.model.design import Design
@@ -68,7 +69,7 @@ class Driver:
         self._protocol = protocols.protocol_of_controller(c, self.mechanism)
         self.link = Link(
             self._protocol,
-            opener or (lambda: SerialPort(find_usb_port(c.port, c.usb), c.baudrate, self.clock)),
+            opener or (lambda: open_port(c.port, c.usb, c.baudrate, self.clock)),
             self.clock,
             c.timeout,
             trace,
@@ -191,12 +192,19 @@ class Driver:
         )
         return lengths
 
-    def move(self, lengths: Floats, share: float = 1.0) -> FinishedMove:
+    def move(
+        self,
+        lengths: Floats,
+        share: float = 1.0,
+        speed: float | None = None,
+        report: Callable[[PositionReport], None] | None = None,
+    ) -> FinishedMove:
         """Move all struts to lengths (n,) m, together, at a share of their greatest speeds, and wait until the
         read-back agrees.
 
-        Raises Unreachable before anything moves; PositionLost, ControllerFault, Stalled, LinkLost, NoAnswer, Stopped
-        with the struts stopped. Nothing is clipped.
+        speed : m/s of the strut that moves most, in place of a share; report : takes every read-back on the way
+        Raises ValueError for a speed that a strut may not have, Unreachable before anything moves; PositionLost,
+        ControllerFault, Stalled, LinkLost, NoAnswer, Stopped with the struts stopped. Nothing is clipped.
         """
         if not 0 < share <= 1:
             raise ValueError(f"share must be above 0 and at most 1, got {share}")
@@ -204,10 +212,12 @@ class Driver:
         with self._busy:
             start = self._ready()
             self.check(target, start)
+            if speed is not None:
+                share = speed_share_of_move(start, target, speed, self.controller)
             begun = self.clock.now()
             with self._guarded():
                 note = self._go(
-                    straight_move_segment(start, target, share, self.controller, self.mechanism), start, target
+                    straight_move_segment(start, target, share, self.controller, self.mechanism), start, target, report
                 )
                 self._left = arrived = self.lengths()
             return FinishedMove(arrived, begun, self.clock.now(), note)
@@ -242,7 +252,9 @@ class Driver:
             )
         return lengths
 
-    def _go(self, segment: Segment, start: Floats, target: Floats) -> str:
+    def _go(
+        self, segment: Segment, start: Floats, target: Floats, report: Callable[[PositionReport], None] | None
+    ) -> str:
         """Send a move and watch it; a move that the read-back shows was never begun is sent again. Returns a note."""
         note = ""
         for _ in range(TRIES):
@@ -250,21 +262,26 @@ class Driver:
                 verdict = self.link.run(self._protocol.move(segment))
             except LinkLost as error:
                 verdict = Verdict(None, str(error))
-            if self._watch(start, target, verdict):
+            if self._watch(start, target, verdict, report):
                 return note or ("" if verdict.accepted else f"reply lost, move completed: {verdict.reason}")
             note = f"resent, as nothing had moved: {verdict.reason}"
             self._say(note)
         raise Stalled(f"sent {TRIES} times, and nothing moved: {verdict.reason}")
 
-    def _watch(self, start: Floats, target: Floats, verdict: Verdict) -> bool:
+    def _watch(
+        self, start: Floats, target: Floats, verdict: Verdict, report: Callable[[PositionReport], None] | None
+    ) -> bool:
         """True when the struts have arrived, False when they never began and no answer came."""
         if verdict.accepted is False:
             raise ControllerFault(f"the move was refused: {verdict.reason}")
         begun = since = self.clock.now()
         closest = before = np.inf
         while True:
+            requested = self.clock.now()
             state = self._state()
             lengths = self._lengths(state)
+            if report is not None:
+                report(PositionReport(requested, self.clock.now(), lengths))
             off = np.abs(lengths - target).max()
             if any(t >= begun and text == "restarted" for t, text in list(self.link.events)):
                 self._same()

@@ -67,6 +67,21 @@ def straight_move_segment(
     return Segment(start - controller.zero, target - controller.zero, duration, way / duration, acceleration, pose)
 
 
+def speed_share_of_move(start: Floats, target: Floats, speed: float, controller: Controller) -> float:
+    """Share of the greatest speeds at which the strut that moves most has a speed (m/s).
+
+    start, target : (n,) m, lengths
+    Raises ValueError where a strut would exceed its greatest speed.
+    """
+    way = np.abs(target - start)
+    if not way.any():
+        return 1.0
+    share = float((way / controller.max_speed).max()) * speed / float(way.max())
+    if not 0 < share <= 1 + 1e-9:
+        raise ValueError(f"{speed:g} m/s exceeds the struts' max_speed {controller.max_speed.tolist()} m/s")
+    return min(share, 1.0)
+
+
 SPACING = 2e-3  # m of the strut that moves most, between the places looked at
 FEWEST, MOST = 3, 200  # of them, beside the start
 

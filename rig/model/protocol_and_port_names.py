@@ -3,13 +3,16 @@
 And of user programs, and their checks; imports nothing that takes time.
 """
 
-PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "linuxcnc", "struts")
+import re
+
+PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "linuxcnc", "struts", "epics")
 USER_PROGRAMS = ("file", "package")  # KIND:PLACE of a protocol or camera of the user's own
 SHOWN = 80  # characters of a port's name that a message repeats
 SCHEMES = (
     "socket",
     "rfc2217",
     "loop",
+    "ca",
 )  # of ports that are no device; pyserial knows others, which write files or search for devices
 
 
@@ -26,6 +29,11 @@ def port_problem(port: str) -> str | None:
             f"{name}://.." for name in SCHEMES
         )
     return None
+
+
+def is_motor_record(name: str) -> bool:
+    """Whether a text may be the name of an EPICS record, without a field."""
+    return re.fullmatch(r"[A-Za-z0-9_:;\[\]{}-]{1,60}", name) is not None
 
 
 def is_user_program(stated: str) -> bool:

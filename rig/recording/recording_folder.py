@@ -25,13 +25,12 @@ from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.base_and_link_tilts import GRAVITY, BaseTilt, gravity_channels, has_gravity, times_between_small_turns
 from rig.model.design import Design, Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
+from rig.recording.exposure_table import ONE_FRAME, SIMULTANEOUS, Exposures, load_exposures
 from rig.recording.image_file_check_and_reading import UnreadableImage
 from rig.recording.recording_table_loading_and_writing import (
     Corners,
-    Exposures,
     Poses,
     load_corners,
-    load_exposures,
     load_instrument_poses,
     load_poses,
 )
@@ -191,7 +190,8 @@ def load_recording(folder: str | Path, skip_unreadable: bool = False) -> Recordi
         folder / "frames.csv", ("frame", "t", "camera", "image")
     )
     origin = _origin(exposed if commanded is None else commanded)
-    exposures, skipped = load_exposures(folder, design, exposed, origin, skip_unreadable)
+    apart = SIMULTANEOUS if commanded is None else ONE_FRAME
+    exposures, skipped = load_exposures(folder, design, exposed, origin, skip_unreadable, apart)
     commands = None if commanded is None else _commands(commanded, design, exposures, origin)
     corners = load_corners(folder / "corners.csv", design, exposures)
     known = set(exposures.frame.tolist())

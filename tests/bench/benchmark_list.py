@@ -10,6 +10,7 @@ from tests.bench import (
     diagnosis,
     driving,
     edge_fit_width,
+    exposures_in_motion,
     false_findings,
     formula_search,
     forward_kinematics,
@@ -64,5 +65,6 @@ NAMED = {
     "accusations": accusations,
     "masks": masks,
     "false_findings": false_findings,
+    "motion": exposures_in_motion,
     "several_faults": several_faults,
 }  # minutes: only where they are named

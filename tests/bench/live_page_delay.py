@@ -20,7 +20,7 @@ from calib.online.run_options_cameras_sensors_and_observer import compile_kernel
 from rig.driving.cameras.camera_interface_and_synchronised_grabbing import Frame, SynchronisedCameras
 from rig.driving.clock import SystemClock
 from rig.driving.move_and_record_loop import RunEquipment, RunOperator
-from rig.driving.run_journal_and_recording import Began, Journal
+from rig.driving.run_journal import Began, Journal
 from rig.driving.run_steps_and_progress import steps_of_plan
 from rig.driving.settling_check import parse_settling
 from rig.formats.rig_toml import design_from_rig_toml

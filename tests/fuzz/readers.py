@@ -26,13 +26,9 @@ from rig.model.pose import TRIANGLE
 from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
+from rig.recording.exposure_table import load_exposures
 from rig.recording.image_file_check_and_reading import image_file_problem
-from rig.recording.recording_table_loading_and_writing import (
-    COVARIANCE_COLUMNS,
-    load_corners,
-    load_exposures,
-    load_poses,
-)
+from rig.recording.recording_table_loading_and_writing import COVARIANCE_COLUMNS, load_corners, load_poses
 from synthetic import diagnosis_score, recording_simulation, secret_machine_and_truth_file
 from synthetic.blind_campaign import Campaign, parse_case_numbers
 from tests.fuzz.laws import laws

@@ -19,7 +19,7 @@ from rig.model import mechanisms
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from vision.bundle.adjustment_validation_and_determinacy import NotHeldOut
 from vision.bundle.marker_displacements import Places
-from vision.measurement_result import MeasurementResult
+from vision.measurement_result import MeasurementResult, camera_offset_lines
 
 
 def print_measurement(result: MeasurementResult) -> None:
@@ -39,6 +39,8 @@ def print_measurement(result: MeasurementResult) -> None:
     if result.places:
         _print_places(result.places)
     _print_cameras(result)
+    for line in (*result.clocks, *camera_offset_lines(result.measurement)):
+        print(line)
     if result.determination is not None:
         print(result.determination.summary())
 
@@ -152,6 +154,8 @@ def print_calibration_verdict_errors_and_corrections(result: CalibrationResult) 
         print("\n".join(done.found.report()))
     else:
         _print_struts(done, result.calibration.physics)
+    for clocks in result.clocks:
+        print(f"taken into account: {clocks}")
     _print_pose_counts(result)
 
 

@@ -8,7 +8,8 @@ from typing import Any, TextIO
 import numpy as np
 
 from calib.online.live_run_page import RunPage
-from calib.online.observer_of_run_frames import MeasuredFrame, RunDisplay, RunObserver, RunState
+from calib.online.observer_of_run_frames import RunObserver
+from calib.online.run_state import MeasuredFrame, RunDisplay, RunState
 from rig.array_and_json_types import Floats
 from rig.cli.shared.output_display import unescaped_stream
 from rig.driving.controller_status_and_limits import ControllerStatus
@@ -62,7 +63,7 @@ class PlainLineDisplay:
         """A line for a new phase, a new pose, a new alarm."""
         if state.phase != self._phase and not state.phase.startswith(("settling", "exposed")):
             left = f", {_minutes_and_seconds(state.left)} left" if np.isfinite(state.left) and state.left > 0 else ""
-            self._print(f"[{state.frame}/{state.frames}] {state.phase}{left}")
+            self._print(f"[{state.frame}{f'/{state.frames}' if state.frames else ''}] {state.phase}{left}")
         self._phase = state.phase
         if state.seen is not None and state.seen is not self._seen:
             self._seen = state.seen
@@ -103,7 +104,8 @@ def run_state_lines(state: RunState) -> list[str]:
     Progress, strut bars, latest pose, alarms.
     """
     left = f", {_minutes_and_seconds(state.left)} left" if np.isfinite(state.left) and state.left > 0 else ""
-    lines = [f"frame {state.frame} of {state.frames}, step {state.step} of {state.steps}{left}", state.phase]
+    frames = f"frame {state.frame} of {state.frames}" if state.frames else f"{state.frame} frames in motion"
+    lines = [f"{frames}, step {state.step} of {state.steps}{left}", state.phase]
     for i, (length, goal, (low, high)) in enumerate(zip(state.lengths, state.goal, state.ranges), 1):
         at, to = (int(np.clip((value - low) / (high - low), 0, 1) * (WIDTH - 1)) for value in (length, goal))
         bar = "".join("#" if k == at else "+" if k == to else "-" for k in range(WIDTH))

@@ -22,6 +22,7 @@ from rig.recording.image_file_check_and_reading import decode_image
 T = TypeVar("T")
 GROUP = "rig.cameras"  # of entry points
 WAIT = 30.0  # s that a program may take for an image
+ELSEWHERE = 5.0  # s by which a stamp may lie outside the call: clocks may differ, and exposures in motion tell by what
 SHOWN = 300  # characters of what a program printed, in messages
 
 
@@ -33,9 +34,10 @@ class UserCamera:
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
 
-    def grab(self) -> Pixels:
+    def grab(self) -> Pixels | tuple[Pixels, float, float]:
         """Image (height, width) or (height, width, 3) in uint8 or uint16, exposed after this call and before it
-        returns. Raises CameraError where there is none.
+        returns; or (image, t, t_sigma) with the middle of its exposure, s since 1970, and how well that is known, s.
+        Raises CameraError where there is none.
         """
         raise NotImplementedError
 
@@ -64,9 +66,17 @@ class UserSource:
 
     def grab(self) -> Frame:
         asked = self._clock.now()
-        image = self._guarded(self._user.grab)()
+        given = self._guarded(self._user.grab)()
         after = self._clock.now()
-        return Frame(checked_image(image, self._camera), (asked + after) / 2, (after - asked) / UNIFORM)
+        if not isinstance(given, tuple):
+            return Frame(checked_image(given, self._camera), (asked + after) / 2, (after - asked) / UNIFORM)
+        image, t, sigma = self._guarded(_stamped)(given)
+        if not (asked - ELSEWHERE <= t <= after + ELSEWHERE and 0 <= sigma < ELSEWHERE):
+            raise CameraError(
+                f"camera {self.name!r} states t = {t:.3f} s with t_sigma = {sigma:g} s of an image that was asked for "
+                f"at {asked:.3f} s and was there at {after:.3f} s: is t in seconds since 1970?"
+            )
+        return Frame(checked_image(image, self._camera), t, sigma)
 
     def set_exposure(self, seconds: float) -> float:
         return float(self._guarded(self._user.set_exposure)(seconds))
@@ -118,6 +128,11 @@ class CommandSource:
 
     def close(self) -> None:
         """Nothing is held open."""
+
+
+def _stamped(given: tuple[Pixels, float, float]) -> tuple[Pixels, float, float]:
+    image, t, sigma = given
+    return image, float(t), float(sigma)
 
 
 def checked_image(image: object, camera: Camera) -> Pixels:

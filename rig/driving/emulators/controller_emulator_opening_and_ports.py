@@ -19,6 +19,7 @@ from rig.driving.clock import Clock, SimulatedClock
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults, parse_faults
 from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine, MovingAxes
+from rig.driving.emulators.epics import EpicsMotors
 from rig.driving.emulators.gcs import GCS
 from rig.driving.emulators.gcs_hexapod import GCSHexapod
 from rig.driving.emulators.grblhal import GrblHAL
@@ -127,6 +128,8 @@ def emulator_of_design(
             limits,
             require_hexapod(m) if c.kinematics == "world" else None,
         )
+    if c.protocol == "epics":
+        return EpicsMotors(machine, faults, clock, c.axes or tuple(f"m{i + 1}" for i in range(len(home))), limits)
     raise RigError(f"there is no emulator of {c.protocol!r}")
 
 

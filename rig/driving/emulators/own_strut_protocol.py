@@ -12,7 +12,8 @@ from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults
 from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine
-from rig.driving.protocols.own_strut_protocol import NM, VERSION, encode_frame, last_valid_frame_in_line
+from rig.driving.numbered_frames_with_checksum import encode_frame, last_valid_frame_in_line
+from rig.driving.protocols.own_strut_protocol import NM, VERSION
 
 
 class Struts(Emulator):

@@ -3,14 +3,13 @@
 As docs/protocol.md states it: numbered frames with checksum, watchdog, single execution.
 """
 
-import binascii
 import re
-from dataclasses import dataclass
 
 import numpy as np
 
 from rig.driving.controller_address_and_urgent_stop import STOPS
 from rig.driving.controller_status_and_limits import ControllerLimits
+from rig.driving.numbered_frames_with_checksum import Frame, encode_frame, last_valid_frame_in_line
 from rig.driving.protocols.protocol_interface import (
     TRIES,
     Dialogue,
@@ -27,7 +26,6 @@ from rig.errors import ControllerFault, NoAnswer
 NM = 1e9
 VERSION = "struts/1"
 NUMBERS = 65536  # sequence numbers, going round
-_FRAME = re.compile(r"([<>])(-|\d{1,5}) ([^*<>!]*)\*([0-9A-F]{4})")
 _ACTIVITY = {"idle": "idle", "moving": "moving", "homing": "homing", "alarm": "alarm"}
 ERRORS = {
     1: "unknown command",
@@ -44,36 +42,6 @@ FAULTS = {
     "home": "an axis could not be homed",
     "critical": "only switching it off and on helps",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Frame:
-    """number : of the request, None where a broken frame is complained of; text : without number and checksum."""
-
-    number: int | None
-    text: str
-
-
-def encode_frame(direction: str, number: int | None, text: str) -> bytes:
-    """Encode a numbered text as a frame.
-
-    direction : ">" to the controller, "<" from it.
-    """
-    body = f"{'-' if number is None else number} {text}"
-    return f"{direction}{body}*{_checksum(body)}\n".encode("ascii")
-
-
-def last_valid_frame_in_line(direction: str, line: str) -> Frame | None:
-    """Decode the last valid frame in a line, None where there is none."""
-    for match in reversed(list(_FRAME.finditer(line))):
-        if match[1] == direction and match[4] == _checksum(f"{match[2]} {match[3]}"):
-            return Frame(None if match[2] == "-" else int(match[2]), match[3])
-    return None
-
-
-def _checksum(body: str) -> str:
-    """CRC-16/CCITT-FALSE of a frame's body, four hexadecimal digits."""
-    return f"{binascii.crc_hqx(body.encode('latin-1'), 0xFFFF):04X}"
 
 
 class Struts:

@@ -9,6 +9,7 @@ from functools import wraps
 from pathlib import Path
 from typing import ParamSpec, cast
 
+from rig.driving.protocols.epics import Epics
 from rig.driving.protocols.gcs import GCS
 from rig.driving.protocols.gcs_hexapod import GCSHexapod
 from rig.driving.protocols.grblhal import GrblHAL
@@ -67,6 +68,8 @@ def protocol_of_controller(controller: Controller, mechanism: StrutMechanism) ->
             controller.password,
             controller.enable_password,
         )
+    if controller.protocol == "epics":
+        return Epics(controller.axes or tuple(f"m{i + 1}" for i in range(axis_count)))
     raise ValueError(f"no protocol {controller.protocol!r}")
 
 

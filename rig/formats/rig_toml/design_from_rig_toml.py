@@ -41,7 +41,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     is_hexapod,
     target_bodies,
 )
-from rig.model.protocol_and_port_names import is_user_program, port_problem
+from rig.model.protocol_and_port_names import is_motor_record, is_user_program, port_problem
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
@@ -153,10 +153,11 @@ def _controller(table: Entries, mechanism: Mechanism, actuator: Actuator) -> Con
     n = len(mechanism.axes)
     if not has_struts(mechanism):
         table.fail(f"[controller] drives struts; a mechanism of kind {mechanism.kind!r} has none")
-    axes = table.get("axes", [])
+    protocol = _protocol(table)
+    axes, fits = table.get("axes", []), is_motor_record if protocol == "epics" else str.isalnum
     if (
         not isinstance(axes, list)
-        or not all(isinstance(name, str) and name.isalnum() for name in axes)
+        or not all(isinstance(name, str) and fits(name) for name in axes)
         or len(set(axes)) not in (0, n)
     ):
         table.fail(f"{table.name('axes')} must list {n} different names, got {axes!r}", "axes", value=axes)
@@ -164,7 +165,8 @@ def _controller(table: Entries, mechanism: Mechanism, actuator: Actuator) -> Con
     speed = table.each("max_speed", n, actuator.max_speed or REQUIRED, above=0, most=100, unit="m/s")
     step = table.number("max_step", None, above=0, most=LARGEST_RIG, unit="m")
     home = table.each("home", n, None, above=0, most=LARGEST_RIG, unit="m (joint centre to joint centre)")
-    protocol = _protocol(table)
+    if protocol == "epics" and not axes:
+        table.fail(f"protocol epics takes {table.name('axes')}: the names of {n} motor records", "protocol")
     if protocol == "gcs-hexapod":
         if not is_hexapod(mechanism):
             table.fail(f"protocol gcs-hexapod drives a hexapod, not a mechanism of kind {mechanism.kind!r}", "protocol")

@@ -34,23 +34,57 @@ function judge(run) {
   at("state").className = `badge ${state}`;
 }
 
+function act(activity) {
+  at("activity").textContent = activity;
+  at("activity").className = `badge ${activity === "dead" ? "bad" : activity === "ended" ? "check" : "good"}`;
+}
+
 function show(run) {
   judge(run);
+  act(run.activity);
+  at("then").textContent = run.then ? `next: ${run.then}` : "";
+  showLog(run.events);
+  showReadings(run.readings);
   at("phase").textContent = run.phase;
-  at("far").textContent = `frame ${run.frame} of ${run.frames}, step ${run.step} of ${run.steps}` + (run.left > 0 ? `, ${minutes(run.left)} left` : "");
-  at("bar").max = Math.max(run.frames, 1);
-  at("bar").value = run.frame;
-  document.title = `${run.frame}/${run.frames} rig run`;
+  at("far").textContent = `${taken(run)}, step ${run.step} of ${run.steps}` + (run.left > 0 ? `, ${minutes(run.left)} left` : "");
+  at("bar").max = Math.max(run.frames || run.steps, 1);
+  at("bar").value = run.frames ? run.frame : run.step;
+  document.title = `${run.frames ? `${run.frame}/${run.frames}` : run.frame} rig run`;
   showAlarms(run.alarms);
   showStruts(run.struts);
   if (run.seen) {
     showPose(run.seen);
     if (run.seen.frame !== pictured) showCameras(run.seen);
     pictured = run.seen.frame;
+  } else if (run.pictures && run.pictures.frame !== pictured) {
+    showPictures(run.pictures);
+    pictured = run.pictures.frame;
   }
   showCharts(run.history);
   rig.show(run.rig);
   if (run.ended !== null) end(run.ended === "" ? "done" : "ended");
+}
+
+// How many frames there are; in motion nobody knows beforehand how many there will be.
+function taken(run) {
+  return run.frames ? `frame ${run.frame} of ${run.frames}` : `${run.frame} frames in motion`;
+}
+
+function showLog(events) {
+  at("log").replaceChildren(...events.slice().reverse().map((one) => element("li", {}, element("time", { textContent: minutes(one.t) }), ` ${one.text}`)));
+}
+
+function showReadings(readings) {
+  at("sensors").hidden = readings.length === 0;
+  at("readings").replaceChildren(...readings.map((one) => element("tr", {}, element("td", { textContent: one.name }), element("td", { textContent: one.value.toPrecision(6) }))));
+}
+
+function showPictures(pictures) {
+  at("cameras").replaceChildren(...pictures.cameras.map((camera) => {
+    const image = element("img", { alt: `what ${camera.name} sees`, width: camera.width, height: camera.height });
+    image.src = `/image?camera=${encodeURIComponent(camera.name)}&frame=${pictures.frame}&token=${encodeURIComponent(token)}`;
+    return element("figure", {}, element("div", { className: "picture" }, image), element("figcaption", { textContent: `${camera.name}, frame ${pictures.frame}, not measured` }));
+  }));
 }
 
 function showAlarms(alarms) {
@@ -67,7 +101,7 @@ function showStruts(struts) {
       mark.style.left = place(value);
       track.append(mark);
     }
-    return element("div", { className: "strut" }, element("span", { textContent: k + 1 }), track, element("span", { textContent: `${strut.at.toFixed(3)} mm` }));
+    return element("div", { className: "strut" }, element("span", { textContent: k + 1 }), track, element("span", { textContent: `${strut.at.toFixed(3)} mm` }), element("span", { className: strut.room < 1 ? "room near" : "room", textContent: strut.room.toFixed(1), title: "mm to the nearer limit" }));
   }));
 }
 
@@ -124,7 +158,8 @@ function chart(points, key, name, digits) {
   svg.append(drawn("polyline", { class: "curve", points: values.map((value, k) => `${last ? (100 * k) / last : 50},${39.5 - (38 * value) / top}`).join(" ") }));
   if (!last) svg.append(drawn("line", { class: "curve", x1: 48, x2: 52, y1: 39.5 - (38 * values[0]) / top, y2: 39.5 - (38 * values[0]) / top }));
   const text = `${name}: ${values[last].toFixed(digits)}, at most ${Math.max(...values).toFixed(digits)}`;
-  return element("div", { className: "chart" }, element("div", { className: "name", textContent: text }), svg);
+  const axis = element("div", { className: "axis" }, element("span", { textContent: `frame ${points[0].frame}` }), element("span", { textContent: `vertical 0 to ${top.toPrecision(2)}` }), element("span", { textContent: `${points[last].frame}` }));
+  return element("div", { className: "chart" }, element("div", { className: "name", textContent: text }), svg, axis);
 }
 
 function end(why) {
@@ -149,11 +184,13 @@ at("stop").addEventListener("click", async () => {
 // Nothing that a run said before it died still holds: not its state, nor the time left, nor that a button can stop it.
 function bury() {
   dead = true;
+  act("dead");
+  at("then").textContent = "";
   at("state").textContent = "dead";
   at("state").title = "the run gives no sign of life";
   at("state").className = "badge bad";
   at("phase").textContent = "the run no longer answers: it was killed, or hangs. Stop the struts with rig stop, or the rig's own emergency stop";
-  at("far").textContent = latest ? `it had come to frame ${latest.frame} of ${latest.frames}` : "";
+  at("far").textContent = latest ? `it had come to ${taken(latest)}` : "";
   at("stop").disabled = true;
   at("stop").textContent = "cannot stop it from here";
   document.title = "dead: rig run";

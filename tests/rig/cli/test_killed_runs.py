@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from rig.driving.run_journal_and_recording import Departure, Ended, Exposed, Resumed, read_journal
+from rig.driving.run_journal import Departure, Ended, Exposed, Resumed, read_journal
 from rig.driving.run_steps_and_progress import steps_of_plan
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import PROTOCOLS

@@ -20,7 +20,7 @@ from rig.cli.shared.run_display_and_controller_status import PlainLineDisplay, T
 from rig.driving.cameras.camera_interface_and_synchronised_grabbing import Frame
 from rig.driving.clock import SimulatedClock
 from rig.driving.move_and_record_loop import RecordedFrame
-from rig.driving.run_journal_and_recording import Departure, Ended, Exposed, Readings
+from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Readings, Remark
 from rig.driving.run_steps_and_progress import steps_of_plan
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
@@ -119,6 +119,25 @@ def test_a_moved_camera_is_said_noted_and_stops_where_that_was_asked_for(design,
     assert bool(looking.stop()) == stops and len(halts) == stops
     assert shown.closed and {state.seen.sight.frame for state in shown.views if state.seen} == set(range(6))
     assert shown.views[-1].frame == 6 and 0 < max(state.left for state in shown.views if state.left == state.left) < 60
+
+
+def test_a_run_says_what_it_does_what_is_next_and_what_happened(design):
+    looking, _, _ = looked(design, frozenset())
+    assert looking.state.activity == "moving" and looking.state.shot.number == 5
+    assert looking.state.then.startswith("1 frame there, step 8 (") and looking.state.then.endswith(" mm)")
+    goal = tuple(looking.state.goal)
+    looking.happened(Arrival(20.0, 6, goal, True))
+    assert looking.state.activity == "holding"
+    looking.happened(Readings(21.0, ("ambient_temperature_C",), (21.5,)))
+    looking.happened(Remark(22.0, "jump: strut 2"))
+    looking.happened(Ended(23.0, "stopped from the page"))
+    assert looking.state.readings == {"ambient_temperature_C": 21.5} and looking.state.activity == "ended"
+    assert [text for _, text in looking.state.events[-4:]] == [
+        "frame 5",
+        "at step 7",
+        "jump: strut 2",
+        "ended: stopped from the page",
+    ]
 
 
 class Failing(Shown):

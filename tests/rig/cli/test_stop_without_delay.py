@@ -12,7 +12,7 @@ from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import PROTOCOLS
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.conftest import ROOT
-from tests.emulated_run import CONTROLLER
+from tests.emulated_run import controller_text
 
 # ends at the first import of a slow package, with what had been sent by then
 WATCHED = """
@@ -39,7 +39,7 @@ def stated(request, tmp_path):
     ours, theirs = os.openpty()
     path = tmp_path / "rig.toml"
     text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=1)
-    path.write_text(text + CONTROLLER.format(protocol=request.param, port=os.ttyname(theirs)))
+    path.write_text(text + controller_text(request.param, os.ttyname(theirs)))
     yield request.param, path, ours
     os.close(ours)
     os.close(theirs)

@@ -5,7 +5,7 @@ no move is repeated.
 import numpy as np
 import pytest
 
-from rig.driving.run_journal_and_recording import Arrival, Departure, Ended, Exposed, Resumed, read_journal
+from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Resumed, read_journal
 from rig.driving.run_steps_and_progress import check_steps, steps_of_plan
 from rig.errors import ControllerFault, MotionError, RigError, Stopped, Unreachable
 from rig.formats.rig_toml import design_from_rig_toml

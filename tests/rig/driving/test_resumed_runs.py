@@ -6,7 +6,7 @@ from datetime import datetime
 import numpy as np
 import pytest
 
-from rig.driving.run_journal_and_recording import CameraExposures, Ended, Exposed, PositionUnknown, read_journal
+from rig.driving.run_journal import CameraExposures, Ended, Exposed, PositionUnknown, read_journal
 from rig.errors import ControllerFault, MotionError, PositionLost, RigError, Stopped
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.recording import recording_folder

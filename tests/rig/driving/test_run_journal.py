@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from rig.driving.run_journal_and_recording import (
+from rig.driving.run_journal import (
     Arrival,
     Began,
     Departure,

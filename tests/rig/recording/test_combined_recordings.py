@@ -17,8 +17,8 @@ from rig.model import motion_simulation
 from rig.model.pose import exp, pose, pose_to_vector
 from rig.recording import recording_folder as recording
 from rig.recording.combined_recordings import first_recording_by_camera, join_recordings
+from rig.recording.exposure_table import Exposures
 from rig.recording.recording_folder import Commands, Recording
-from rig.recording.recording_table_loading_and_writing import Exposures
 from tests.rig.effects.test_effects_of_all_machines import MOVING, context_of, setting_of
 
 OWN_CLOCK = ("moment", "phase")  # roles of parameters that are told by one recording's clock

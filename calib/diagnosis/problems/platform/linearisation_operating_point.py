@@ -306,6 +306,8 @@ def _known(recording: Recording, calibration: Calibration) -> tuple[Hexapod, Flo
 
 def _seen(measured: Measurement, point: OperatingPoint) -> SeenCorners:
     o = measured.observations
+    if measured.to_frame_time is not None:  # here all cameras see the platform where it is at the frame's time
+        o = replace(o, uv=o.uv + measured.to_frame_time)
     keep = np.isin(o.frames[o.frame], measured.frames)
     kept = o.take(keep)
     kept = replace(kept, frames=measured.frames, frame=np.searchsorted(measured.frames, kept.frames[kept.frame]))

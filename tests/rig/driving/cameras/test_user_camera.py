@@ -52,6 +52,21 @@ def written(folder, old="", new=""):
     return camera(f"file:{folder / 'mine.py'}")
 
 
+def test_a_file_may_stamp_its_images(tmp_path):
+    clock = Ticking()
+    stamp = clock.now() - 0.3
+    source = open_camera(written(tmp_path, "self.count, np.uint8)", f"self.count, np.uint8), {stamp}, 2e-4"), clock)
+    frame = source.grab()
+    assert (frame.t, frame.t_sigma) == (stamp, 2e-4) and frame.image[0, 0] == 1
+    for given, why in (("12.0, 1e-4", "is t in seconds since 1970"), ("1e9", "not enough values")):
+        (tmp_path / "mine.py").write_text(FILE.replace("self.count, np.uint8)", f"self.count, np.uint8), {given}"))
+        other = tmp_path / given[:2]
+        other.mkdir()
+        (other / "other.py").write_text((tmp_path / "mine.py").read_text())
+        with pytest.raises(CameraError, match=why):
+            open_camera(camera(f"file:{other / 'other.py'}"), clock).grab()
+
+
 def test_a_file_gives_images_that_are_timed_by_the_host(tmp_path):
     clock = Ticking()
     source = open_camera(written(tmp_path), clock)

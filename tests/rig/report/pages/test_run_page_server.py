@@ -18,6 +18,11 @@ from rig.report.pages.run_page_server import STRANGERS, PageServer
 
 EVENT = {
     "verdict": {"state": "check", "why": "cameras are not adjusted yet"},
+    "activity": "moving",
+    "then": "1 frame there, step 4 (12.3 mm)",
+    "events": [{"t": 1.5, "text": "to step 3, 20.1 mm"}, {"t": 61.0, "text": "jump: <b>strut 2</b>"}],
+    "readings": [{"name": "ambient_temperature_C", "value": 21.25}],
+    "pictures": None,
     "phase": "moving to step 3",
     "frame": 2,
     "frames": 9,
@@ -25,7 +30,7 @@ EVENT = {
     "steps": 10,
     "left": 75.0,
     "ended": None,
-    "struts": [{"low": 400.0, "high": 500.0, "at": 450.0, "goal": 460.5}] * 6,
+    "struts": [{"low": 400.0, "high": 500.0, "at": 450.0, "goal": 460.5, "room": 50.0}] * 6,
     "alarms": [{"kind": "camera", "text": "camera 'cam0' <b>moved</b>"}],
     "history": [
         {"frame": 0, "rms": 0.02, "error": None, "innovation": None},
@@ -381,4 +386,6 @@ def test_a_browser_shows_it(page, tmp_path):
         and 'class="quad"' in shown
         and 'class="arrow"' in shown
     )
+    assert "next: 1 frame there, step 4 (12.3 mm)" in shown and "no emergency stop" in shown
+    assert "ambient_temperature_C" in shown and "1:01" in shown and "jump: &lt;b&gt;strut 2&lt;/b&gt;" in shown
     assert "450.000 mm" in shown and "0.21 s after its exposure" in shown and 'class="curve"' in shown

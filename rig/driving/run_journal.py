@@ -1,29 +1,19 @@
-"""Journal of a run, and the recording made from it.
+"""Journal of a run: rows on disk before what follows them.
 
 One JSON object a line, numbered, with a check sum of its own. A last line that is cut off or whose sum is wrong was
 being written when the machine went down: it was never reported, and is taken away before the file goes on. Any other
 bad line is damage.
-
-The journal is the truth and these files follow from it; a run that goes on writes them anew first. Between a
-departure and an arrival commands.csv has the way as the struts were commanded along it; where that is not known (a
-move that another process saw the end of) they are taken to have moved evenly. All cameras of a frame share its time,
-the middle of their exposures: the struts stand meanwhile, and the journal keeps each camera's own.
 """
 
 import json
 import os
 import zlib
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import ClassVar
 
-import numpy as np
-
 from rig.errors import FileError, RigError
 from rig.formats.local_and_remote_input_files import BINARY
-from rig.formats.output_files import write_text
 from rig.formats.output_files.locks_of_files_and_folders import HeldLock, lock_open_file, sync_folder
 
 Lengths = tuple[float, ...]
@@ -85,7 +75,7 @@ class Exposed:
     """A frame, whose images are on disk; a visit that other instruments measure where there are no cameras.
 
     t : s, middle of the exposure; sigma : s, of each camera's; images : in the folder; position : m, read back, empty
-    in journals of before it was
+    in journals of before it was, and in motion; times : s, middle of each camera's exposure in motion, empty at rest
     """
 
     kind: ClassVar[str] = "exposed"
@@ -96,6 +86,20 @@ class Exposed:
     cameras: tuple[str, ...]
     images: tuple[str, ...]
     position: Lengths = ()
+    times: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PositionReports:
+    """Positions that the controller reported during a move. t : s of the row; times : s, middle between request and
+    answer; widths : s between these; positions : m, read back
+    """
+
+    kind: ClassVar[str] = "position_reports"
+    t: float
+    times: tuple[float, ...]
+    widths: tuple[float, ...]
+    positions: tuple[Lengths, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +151,19 @@ class Ended:
     reason: str
 
 
-Row = Began | Resumed | Departure | Arrival | Exposed | Readings | CameraExposures | PositionUnknown | Remark | Ended
+Row = (
+    Began
+    | Resumed
+    | Departure
+    | Arrival
+    | Exposed
+    | PositionReports
+    | Readings
+    | CameraExposures
+    | PositionUnknown
+    | Remark
+    | Ended
+)
 KINDS = {row.kind: row for row in Row.__args__}
 
 
@@ -255,111 +271,3 @@ def _row(text: bytes, number: int) -> Row | None:
 
 def _tuples(value: object) -> object:
     return tuple(_tuples(part) for part in value) if isinstance(value, list) else value
-
-
-APART = 1e-6  # s; rows of commands.csv lie at least so far apart
-
-
-class GrowingRecording:
-    """The files of a recording, kept up with its journal."""
-
-    def __init__(self, folder: Path, axes: tuple[str, ...], rows: list[Row]) -> None:
-        """Write the files anew from the journal's rows so far. axes : names of commands.csv's columns"""
-        self.folder, self._axes = Path(folder), axes
-        self._last_t = -np.inf
-        self._at: tuple[float, ...] = ()  # before the first row: a journal begins with where the axes stand
-        self._channels: tuple[str, ...] | None = None
-        self._arrived, self._wall = 0.0, 0.0  # s, on the run's clock; s since 1970 at its t = 0
-        texts = {"commands.csv": ",".join(("t", *axes)) + "\n", "frames.csv": "frame,t,camera,image\n"}
-        for row in rows:
-            for name, line in self._lines(row):
-                texts[name] = texts.get(name, "") + line
-        for name, text in texts.items():
-            write_text(self.folder / name, text)
-        sync_folder(self.folder)
-
-    def add(self, row: Row) -> None:
-        """Add what a row means to the files. Raises RigError where the disk takes no more."""
-        for name, text in self._lines(row):
-            handle = os.open(self.folder / name, os.O_WRONLY | os.O_APPEND | os.O_CREAT | BINARY, 0o644)
-            try:
-                if os.write(handle, text.encode()) != len(text.encode()):
-                    raise RigError(f"{self.folder / name}: the disk took only part of a line; is it full?")
-            except OSError as error:
-                raise RigError(f"{self.folder / name} cannot be written: {error.strerror}") from None
-            finally:
-                os.close(handle)
-
-    def _lines(self, row: Row) -> list[tuple[str, str]]:
-        """(file, text) of each line that a row adds."""
-        if isinstance(row, Began):
-            self._wall = row.wall
-        if isinstance(row, Began | Resumed):
-            self._arrived = row.t
-            return self._stand(row.t, row.position)
-        if isinstance(row, Departure):
-            return self._stand(row.t, row.start)
-        if isinstance(row, Arrival):
-            self._arrived = row.t
-            return self._way(row)
-        if isinstance(row, Exposed) and not row.cameras:
-            return self._visit(row)
-        if isinstance(row, Exposed):
-            return [
-                *self._command(row.t, self._at),
-                (
-                    "frames.csv",
-                    "".join(
-                        f"{row.frame},{row.t:.6f},{camera},{image}\n" for camera, image in zip(row.cameras, row.images)
-                    ),
-                ),
-            ]
-        if isinstance(row, Readings):
-            return self._readings(row)
-        return self._command(row.t, self._at) if isinstance(row, Ended) else []
-
-    def _stand(self, t: float, position: tuple[float, ...]) -> list[tuple[str, str]]:
-        """The struts stand at a position (m); where they were left elsewhere, they went there since."""
-        self._at = position
-        return self._command(t, position)
-
-    def _way(self, row: Arrival) -> list[tuple[str, str]]:
-        """Where a move went. row.position : m, the goal where it was reached"""
-        start, goal = np.array(self._at), np.array(row.position)
-        lines = [line for t, share in row.way for line in self._command(t, start + share * (goal - start))]
-        self._at = row.position
-        return lines + self._command(row.t, row.position)
-
-    def _visit(self, row: Exposed) -> list[tuple[str, str]]:
-        """A place that something else than cameras measures, with the time from which the struts stood there."""
-        lines, axes = [("frames.csv", f"{row.frame},{row.t:.6f},,\n")], self._axes
-        if not row.frame:
-            read = (f"{axis}_read" for axis in axes)
-            lines.append(
-                ("visits.csv", ",".join(("frame", "from", "until", "utc_from", "utc_until", *axes, *read)) + "\n")
-            )
-        utc = [
-            datetime.fromtimestamp(self._wall + t, UTC).isoformat(timespec="milliseconds")
-            for t in (self._arrived, row.t)
-        ]
-        cells = [f"{value:.9f}" for value in (*self._at, *row.position)]
-        lines.append(
-            ("visits.csv", ",".join((str(row.frame), f"{self._arrived:.6f}", f"{row.t:.6f}", *utc, *cells)) + "\n")
-        )
-        return [*self._command(row.t, self._at), *lines]
-
-    def _command(self, t: float, values: Iterable[float]) -> list[tuple[str, str]]:
-        t = max(t, self._last_t + APART)
-        self._last_t = t
-        return [("commands.csv", f"{t:.6f}," + ",".join(f"{value:.9f}" for value in values) + "\n")]
-
-    def _readings(self, row: Readings) -> list[tuple[str, str]]:
-        lines = []
-        if self._channels is None:
-            self._channels = row.channels
-            lines.append(("sensors.csv", ",".join(("t", *row.channels)) + "\n"))
-        if row.channels != self._channels:
-            raise RigError(
-                f"sensors.csv has the channels {', '.join(self._channels)}; now {', '.join(row.channels)} were read"
-            )
-        return [*lines, ("sensors.csv", f"{row.t:.6f}," + ",".join(f"{value:.9g}" for value in row.values) + "\n")]

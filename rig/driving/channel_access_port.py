@@ -1,0 +1,182 @@
+"""Port to an EPICS IOC by Channel Access: requests and answers as lines, their values from one TCP circuit.
+
+    >17 GET RIG:m1.RBV RIG:m1.DMOV*94A1       read them all            <17 OK 12.5 1.0*8E0B
+    >18 PUT RIG:m1.VELO=2.5*41D7              write, then read back    <18 OK 2.5*3D52
+
+An answer of ERR and the reason stands for any of them that failed. Texts are percent-encoded. A write asks for no
+callback: a motor record would call back at the end of its move. What is read after it on the same circuit is
+read after it by the server too. No search by broadcast: the IOC, or its gateway, is named by its address.
+"""
+
+import getpass
+import select
+import socket
+import threading
+from collections import deque
+from typing import Any
+from urllib.parse import quote, urlsplit
+
+from rig.driving.clock import Clock
+from rig.driving.numbered_frames_with_checksum import encode_frame, last_valid_frame_in_line
+from rig.errors import LinkLost, MissingLibrary
+
+SCHEME, USUAL_PORT = "ca", 5064
+PATIENCE = 2.0  # s to connect; in which the server answers
+MOST = 65536  # bytes of a read
+TEXTS = ("EGU", "RTYP", "VERS", "DESC", "DTYP")  # fields that are read as texts
+
+
+class ChannelAccessPort:
+    """See rig.driving.request_and_answer_exchange_with_controller.Port. url : ca://HOST or ca://HOST:PORT
+
+    Raises LinkLost where nothing listens, MissingLibrary without the package caproto
+    """
+
+    def __init__(self, url: str, clock: Clock) -> None:
+        try:
+            import caproto
+        except ImportError:
+            raise MissingLibrary("EPICS needs the package caproto: pip install 'rig[epics]'") from None
+        self._ca: Any = caproto
+        self._url, self._clock = url, clock
+        parts = urlsplit(url)
+        address = (parts.hostname or "127.0.0.1", parts.port or USUAL_PORT)
+        try:
+            self._socket = socket.create_connection(address, timeout=PATIENCE)
+        except OSError as error:
+            raise LinkLost(f"cannot open {url}: no Channel Access server ({error.strerror or error})") from None
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._circuit = caproto.VirtualCircuit(our_role=caproto.CLIENT, address=address, priority=0)
+        self._channels: dict[str, Any] = {}
+        self._replies: dict[int, Any] = {}  # by ioid
+        self._waiting: deque[tuple[int, list[int]]] = deque()  # (number, ioids) of requests without an answer
+        self._in, self._out, self._lock = b"", b"", threading.RLock()
+        self._send(
+            caproto.VersionRequest(priority=0, version=13),
+            caproto.HostNameRequest(socket.gethostname()),
+            caproto.ClientNameRequest(getpass.getuser()),
+        )
+
+    def write(self, data: bytes) -> None:
+        """Send what lines ask for; only for records that were not used before their server is waited for."""
+        with self._lock:
+            *lines, self._in = (self._in + data).split(b"\n")
+            for line in lines:
+                frame = last_valid_frame_in_line(">", line.decode("latin-1"))
+                if frame is not None and frame.number is not None:
+                    self._ask(frame.number, frame.text.split())
+
+    def read(self, until: float) -> bytes:
+        while not self._out:
+            left = until - self._clock.now()
+            if not select.select([self._socket], [], [], max(left, 0.0))[0]:
+                break
+            with self._lock:
+                self._receive()
+                self._answer()
+        with self._lock:
+            out, self._out = self._out, b""
+        return out
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def _ask(self, number: int, words: list[str]) -> None:
+        verb, *rest = words
+        names = [word.rpartition("=")[0] or word for word in rest]
+        try:
+            self._connect(names)
+        except _Refused as error:
+            self._out += encode_frame("<", number, f"ERR {quote(str(error))}")
+            return
+        kinds, channels = self._ca.ChannelType, [self._channels[name] for name in names]
+        writes = [
+            channel.write((float(word.rpartition("=")[2]),), data_type=kinds.DOUBLE, notify=False)
+            for channel, word in zip(channels, rest)
+            if verb == "PUT"
+        ]
+        reads = [
+            channel.read(data_type=kinds.STRING if _is_text(name) else kinds.DOUBLE)
+            for channel, name in zip(channels, names)
+        ]
+        self._waiting.append((number, [request.ioid for request in reads]))
+        self._send(*writes, *reads)
+
+    def _answer(self) -> None:
+        """Make lines of the requests whose values have all come, in the order of the requests."""
+        while self._waiting and all(ioid in self._replies for ioid in self._waiting[0][1]):
+            number, ioids = self._waiting.popleft()
+            replies = [self._replies.pop(ioid) for ioid in ioids]
+            failed = [reply for reply in replies if isinstance(reply, self._ca.ErrorResponse)]
+            if failed:
+                text = failed[0].error_message.decode("utf-8", "replace").strip("\0")
+                self._out += encode_frame("<", number, f"ERR {quote(text)}")
+            else:
+                words = " ".join(_shown(reply.data[0]) for reply in replies)
+                self._out += encode_frame("<", number, f"OK {words}")
+
+    def _connect(self, names: list[str]) -> None:
+        """Make channels of names where they are not yet. Raises _Refused for one that the server does not have."""
+        fresh = [name for name in dict.fromkeys(names) if name not in self._channels]
+        for name in fresh:
+            self._channels[name] = self._ca.ClientChannel(name, self._circuit)
+        if fresh:
+            self._send(*(self._channels[name].create() for name in fresh))
+        end = self._clock.now() + PATIENCE
+        for name in fresh:
+            while not self._is_made(name):
+                self._await(end, f"no channel {name}")
+
+    def _is_made(self, name: str) -> bool:
+        state = self._channels[name].states[self._ca.CLIENT]
+        if state is self._ca.FAILED:
+            del self._channels[name]
+            raise _Refused(f"the server has no {name}")
+        return bool(state is self._ca.CONNECTED)
+
+    def _await(self, end: float, what: str) -> None:
+        left = end - self._clock.now()
+        if left <= 0 or not select.select([self._socket], [], [], left)[0]:
+            raise _Refused(f"{what} within {PATIENCE:g} s")
+        self._receive()
+
+    def _send(self, *commands: object) -> None:
+        try:
+            self._socket.sendall(b"".join(bytes(part) for part in self._circuit.send(*commands)))
+        except OSError as error:
+            raise LinkLost(f"{self._url}: connection lost: {error.strerror or error}") from None
+
+    def _receive(self) -> None:
+        try:
+            data = self._socket.recv(MOST)
+            if hasattr(socket, "TCP_QUICKACK"):  # a server that waits for acknowledgements would answer 40 ms late
+                self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
+        except OSError as error:
+            raise LinkLost(f"{self._url}: connection lost: {error.strerror or error}") from None
+        if not data:
+            raise LinkLost(f"{self._url}: the server has closed the connection")
+        commands, _ = self._circuit.recv(data)
+        for command in commands:
+            self._circuit.process_command(command)
+            if isinstance(command, self._ca.ServerDisconnResponse):
+                raise LinkLost(f"{self._url}: the server has taken a record away")
+            if isinstance(command, self._ca.ReadNotifyResponse):
+                self._replies[command.ioid] = command
+            elif isinstance(command, self._ca.ErrorResponse):
+                request = command.original_request
+                if getattr(request, "ioid", None) is not None:
+                    self._replies[request.ioid] = command
+
+
+class _Refused(Exception):
+    """A record that the server does not have, or does not answer for."""
+
+
+def _is_text(name: str) -> bool:
+    return name.rpartition(".")[2] in TEXTS
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, bytes):
+        return quote(value.split(b"\0")[0].decode("utf-8", "replace")) or "-"
+    return repr(float(str(value)))

@@ -1,0 +1,123 @@
+"""Emulated EPICS motor records behind the lines of rig.driving.channel_access_port, sound or with faults."""
+
+from urllib.parse import quote
+
+import numpy as np
+
+from rig.array_and_json_types import Floats
+from rig.driving.clock import Clock
+from rig.driving.emulators.controller_emulator import Emulator
+from rig.driving.emulators.controller_faults import Faults
+from rig.driving.emulators.emulated_axis_motion_and_homing import MOTOR, EmulatedMachine
+from rig.driving.numbered_frames_with_checksum import encode_frame, last_valid_frame_in_line
+
+MM = 1e3
+PROBLEM, HOMED, MAJOR = 1 << 9, 1 << 14, 2
+GO = 3.0
+
+
+class EpicsMotors(Emulator):
+    """motors : names of the records; limits : (n, 2) m of the counters, which LLM and HLM state"""
+
+    ends = b"\n"
+
+    def __init__(
+        self, machine: EmulatedMachine, faults: Faults, clock: Clock, motors: tuple[str, ...], limits: Floats
+    ) -> None:
+        super().__init__(machine, faults, clock, limits)
+        self.motors, self.buffer = motors, 4096  # a circuit of TCP drops nothing
+        self._speed, self._ramp = MM * machine.axes.speed, np.full(len(motors), 0.2)
+        self._goal, self._violated = np.zeros(len(motors)), np.zeros(len(motors))
+        self._mode = np.full(len(motors), GO)
+
+    def line(self, line: bytes) -> None:
+        frame = last_valid_frame_in_line(">", line.decode("latin-1"))
+        words = [] if frame is None else frame.text.split()
+        if frame is None or len(words) < 2 or words[0] not in ("GET", "PUT"):
+            return
+        number, (verb, *rest) = frame.number, words
+        struck = set[str]()
+        if verb == "PUT":
+            struck = self._write(rest)
+        if "resend" in struck or "resend-moving" in struck:
+            return  # the answer is lost with the circuit's buffer
+        try:
+            values = [self._value(*self._field(word.partition("=")[0])) for word in rest]
+        except KeyError as error:
+            self.say(encode_frame("<", number, f"ERR the%20server%20has%20no%20{error.args[0]}").decode())
+            return
+        if "runs-after-error" in struck or "ok-after-error" in struck:
+            self.say(encode_frame("<", number, "ERR write%20failed").decode())
+            if "runs-after-error" in struck:
+                return
+        self.say(encode_frame("<", number, f"OK {' '.join(values)}").decode(), acknowledges=verb == "PUT")
+
+    def _field(self, name: str) -> tuple[int, str]:
+        motor, _, field = name.rpartition(".")
+        if motor not in self.motors:
+            raise KeyError(name)
+        return self.motors.index(motor), field
+
+    def _value(self, i: int, field: str) -> str:
+        t = self.now
+        texts = {"EGU": "mm", "RTYP": "motor"}
+        if field in texts:
+            return quote(texts[field])
+        moving, fault = self.machine.moving(t) or self.machine.homing(t), self.machine.fault(t)
+        wrong = bool(fault) and (not fault.startswith(MOTOR) or fault.split()[-1] == str(i + 1))
+        low, high = MM * self.limits[i]
+        values = {
+            "RBV": MM * self.machine.counters(t)[i],
+            "VAL": self._goal[i],
+            "DMOV": float(not moving),
+            "MSTA": float(HOMED * self.machine.homed + PROBLEM * wrong),
+            "SEVR": float(MAJOR * wrong),
+            "SPMG": self._mode[i],
+            "HOMF": float(self.machine.homing(t)),
+            "HOMR": 0.0,
+            "STOP": 0.0,
+            "LLM": low,
+            "HLM": high,
+            "LVIO": self._violated[i],
+            "VELO": self._speed[i],
+            "VMAX": MM * self.machine.axes.speed[i],
+            "ACCL": self._ramp[i],
+        }
+        if field not in values:
+            raise KeyError(f"{self.motors[i]}.{field}")
+        return repr(float(values[field]))
+
+    def _write(self, words: list[str]) -> set[str]:
+        """Carry out writes; the faults of their answer. A field that there is not is refused by what reads it back."""
+        written = [(*self._field(name), float(value)) for name, _, value in (word.partition("=") for word in words)]
+        field = written[0][1]
+        at = [i for i, _, _ in written]
+        values = np.array([value for _, _, value in written])
+        if field == "STOP":
+            self.machine.halt(self.now)
+        elif field == "VELO":
+            self._speed[at] = values
+        elif field == "ACCL":
+            self._ramp[at] = values
+        elif field == "SPMG":
+            self._mode[at] = values
+        elif field == "HOMF" and not self.machine.deaf:
+            self.faults.begin(homing=True)
+            end, well = self.machine.start_homing(self.now)
+            if not well:
+                self.later(end, lambda: self.machine.fail(self.now, "home"))
+        elif field == "VAL":
+            return self._go(at, values)
+        return set()
+
+    def _go(self, at: list[int], values: Floats) -> set[str]:
+        counters = self.machine.counters(self.now)
+        target = counters.copy()
+        target[at] = values / MM
+        self._violated[:] = 1.0 * ((target < self.limits[:, 0] - 1e-9) | (target > self.limits[:, 1] + 1e-9))
+        refused = self._violated.any() or self.machine.fault(self.now) or (self._mode != GO).any() or self.machine.deaf
+        if refused or not self.machine.homed and self.busy:
+            return set()
+        self._goal[at] = values
+        way = np.abs(target - counters)[at]
+        return self.start_move(target, float((way / (self._speed[at] / MM)).max()))
