@@ -1,6 +1,5 @@
-"""Adjustment of a recording's corners.
+"""Adjustment of a recording's corners: cameras, and poses of the platform with covariance.
 
-Cameras, and the platform's pose in every frame with covariance.
 In the platform's own frame a hand camera stands still and the base's markers move. So it is measured like any rig, with
 base and platform exchanged; its stated pose holds the platform's frame, the markers' stated places the base's.
 
