@@ -1,11 +1,10 @@
 """Adjustment of a recording's corners: cameras, and poses of the platform with covariance.
 
-In the platform's own frame a hand camera stands still and the base's markers move. So it is measured like any rig, with
-base and platform exchanged; its stated pose holds the platform's frame, the markers' stated places the base's.
+In the platform's own frame a hand camera stands still and the base's markers move. So it is measured like any rig, base
+and platform exchanged: its stated pose holds the platform's frame, markers' stated places the base's.
 
 To an adjustment a stage is as good as a platform that is seen in frames of its own: cameras are shared, poses are not.
-So the recording's frames are followed by as many for each stage, all are adjusted together, and what was measured is
-parted again.
+So the recording's frames are followed by as many for each stage, adjusted together, and parted again.
 """
 
 from __future__ import annotations
