@@ -48,6 +48,19 @@ def test_a_scale_that_grows_along_the_travel_by_hand(design, home):
     np.testing.assert_allclose(moved(design, values, [1], other)[0, 4], 1e-5 * (1 + 0.2 * 0.01 / half), rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    "text", ["scale_error:rig:scale=1e-3,curvature=0.2", "axis_coupling:strut5:scale=1e-3,other=3,curvature=-0.3"]
+)
+def test_a_controller_computes_a_scale_that_grows_alike(design, home, text):
+    effect, values = parse_effect(text), out_and_back(home, 0.01)
+    commands = Commands(np.arange(len(values), dtype=float), values)
+    motion = motion_simulation.motion_of_commands(design, commands, np.array([1.0]), [effect])
+    names = {"c": values[1], "d": np.zeros(6)}
+    for line in effect.in_controller(motion).statements:
+        exec(line.rstrip(";"), {}, names)  # the lines of C are arithmetic that Python reads too
+    np.testing.assert_allclose(names["d"], effect.deviation(motion)[0], atol=1e-18)
+
+
 def test_cyclic_error_by_hand(design, home):
     lead = design.actuator.screw_lead
     quarter = (np.floor(home[2] / lead) + 1.25) * lead - home[2]
