@@ -92,7 +92,7 @@ class _Paper:
 def write_certificate_pdf(path: Path, certificate: Certificate) -> None:
     """Write a certificate as PDF, whole or not at all."""
     buffer = io.BytesIO()
-    title = f"Certificate of {certificate.machine} {certificate.provenance['id']}"
+    title = f"Certificate of {certificate.machine}, {certificate.provenance['created'][:10]}"
     with PdfPages(buffer, metadata={"Title": title, "CreationDate": None}) as pages:
         paper = _Paper(pages, title)
         _promise(paper, certificate, title)
@@ -104,6 +104,7 @@ def write_certificate_pdf(path: Path, certificate: Certificate) -> None:
 
 def _promise(paper: _Paper, c: Certificate, title: str) -> None:
     paper.line(title, 15, bold=True)
+    paper.line(f"certificate {c.provenance['id']}", 7)
     paper.line(certificate_sentences.length_scale_line(c))
     paper.line(certificate_sentences.promise_line(c), 11, bold=True)
     for said in (certificate_sentences.measured_volume_line(c), *certificate_sentences.basis_lines(c)):
