@@ -40,6 +40,7 @@ from calib.models.arm import calibration_page as arm_page
 from calib.models.arm import certification as arm_certification
 from calib.models.arm.joint_space_correction_and_certification import commanded_minus_joint_values_by_stated_arm
 from calib.models.arm.pointing_terms import PointingTerms, pointing_terms
+from calib.models.arm.workspace_claim import arm_workspace_claim
 from calib.models.chain import certification_and_page as chain_certification
 from calib.models.chain import certification_and_page as chain_page
 from calib.models.machine_models import Certified
@@ -328,7 +329,7 @@ def _fitted_arm(
     samples = sampled.samples if together is None else together.samples
     arm = require_arm(recording.design.mechanism)
     done = arm_certification.certify_arm(sampled.samples, arm, sampled.instrument, rng, progress, together)
-    claim = arm_certification.arm_workspace_claim(samples, done, rng)
+    claim = arm_workspace_claim(samples, done, rng)
     return samples, done, claim, None if refit is None else refit.with_geometry(done)
 
 

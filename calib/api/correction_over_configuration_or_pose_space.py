@@ -51,9 +51,9 @@ from calib.correction.interpolation_methods_and_correction_summand_fields import
     single_step_command_errors,
 )
 from calib.files.mechanism_and_physics_entries_of_calibration_json import mechanism_dict
-from calib.models.arm import certification as arm_certification
 from calib.models.arm import joint_space_correction_and_certification as arm_extension
 from calib.models.arm.certification import CertifiedArm as ArmCertified
+from calib.models.arm.workspace_claim import arm_workspace_claim
 from calib.models.platform.identification import inverse_strut_length_jacobian
 from calib.samples.pose_samples import Sampled, Samples
 from rig.array_and_json_types import Booleans, Json
@@ -284,7 +284,7 @@ def certify_correction_extension(
     if has_links(design.mechanism):
         arm = require_arm(design.mechanism)
         of_arm, tried = arm_extension.certify_extended_arm(samples, arm, sampled.instrument, ask, rng, progress)
-        claim_of = arm_extension.claim_without_geometry if options.alone else arm_certification.arm_workspace_claim
+        claim_of = arm_extension.claim_without_geometry if options.alone else arm_workspace_claim
         misses = arm_extension.single_step_correction_errors(of_arm.correction)
         claim = claim_of(samples, of_arm, rng)
         return ExtendedCorrection(of_arm, tried, claim, {}, misses, mechanisms.travel_unit(arm), base)

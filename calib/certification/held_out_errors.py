@@ -100,6 +100,11 @@ def compare_errors(
 
 def errors_before_and_after_correction(correction: AnyCorrection, samples: Samples) -> tuple[Floats, Floats]:
     """Pose errors (before, after) correction, both (n, 6): measured against the nominal and the corrected model."""
+    if samples.hand is not None:
+        before, after = np.empty((len(samples), 6)), np.empty((len(samples), 6))
+        for number, own, alone in samples.by_hand():
+            before[own], after[own] = errors_before_and_after_correction(correction.of_hand(number), alone)
+        return before, after
     nominal = mechanisms.kinematics_of(correction.nominal).forward(samples.commanded, correction.nominal)
     return pose_errors(nominal, samples), pose_errors(correction.predict(samples.effective), samples)
 

@@ -22,6 +22,7 @@ from calib.models.arm import error_model_and_observations as arm_errors
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import PLAUSIBLE
 from calib.models.arm.identification_and_joint_profiles import Profile
+from calib.models.arm.workspace_claim import arm_workspace_claim
 from calib.models.chain import certification_and_page as chain_certification
 from calib.models.chain import error_model as chain_errors
 from calib.models.chain import error_model as chains
@@ -163,7 +164,7 @@ class ArmModel:
     ) -> tuple[Certified, Claim]:
         """What a calibration of samples finds, and what it claims all over the workspace."""
         done = arm_certification.certify_arm(sampled.samples, require_arm(nominal), sampled.instrument, rng, progress)
-        return done, arm_certification.arm_workspace_claim(sampled.samples, done, rng)
+        return done, arm_workspace_claim(sampled.samples, done, rng)
 
     def pose_covariance(self, calibration: Calibration, T: RigidTransform, commands: Floats) -> Floats:
         """(n, 6, 6) covariance (m, rad) of the poses that commands (n, axes) give."""

@@ -16,7 +16,12 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.base_tilt import TiltReadings, gravity_at_exposures, has_gravity
 from rig.model.design import Instrument
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, nearest_reachable_poses
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Mechanism,
+    has_links,
+    nearest_reachable_poses,
+    require_arm,
+)
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording
 from rig.recording.recording_table_loading_and_writing import Corners, Poses
 
@@ -149,6 +154,7 @@ class Samples:
     conditions : Conditions under which they were measured, None where no recording says
     tilts : TiltReadings, None without tilt sensors
     sway : (n, 6) tangent, on the right, that physics beyond its joints has, taken off an arm's poses; None for none
+    hand : (n,) number, from 0, of the hand that each pose is of; None of machines with one, and of one hand's samples
     """
 
     frame: Integers
@@ -162,6 +168,7 @@ class Samples:
     conditions: Conditions | None = None
     tilts: TiltReadings | None = None
     sway: Floats | None = None
+    hand: Integers | None = None
 
     def __post_init__(self) -> None:
         if not len(self.frame):
@@ -196,7 +203,14 @@ class Samples:
             None if self.conditions is None else self.conditions.take(index),
             None if self.tilts is None else self.tilts.take(index),
             None if self.sway is None else self.sway[index],
+            None if self.hand is None else self.hand[index],
         )
+
+    def by_hand(self) -> list[tuple[int, Booleans, Samples]]:
+        """[(number, mask (n,), Samples)] of each hand's own, of an arm with several."""
+        assert self.hand is not None
+        masks = [(int(number), self.hand == number) for number in np.unique(self.hand)]
+        return [(number, mask, replace(self.take(mask), hand=None)) for number, mask in masks]
 
     @property
     def effective(self) -> Floats:
@@ -313,13 +327,21 @@ def sample_recording(
     free: tuple[str, ...] = ("poses", "lenses"),
     progress: Callable[[str, int, int], None] | None = None,
     on_corners: Callable[[Corners], None] | None = None,
+    several_hands: bool = False,
 ) -> Sampled:
     """Samples of a recording (Sampled): from its instrument's poses, its corners or images, or poses.csv.
 
     progress : called with (label, done, of), or None; on_corners : called with the Corners before they are measured, or
-        None
-    Raises RigError without commands, NotEnoughData without poses, and what look raises
+        None; several_hands : whether poses may be of several hands
+    Raises RigError without commands, and for poses of several hands that may not be, NotEnoughData without poses, and
+    what look raises
     """
+    if recording.poses is not None and recording.poses.hand is not None and not several_hands:
+        hands = [hand.name for hand in require_arm(recording.design.mechanism).hands]
+        raise RigError(
+            f"{recording.folder}: poses.csv is of several hands ({', '.join(hands)}), and this is done for one: "
+            "choose it with --hand NAME where the command has it, or recording.of_hand(NAME)"
+        )
     recording.commanded()  # a recording that nobody commanded fails before its images are read
     poses = recording.poses
     if poses is not None and (
@@ -363,6 +385,7 @@ def _from_poses(recording: Recording, poses: Poses) -> Samples:
     if instrument is not None and not has_links(recording.design.mechanism):
         _require_whole_poses(recording, instrument)
     found = pair_samples(recording, poses.frame, poses.T_base_platform, _covariance(poses, instrument), poses.common)
+    found = replace(found, hand=poses.hand)
     for stage, below in recording.stages.items():
         own = _covariance(below, instrument)
         found = add_stage_measurements(found, stage, below.frame, below.T_base_platform, own, below.common)

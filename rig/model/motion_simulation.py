@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_and_json_types import Floats
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion_and_play import Motion, Path
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanisms import mechanism_chain
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_stages, require_axes, require_parallel
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_stages, require_arm, require_axes, require_parallel
 from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 
@@ -143,11 +143,23 @@ def effective_commands_and_sway(
     T: RigidTransform,
     effects: Sequence[Effect] = (),
     sensors: Sensors | None = None,
+    hand: Integers | None = None,
 ) -> tuple[Floats, Floats]:
     """Effective commands (n, axes) under effects and the platform's sway (n, 6), taken at poses T (n,).
 
-    What joints hold is displaced along with them in ways that no joint may make up for. Raises as `motion_of_commands`
+    What joints hold is displaced along with them in ways that no joint may make up for. hand : (n,) number of the hand
+    that each pose is of, None for that at which an arm is seen. Raises as `motion_of_commands`
     """
+    if hand is not None:
+        arm, out, sway = (
+            require_arm(design.mechanism),
+            np.empty((len(t), len(design.mechanism.axes))),
+            np.empty((len(t), 6)),
+        )
+        for k in np.unique(hand):
+            rows, seen = hand == k, replace(design, mechanism=arm.of_hand(int(k)))
+            out[rows], sway[rows] = effective_commands_and_sway(seen, commands, t[rows], T[rows], effects, sensors)
+        return out, sway
     state = motion_of_commands(design, commands, t, effects, sensors, T)
     out = state.lengths + sum((e.deviation(state) for e in effects), np.zeros(state.lengths.shape))
     return out, sum((e.sway(state) for e in effects), np.zeros((len(state.t), 6)))

@@ -30,9 +30,9 @@ from rig.compute.worker_processes import worker_count
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.output_files.atomic_file_and_manifest import file_digest, load_manifest
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import LIMB, Recording
-from rig.recording.recording_table_loading_and_writing import Poses
 
 FRAME = re.compile(r"\s*([0-9]{1,18})(?:\s*-\s*([0-9]{1,18}))?\s*")
 
@@ -79,6 +79,17 @@ def select_frames(recording: Recording, frames: Integers) -> Recording:
     return _without(recording, every[~np.isin(every, frames)])
 
 
+def select_hand(recording: Recording, hand: str | int) -> Recording:
+    """The Recording of one hand, by name or number from 0, of an arm with several: its poses alone, the arm seen there.
+
+    Raises RigError for a hand that the arm does not have, and for another machine
+    """
+    arm, poses = require_arm(recording.design.mechanism).of_hand(hand), recording.poses
+    if poses is not None and poses.hand is not None:
+        poses = replace(poses.take(poses.hand == arm.hand), hand=None)
+    return replace(recording, design=replace(recording.design, mechanism=arm), poses=poses)
+
+
 def _without(recording: Recording, out: Integers) -> Recording:
     """The Recording without frames (k,)."""
     seen, corners = recording.exposures, recording.corners
@@ -101,24 +112,13 @@ def _without(recording: Recording, out: Integers) -> Recording:
             uv=corners.uv[keep],
             covariance=None if corners.covariance is None else corners.covariance[keep],
         )
-    poses = None if recording.poses is None else _others(recording.poses, out)
+    poses = None if recording.poses is None else recording.poses.take(~np.isin(recording.poses.frame, out))
     return replace(
         recording,
         exposures=seen,
         corners=corners,
         poses=poses,
-        stages={k: _others(own, out) for k, own in recording.stages.items()},
-    )
-
-
-def _others(poses: Poses, out: Integers) -> Poses:
-    """Poses of other frames than these (k,)."""
-    keep = ~np.isin(poses.frame, out)
-    return replace(
-        poses,
-        frame=poses.frame[keep],
-        T_base_platform=poses.T_base_platform[keep],
-        covariance=None if poses.covariance is None else poses.covariance[keep],
+        stages={k: own.take(~np.isin(own.frame, out)) for k, own in recording.stages.items()},
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_and_json_types import Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import FileError
 from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
 from rig.formats.checked_entries import LARGEST_RIG
@@ -25,6 +25,7 @@ from rig.model.pose import (
     roll_pitch_yaw_sigmas,
 )
 from rig.recording.direction_table import read_direction_table
+from rig.recording.frame_and_hand_columns import HAND, frame_and_hand_columns, frame_column
 from rig.recording.image_file_check_and_reading import (
     UnreadableImage,
     image_file_problem,
@@ -167,12 +168,19 @@ class Corners:
 class Poses:
     """Platform in base. frame : (n,) int; T_base_platform : RigidTransform (n,); covariance : (n, 6, 6) m, rad, on the
     right, order x y z rx ry rz, or None; common : (n, 6, k) m, rad, factor of errors that poses share beyond it, or
-    None: of several recordings together, where the instrument stood in each."""
+    None: of several recordings together, where the instrument stood in each; hand : (n,) number, from 0, of the hand
+    that each row is of, in order within a frame; None of machines with one."""
 
     frame: Integers
     T_base_platform: RigidTransform
     covariance: Floats | None
     common: Floats | None = None
+    hand: Integers | None = None
+
+    def take(self, index: Booleans | Integers) -> "Poses":
+        """The poses of an index or mask (n,)."""
+        parts = (None if part is None else part[index] for part in (self.covariance, self.common, self.hand))
+        return Poses(self.frame[index], self.T_base_platform[index], *parts)
 
 
 def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | None:
@@ -252,43 +260,48 @@ def load_poses(
     positions_only: bool = False,
     are_commands: bool = False,
     form: TableFormat = PLAIN,
+    hands: tuple[str, ...] = (),
 ) -> Poses:
     """Load the Poses of a poses.csv, measured or wanted.
 
     known_frames : set of frame numbers that there are, or None; positions_only : rotations and covariances, if there
     are any, mean nothing: the poses are unrotated; are_commands : a covariance may be 0 in directions in which the
-    machine has no freedom; form : of the file
+    machine has no freedom; form : of the file; hands : names in its column `hand`, where there are several
     Raises FileError with line and column.
     """
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(
-        path, ("frame", *POSE_COLUMNS[: 3 if positions_only else 6]), COVARIANCE_COLUMNS, form
+        path, ("frame", *[HAND][: len(hands)], *POSE_COLUMNS[: 3 if positions_only else 6]), COVARIANCE_COLUMNS, form
     )
-    frame = _frames(rows, known_frames)
+    frame, hand = frame_and_hand_columns(rows, known_frames, hands)
     values, k = np.zeros((len(rows), 6)), 3 if positions_only else 6
     values[:, :k] = form.units.si(rows.matrix(POSE_COLUMNS[:k]), POSE_UNITS[:k])
     _plausible(rows, values[:, :3], POSE_COLUMNS[:3])
-    return Poses(
-        frame, pose(values[:, :3], values[:, 3:]), None if positions_only else _pose_covariance(rows, are_commands)
-    )
+    covariance = None if positions_only else _pose_covariance(rows, are_commands)
+    found = Poses(frame, pose(values[:, :3], values[:, 3:]), covariance, hand=hand)
+    return found if hand is None else found.take(np.lexsort((hand, frame)))
 
 
 def load_instrument_poses(
-    path: str | Path, known_frames: set[int] | None, instrument: Instrument | None, form: TableFormat = PLAIN
+    path: str | Path,
+    known_frames: set[int] | None,
+    instrument: Instrument | None,
+    form: TableFormat = PLAIN,
+    hands: tuple[str, ...] = (),
 ) -> Poses:
     """Load the Poses of a poses.csv as its instrument measures them: poses, orientations, distances or directions.
 
-    form : of the file, where it holds poses or directions. Raises FileError with line and column
+    form : of the file, where it holds poses or directions; hands : as there. Raises FileError with line and column
     """
     kind = "pose" if instrument is None else instrument.kind
     if kind == "pose":
-        return load_poses(path, known_frames, instrument is not None and instrument.rotation_sigma is None, form=form)
+        alone = instrument is not None and instrument.rotation_sigma is None
+        return load_poses(path, known_frames, alone, form=form, hands=hands)
     if kind == "direction":
         rows, directions = read_direction_table(path, form)
-        return Poses(_frames(rows, known_frames), poses_pointing_along(directions), None)
+        return Poses(frame_column(rows, known_frames), poses_pointing_along(directions), None)
     columns = POSE_COLUMNS[3:] if kind == "orientation" else (DISTANCE,)
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", *columns))
-    frame, values = _frames(rows, known_frames), rows.matrix(columns)
-    nothing = np.zeros((len(rows), 3))
+    frame, values, nothing = frame_column(rows, known_frames), rows.matrix(columns), np.zeros((len(rows), 3))
     if kind == "orientation":
         return Poses(frame, pose(nothing, values), None)
     _plausible(rows, values, columns)
@@ -297,19 +310,6 @@ def load_instrument_poses(
         length = values[short[0], 0]
         rows.fail(f"a wire's length must be positive, not {length:g} m", short[0], DISTANCE, length)
     return Poses(frame, pose(np.pad(values, ((0, 0), (0, 2))), nothing), None)
-
-
-def _frames(rows: Table, known_frames: set[int] | None) -> Integers:
-    """(n,) frame of each row, each once and known."""
-    frame = rows.whole("frame")
-    seen: dict[Any, Any] = {}
-    for i, number in enumerate(frame.tolist()):
-        if known_frames is not None and number not in known_frames:
-            rows.fail(f"frame {number} is not in frames.csv", i, "frame", number)
-        if number in seen:
-            rows.fail(f"frame {number} is listed twice, first in line {rows.lines[seen[number]]}", i, "frame", number)
-        seen[number] = i
-    return frame
 
 
 def _plausible(rows: Table, values: Floats, columns: tuple[str, ...]) -> None:

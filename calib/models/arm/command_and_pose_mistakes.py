@@ -36,18 +36,18 @@ def _place_arm_roughly(q: Floats, T: RigidTransform, positions_only: bool, arm: 
     """
     if not (base or tool):
         return arm
-    links = mechanism.forward(q, replace(arm, base=RigidTransform.identity(), tool=RigidTransform.identity()))
+    links = mechanism.forward(q, arm.with_ends(RigidTransform.identity(), RigidTransform.identity()))
     if positions_only:
         return _from_positions(T.translation, links, arm, base, tool)
     if not base:
-        return replace(arm, tool=_middle(links.inv() * arm.base.inv() * T))
+        return arm.with_ends(tool=_middle(links.inv() * arm.base.inv() * T))
     if not tool:
         return replace(arm, base=_middle(T * (links * arm.tool).inv()))
     F = links.rotation.as_matrix()
     X, Z, _ = solve_rotation_placement(T.rotation.as_matrix(), F)
     A = np.concatenate([X @ F, np.tile(np.eye(3), (len(F), 1, 1))], axis=2).reshape(-1, 6)
     t = np.linalg.lstsq(A, (T.translation - links.translation @ X.T).ravel())[0]
-    return replace(arm, tool=rigid_transform(Z, t[:3]), base=rigid_transform(X, t[3:]))
+    return arm.with_ends(tool=rigid_transform(Z, t[:3]), base=rigid_transform(X, t[3:]))
 
 
 def _from_positions(p: Floats, links: RigidTransform, arm: Arm, base: bool, tool: bool) -> Arm:

@@ -11,8 +11,8 @@ is for `rest` to say.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import cast
+from dataclasses import dataclass, replace
+from typing import Self, cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -81,7 +81,12 @@ class ArmCorrection(Correction[Arm, Profile]):
     @property
     def deficient(self) -> bool:
         """Whether the arm has too few joints to take any pose."""
-        return len(self.nominal.joints) < deficient.WHOLE
+        return int(self.nominal.moving.sum()) < deficient.WHOLE
+
+    def of_hand(self, hand: str | int) -> Self:
+        """The correction of one of an arm's several hands, by name or number; the joints of others stand at home."""
+        nominal, fitted = self.nominal.of_hand(hand), self.fitted.of_hand(hand)
+        return replace(self, nominal=nominal, fitted=fitted, visited=self.visited * nominal.moving)
 
     def summand(self, commands: Floats) -> Floats:
         """KSF (..., joints) rad or m at commands: commanded less what the nominal model says for the pose that it

@@ -12,6 +12,7 @@ from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries, Required
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import camera_instrument_and_cube_entries
+from rig.formats.rig_toml.arm_branch_and_hand_entries import refuse_tables_unsuited_to_several_hands
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table, user_program_text
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_table
 from rig.model.base_tilt import ANGLE_UNITS, BaseTilt, TiltSensor
@@ -101,6 +102,7 @@ def design_of_entries(root: Entries) -> Design:
             f"gravity is {root.units.shown(9.80665, 'm/s^2')}",
             "gravity",
         )
+    refuse_tables_unsuited_to_several_hands(root)
     mechanism, actuator = mechanism_of_table(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
     cameras, targets = (
         camera_instrument_and_cube_entries.cameras_of_tables(root.tables("camera")),
