@@ -51,6 +51,7 @@ from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_text_parsing import Kinds
 from rig.errors import RigError
+from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_arm,
@@ -191,6 +192,8 @@ class CalibrationResult(OneLineRepr):
         of an arm whose poses do not determine its joints
         """
         nominal, samples = self.calibration.correction.nominal, self.sampled.samples
+        if hand_names(nominal):
+            raise RigError("correction values by joint are for arms with one hand: several share joints")
         if nominal.link_rows is not None:
             if samples.measured in arm_certification.UNPLACED:
                 raise RigError(arm_certification.UNPLACED[samples.measured])
@@ -204,7 +207,7 @@ class CalibrationResult(OneLineRepr):
 
 def has_axis_correction_summands(design: Design) -> bool:
     """Whether a design's machine has correction summands, one per axis (ksf.csv)."""
-    return not design.mechanism.bodies
+    return not design.mechanism.bodies and not hand_names(design.mechanism)
 
 
 def calibrate(
@@ -230,7 +233,7 @@ def calibrate(
         if options.limbs is not None:
             sampled = sample_by_limbs(recording, options.limbs, progress, notice)
         else:
-            sampled = sample_recording(recording, progress=progress, on_corners=prepared.look)
+            sampled = sample_recording(recording, progress=progress, on_corners=prepared.look, several_hands=True)
         _require_tilt_readings(recording)
         sampled = replace(sampled, files=(*sampled.files, *(plugin.path for plugin in options.effects)))
         return _calibrated(recording, sampled, findings, kinds, options, call)

@@ -25,6 +25,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.checks import command_and_pose_disagreements
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.model import mechanisms
+from rig.model.arm_branches_and_hands import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Parallel,
     geometric_parameters,
@@ -35,6 +36,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 )
 from rig.model.pose import exp
 from rig.recording.combined_recordings import is_measured_by_instrument
+from rig.recording.frame_selection_and_content_hashes import select_hand
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners
 from vision.checks import find_corner_mistakes
@@ -209,7 +211,7 @@ def check_and_combine_recordings(
                 notice(place.line(every[place.recording].name))
             if not places:
                 notice("the instrument has not moved")
-        elif has_placements(recording.design.mechanism, measured):
+        elif has_placements(recording.design.mechanism, measured) and not hand_names(recording.design.mechanism):
             recording, placements = remove_base_and_tool_displacement(recording)
             for line in placement_lines(placements, [one.name for one in every[1:]]):
                 notice(line)
@@ -240,6 +242,13 @@ def pose_mistakes(recording: Recording) -> tuple[Mistake, ...]:
     if recording.poses is None or recording.commands is None:
         return ()
     mechanism = recording.design.mechanism
+    if hand_names(mechanism):
+        found = [
+            replace(mistake, what=f"hand {name}: {mistake.what}")
+            for name in hand_names(mechanism)
+            for mistake in find_arm_mistakes(select_hand(recording, name))
+        ]
+        return sort_mistakes(found)
     if mechanism.link_rows is not None:
         return find_arm_mistakes(recording)
     if mechanism.plates is None:

@@ -158,7 +158,7 @@ def find_arm_mistakes(recording: Recording) -> tuple[Mistake, ...]:
         return ()
     design, T = recording.design, recording.poses.T_base_platform[some]
     alone = design.instrument is not None and design.instrument.rotation_sigma is None
-    v = pose_columns_of_poses_csv_as_written(recording)[some] if not alone else pose_to_vector(T)
+    v = pose_to_vector(T) if alone or arm.hands else pose_columns_of_poses_csv_as_written(recording)[some]
     return sort_mistakes(_mistakes(ReachedPoses(arm, design.instrument, all_q, index[some], v, alone, T)))
 
 

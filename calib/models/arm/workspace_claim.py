@@ -55,8 +55,9 @@ def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.rando
     each = mean_sample_per_configuration(kept, label, joint_jacobian(kept.commanded, found.arm, kept.hand))
     words = f"the middle {FILL * 100:.0f} % of the recorded angles, all joints independent"
     fitted = int(found.rank.free.sum())
+    configurations = len(np.unique(certified.label[good]))
     told = ConfigurationInformation(
-        len(each), fitted, fitted, found.rank.asked, "all determined parameters are fitted without one"
+        configurations, fitted, fitted, found.rank.asked, "all determined parameters are fitted without one"
     )
     if certified.held_out is None:
         return empty_claim_of_too_few_configurations(told, words)

@@ -246,8 +246,21 @@ def jacobian_rows_by_axis(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
 
 
 def link_points(q: Floats, arm: Arm) -> Floats:
-    """Points (..., n + 2, 3) m of the line along the links at joint values q (..., n), in the frame of poses."""
-    return link_frames(q, arm)[..., :3, 3]
+    """Points (..., n + 2, 3) m of the line along the links at joint values q (..., n), in the frame of poses.
+
+    Of several hands the line goes from the base to each in turn, and back
+    """
+    if not arm.hands:
+        return link_frames(q, arm)[..., :3, 3]
+    ways = []
+    for number in range(len(arm.hands)):
+        seen = arm.of_hand(number)
+        frames, moving = joint_frames(q, seen), seen.moving
+        along = np.stack([part[..., :3, 3][..., moving, :] for part in (frames.before, frames.after)], axis=-2)
+        base = np.broadcast_to(arm.base.translation, (*along.shape[:-3], 1, 3))
+        way = [base, along.reshape(*along.shape[:-3], -1, 3), frames.tip[..., None, :3, 3]]
+        ways += [*way, *(part[..., ::-1, :] for part in way[1::-1])]
+    return np.concatenate(ways, axis=-2)
 
 
 def strut_ends(T: RigidTransform, arm: Arm) -> None:
