@@ -60,6 +60,7 @@ from rig.array_and_json_types import Booleans, Json
 from rig.errors import NotEnoughData, RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.model import mechanisms
+from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, has_links, require_arm, require_parallel
 from rig.model.pose import pose_difference
@@ -239,6 +240,7 @@ class ExtendOptions:
 
     def refuse_unsuited(self, design: Design) -> None:
         """Raise RigError where a pass cannot be of a design's machine, or stand on its calibration."""
+        require_one_hand(design.mechanism, "corrections are extended")
         if self.onto is None:
             return
         if design.mechanism.link_rows is not None:

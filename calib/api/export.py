@@ -20,6 +20,7 @@ from rig.formats.exporters import geometry_and_camera_files, recording_as_rerun_
 from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms
+from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_arm, require_hexapod
 from rig.recording.recording_folder import load_recording, load_wanted_poses
@@ -233,4 +234,5 @@ def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
 
 def _exported(mechanism: Mechanism) -> Hexapod | Arm:
     """The mechanism, which has a geometry that can be written."""
+    require_one_hand(mechanism, "geometry is exported")
     return require_arm(mechanism) if mechanism.link_rows is not None else require_hexapod(mechanism)

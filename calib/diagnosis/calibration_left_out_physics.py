@@ -190,7 +190,8 @@ def unexplained_findings_and_refutations(
         if any(tree.get(key) for key in BEYOND):
             continue
         known = calibration_evidence_verdict_and_claim_check(
-            calibration_file.load(path), refutations_of_file(path) if include_later_refutations else ()
+            calibration_file.load(path, several_hands=True),
+            refutations_of_file(path) if include_later_refutations else (),
         )
         refuted += [f"{path.name} {text}" for text in known.refuted] if include_later_refutations else []
         left += known.unexplained

@@ -21,6 +21,7 @@ from rig.cli.shared.argument_parser_and_common_options import (
     print_frames_without_pose,
     require_matplotlib,
 )
+from rig.cli.shared.hand_option import add_hand_option, recording_of_chosen_hand
 from rig.cli.shared.input_options_and_output_display import Progress, read_recording
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
@@ -123,6 +124,7 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="FRAMES",
         help="exclude these frames of the one recording, for example 0-11: those that `rig calibrate --mask` left in",
     )
+    add_hand_option(parser)
     add_overwrite_option(parser)
     add_json_result_option(parser)
 
@@ -142,9 +144,10 @@ def run(arguments: Namespace) -> int:
     from calib.files import calibration_file
     from rig.report.verdict_and_refutations_by_later_recordings import refutations_of_file
 
-    calibration = calibration_file.load(arguments.calibration)
+    calibration = calibration_file.load(arguments.calibration, several_hands=True)
     whole = arguments.outputs.folder(arguments.out) if suffix == "" else arguments.outputs.file(arguments.out)
-    recordings = [read_recording(arguments, path) for path in arguments.recordings]
+    read = [read_recording(arguments, path) for path in arguments.recordings]
+    recordings = [recording_of_chosen_hand(arguments, recording) for recording in read]
     refuted = refutations_of_file(arguments.calibration)
     source = certificate_provenance(arguments.calibration, calibration, recordings, arguments.argv, SEED)
     result = certify(calibration, recordings, options, refuted, source, str(arguments.calibration), progress)

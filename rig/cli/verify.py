@@ -17,6 +17,7 @@ from rig.cli.shared.argument_parser_and_common_options import (
     print_held_out_errors,
     print_json,
 )
+from rig.cli.shared.hand_option import add_hand_option, recording_of_chosen_hand
 from rig.cli.shared.input_options_and_output_display import Progress, add_recording_argument, read_recording
 from rig.report.verdict_and_refutations_by_later_recordings import exit_status
 
@@ -31,6 +32,7 @@ def arguments(parser: ArgumentParser) -> None:
     add_recording_argument(parser)
     add_json_option(parser)
     add_page_option(parser)
+    add_hand_option(parser)
     input_options_and_output_display.add_user_effect_files_option(parser)
     parser.add_argument(
         "--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were intended to take"
@@ -50,7 +52,7 @@ def run(arguments: Namespace) -> int:
     progress("reading the recording", 0, 1)
     calibration = input_options_and_output_display.calibration_of_arguments(arguments)
     wanted = load_poses(arguments.wanted, are_commands=True) if arguments.wanted else None
-    recording, page = read_recording(arguments), page_path(arguments)
+    recording, page = recording_of_chosen_hand(arguments, read_recording(arguments)), page_path(arguments)
     refuted = refutations_of_file(arguments.calibration)
     result = verify(calibration, recording, wanted, refuted, progress)
     progress.close()

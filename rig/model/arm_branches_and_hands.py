@@ -72,3 +72,17 @@ def hand_number(mechanism: object, hand: str | int) -> int:
     if hand not in names:
         raise RigError(f"the mechanism has no hand {hand!r}; there are {', '.join(names) or 'no named hands'}")
     return names.index(hand)
+
+
+def require_one_hand(mechanism: object, what: str) -> None:
+    """Raise RigError for a mechanism with several hands. what : is not done for it, as a sentence's beginning"""
+    names = hand_names(mechanism)
+    if names:
+        raise RigError(f"{what} for arms with one hand; this one has {len(names)}: {', '.join(names)}")
+
+
+def seen_hand(mechanism: object) -> str | None:
+    """Name of the hand at which an arm with several is seen; None of other mechanisms."""
+    number: int = getattr(mechanism, "hand", 0)
+    names = hand_names(mechanism)
+    return names[number] if names else None

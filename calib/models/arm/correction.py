@@ -85,8 +85,12 @@ class ArmCorrection(Correction[Arm, Profile]):
 
     def of_hand(self, hand: str | int) -> Self:
         """The correction of one of an arm's several hands, by name or number; the joints of others stand at home."""
-        nominal, fitted = self.nominal.of_hand(hand), self.fitted.of_hand(hand)
-        return replace(self, nominal=nominal, fitted=fitted, visited=self.visited * nominal.moving)
+        seen = replace(self, nominal=self.nominal.of_hand(hand), fitted=self.fitted.of_hand(hand))
+        return seen.with_other_joints_at(np.clip(0.0, *self.nominal.limits.T))
+
+    def with_other_joints_at(self, values: Floats) -> Self:
+        """The correction whose commands leave the joints that do not move its hand at values (joints,) rad or m."""
+        return replace(self, visited=np.where(self.nominal.moving, self.visited, values))
 
     def summand(self, commands: Floats) -> Floats:
         """KSF (..., joints) rad or m at commands: commanded less what the nominal model says for the pose that it

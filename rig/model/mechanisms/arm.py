@@ -311,7 +311,7 @@ def solve_inverse(
         solved, had = error <= GOOD, left[todo] <= GOOD
         better = np.where(solved & had, outside[todo] & ~out, np.where(solved | had, solved, error < left[todo]))
         best[todo[better]], left[todo[better]], outside[todo[better]] = q[better], error[better], out[better]
-        trying = rng.uniform(arm.limits[:, 0], arm.limits[:, 1], best.shape)
+        trying = np.where(arm.moving, rng.uniform(arm.limits[:, 0], arm.limits[:, 1], best.shape), guess)
     return best.reshape(*shape, n), left.reshape(shape)
 
 
