@@ -340,7 +340,7 @@ def sample_recording(
         hands = [hand.name for hand in require_arm(recording.design.mechanism).hands]
         raise RigError(
             f"{recording.folder}: poses.csv is of several hands ({', '.join(hands)}), and this is done for one: "
-            "choose it with --hand NAME where the command has it, or recording.of_hand(NAME)"
+            "choose it with --hand NAME where the command has it, or select_hand(recording, NAME)"
         )
     recording.commanded()  # a recording that nobody commanded fails before its images are read
     poses = recording.poses

@@ -359,8 +359,8 @@ def load_calibration(path: Path, effect_files: tuple[Plugin, ...], several_hands
 
 
 def calibration_of_arguments(arguments: Namespace) -> Calibration:
-    """Calibration that the argument CALIBRATION names, with the effects of --effects; of an arm with several hands where
-    there is --hand. Raises as `load_calibration`
+    """Calibration that the argument CALIBRATION names, with the effects of --effects, of one hand or, where the command
+    has --hand, several. Raises as `load_calibration`
     """
     return load_calibration(arguments.calibration, load_effect_files(arguments), "hand" in arguments)
 
