@@ -146,8 +146,7 @@ def run(arguments: Namespace) -> int:
 
     calibration = calibration_file.load(arguments.calibration, several_hands=True)
     whole = arguments.outputs.folder(arguments.out) if suffix == "" else arguments.outputs.file(arguments.out)
-    read = [read_recording(arguments, path) for path in arguments.recordings]
-    recordings = [recording_of_chosen_hand(arguments, recording) for recording in read]
+    recordings = [recording_of_chosen_hand(arguments, read_recording(arguments, p)) for p in arguments.recordings]
     refuted = refutations_of_file(arguments.calibration)
     source = certificate_provenance(arguments.calibration, calibration, recordings, arguments.argv, SEED)
     result = certify(calibration, recordings, options, refuted, source, str(arguments.calibration), progress)

@@ -11,8 +11,10 @@ from rig.errors import RigError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Branch:
-    """Where a joint stands that does not follow the joint before it. joint : its index; parent : index of the joint
-    whose link carries it, -1 for the base; mount : pose of the frame of its row in the frame of that link
+    """Where a joint stands that does not follow the joint before it.
+
+    joint : its index; parent : index of the joint whose link carries it, -1 for the base
+    mount : pose of the frame of its row in the frame of that link
     """
 
     joint: int
@@ -22,9 +24,11 @@ class Branch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hand:
-    """One of several hands of an arm. name; joint : index of the joint whose link holds it
-    tool : pose of what is measured (hand, target) in the frame of that link; mass : kg, and centre_of_mass : (3,) m in
-    the hand's own frame, of what it weighs, None where not stated
+    """One of several hands of an arm.
+
+    name : as poses.csv has it; joint : index of the joint whose link holds it
+    tool : pose of what is measured (hand, target) in the frame of that link
+    mass : kg; centre_of_mass : (3,) m in the hand's own frame
     """
 
     name: str

@@ -168,8 +168,7 @@ class Corners:
 class Poses:
     """Platform in base. frame : (n,) int; T_base_platform : RigidTransform (n,); covariance : (n, 6, 6) m, rad, on the
     right, order x y z rx ry rz, or None; common : (n, 6, k) m, rad, factor of errors that poses share beyond it, or
-    None: of several recordings together, where the instrument stood in each; hand : (n,) number, from 0, of the hand
-    that each row is of, in order within a frame; None of machines with one."""
+    None: of several recordings, where the instrument stood in each; hand : (n,) number, from 0, of its hand, or None"""
 
     frame: Integers
     T_base_platform: RigidTransform
@@ -179,8 +178,9 @@ class Poses:
 
     def take(self, index: Booleans | Integers) -> "Poses":
         """The poses of an index or mask (n,)."""
-        parts = (None if part is None else part[index] for part in (self.covariance, self.common, self.hand))
-        return Poses(self.frame[index], self.T_base_platform[index], *parts)
+        covariance, common = (None if part is None else part[index] for part in (self.covariance, self.common))
+        own = (self.frame[index], self.T_base_platform[index], covariance, common)
+        return Poses(*own, None if self.hand is None else self.hand[index])
 
 
 def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | None:

@@ -263,11 +263,9 @@ def _points(q: Floats, arm: Arm | Chain) -> tuple[Floats, Floats]:
     """
     if isinstance(arm, Arm):
         origins = mechanism.joint_frames(q, arm).before[..., :3, 3]
-        line, joints = (
-            (part - arm.base.translation) @ arm.base.rotation.as_matrix()
-            for part in (mechanism.link_points(q, arm), origins)
-        )
-        return line, joints
+        back = arm.base.rotation.as_matrix()
+        line = (mechanism.link_points(q, arm) - arm.base.translation) @ back
+        return line, (origins - arm.base.translation) @ back
     outline: list[Floats] = []
     joints: list[Floats] = []
     below = np.broadcast_to(np.eye(4), (len(q), 4, 4))

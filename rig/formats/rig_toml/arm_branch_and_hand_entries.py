@@ -21,7 +21,7 @@ UNSUITED = {
 
 def refuse_tables_unsuited_to_several_hands(root: Entries) -> None:
     """Raise FileError for a table of a rig.toml that an arm with several hands cannot have."""
-    if not root.table("mechanism").tree.get("hand"):
+    if "hand" not in root.table("mechanism").tree:
         return
     for name, reason in UNSUITED.items():
         if root.tree.get(name):
@@ -36,8 +36,7 @@ def branches_of_tables(table: Entries, joints: int) -> tuple[Branch, ...]:
     out: list[Branch] = []
     for one in table.tables("branch"):
         one.refuse_misspelt(("joint", "parent", "mount"))
-        joint = one.whole("joint", 2, most=joints)
-        parent = one.whole("parent", 0, most=joints)
+        joint, parent = _joint(one, 2, joints), one.whole("parent", 0)
         if parent >= joint:
             one.fail(f"{one.name('parent')} must be a joint before joint {joint}, or 0 for the base", "parent")
         if joint - 1 in [branch.joint for branch in out]:
@@ -45,6 +44,14 @@ def branches_of_tables(table: Entries, joints: int) -> tuple[Branch, ...]:
         mount = one.pose("mount") if "mount" in one.tree else RigidTransform.identity()
         out.append(Branch(joint - 1, parent - 1, mount))
     return tuple(out)
+
+
+def _joint(table: Entries, least: int, joints: int) -> int:
+    """Number of a joint, from `least`, of an arm with so many joints."""
+    number = table.whole("joint", least)
+    if number > joints:
+        table.fail(f"{table.name('joint')}: there is no joint {number}, the arm has {joints}", "joint", value=number)
+    return number
 
 
 def hands_of_tables(table: Entries, joints: int, branches: tuple[Branch, ...]) -> tuple[Hand, ...]:
@@ -61,7 +68,7 @@ def hands_of_tables(table: Entries, joints: int, branches: tuple[Branch, ...]) -
         out.append(
             Hand(
                 name,
-                one.whole("joint", 1, most=joints) - 1,
+                _joint(one, 1, joints) - 1,
                 one.pose("tool") if "tool" in one.tree else RigidTransform.identity(),
                 one.number("mass", None, least=0, unit="kg"),
                 one.array("centre_of_mass", (3,), None, length_limit=LARGEST_RIG),
