@@ -14,6 +14,7 @@ from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model.design import Camera
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from rig.recording import recording_table_loading_and_writing
+from rig.recording.poses_as_roll_pitch_yaw import write_poses_as_roll_pitch_yaw
 from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
 from rig.recording.recording_table_loading_and_writing import Poses
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
@@ -88,7 +89,7 @@ class MeasurementResult(OneLineRepr):
         write_kinematics_file(folder, recording.design.mechanism)
         poses = Poses(m.frames, m.T_base_platform, m.covariance)
         recording_table_loading_and_writing.write_poses(folder / "poses.csv", poses)
-        recording_table_loading_and_writing.write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
+        write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
         recording_table_loading_and_writing.write_corners(folder / "corners.csv", m.corners())
         copy_frames_commands_and_sensors(recording.folder, folder, recording.exposures, recording.origin)
         for number, stage in m.stages.items():

@@ -205,13 +205,14 @@ def check_and_combine_recordings(
     recording = found.recording
     if is_measured_by_instrument(recording):
         measured = "pose" if recording.design.instrument is None else recording.design.instrument.kind
+        several = bool(hand_names(recording.design.mechanism))
         if recording.design.mechanism.strut_joints is not None:
             recording, places = remove_instrument_displacement(recording)
             for place in places:
                 notice(place.line(every[place.recording].name))
             if not places:
                 notice("the instrument has not moved")
-        elif has_placements(recording.design.mechanism, measured) and not hand_names(recording.design.mechanism):
+        elif has_placements(recording.design.mechanism, measured) and not several:
             recording, placements = remove_base_and_tool_displacement(recording)
             for line in placement_lines(placements, [one.name for one in every[1:]]):
                 notice(line)
@@ -220,7 +221,7 @@ def check_and_combine_recordings(
         else:
             notice(
                 "the instrument is assumed not to have moved: this is not checked for a mechanism of kind "
-                f"{recording.design.mechanism.kind!r} seen so"
+                f"{recording.design.mechanism.kind!r} {'with several hands' if several else 'seen so'}"
             )
     return PreparedRecording(recording, lambda corners: None, True)
 

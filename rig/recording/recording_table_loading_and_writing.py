@@ -15,15 +15,7 @@ from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, Table, TableFormat, TimeOrigin
 from rig.formats.output_files import write_text
 from rig.model.design import Camera, Design, Instrument
-from rig.model.pose import (
-    TRIANGLE,
-    covariance_from_triangle,
-    pose,
-    pose_to_vector,
-    poses_pointing_along,
-    roll_pitch_yaw,
-    roll_pitch_yaw_sigmas,
-)
+from rig.model.pose import TRIANGLE, covariance_from_triangle, pose, pose_to_vector, poses_pointing_along
 from rig.recording.direction_table import read_direction_table
 from rig.recording.frame_and_hand_columns import HAND, frame_and_hand_columns, frame_column
 from rig.recording.image_file_check_and_reading import (
@@ -343,9 +335,6 @@ def _pose_covariance(rows: Table, commanded: bool) -> Floats | None:
     return covariance
 
 
-ANGLES = ("x", "y", "z", "roll", "pitch", "yaw")
-
-
 def write_table(path: Path, header: Iterable[str], rows: Iterable[str]) -> None:
     """Write a CSV table of a header (names) and rows (lines of text)."""
     write_text(path, "\n".join([",".join(header), *rows]) + "\n")
@@ -360,42 +349,20 @@ def write_configurations(path: Path, axis_names: Iterable[str], configurations: 
     )
 
 
-def write_poses(path: Path, poses: Poses) -> None:
-    """Write a poses.csv, with covariance where there is one; resolution 1e-10 m and rad."""
-    header = ["frame", *POSE_COLUMNS, *(COVARIANCE_COLUMNS if poses.covariance is not None else ())]
-    lines = [",".join(header)]
+def write_poses(path: Path, poses: Poses, hands: tuple[str, ...] = ()) -> None:
+    """Write a poses.csv, with covariance where there is one; resolution 1e-10 m and rad.
+
+    hands : names of the hands by number, of an arm with several
+    """
+    of_hand = [] if poses.hand is None else [hands[number] for number in poses.hand]
+    header = ["frame", *[HAND][: len(of_hand)], *POSE_COLUMNS]
+    lines = [",".join([*header, *(COVARIANCE_COLUMNS if poses.covariance is not None else ())])]
     for i, (frame, values) in enumerate(zip(poses.frame, pose_to_vector(poses.T_base_platform))):
-        cells = [str(frame), *(f"{value:.10f}" for value in values)]
+        cells = [str(frame), *of_hand[i : i + 1], *(f"{value:.10f}" for value in values)]
         if poses.covariance is not None:
             cells += [f"{value:.9e}" for value in poses.covariance[i][TRIANGLE]]
         lines.append(",".join(cells))
     write_text(path, "\n".join(lines) + "\n")
-
-
-def write_poses_as_roll_pitch_yaw(path: Path, poses: Poses) -> None:
-    """Write poses as x, y, z (m) and roll, pitch, yaw (rad), with standard deviations u_* where known."""
-    sure = poses.covariance is not None
-    rows = np.concatenate([poses.T_base_platform.translation, roll_pitch_yaw(poses.T_base_platform)], axis=-1)
-    lines = [
-        ",".join([str(frame), *(f"{value:.10f}" for value in row)])
-        for frame, row in zip(poses.frame, np.atleast_2d(rows))
-    ]
-    if poses.covariance is not None:
-        sigma = np.concatenate(
-            [_positions(poses), roll_pitch_yaw_sigmas(poses.T_base_platform, poses.covariance)], axis=-1
-        )
-        lines = [
-            line + "".join(f",{value:.4e}" if np.isfinite(value) else "," for value in row)
-            for line, row in zip(lines, sigma)
-        ]
-    write_table(path, ("frame", *ANGLES, *(f"u_{name}" for name in ANGLES if sure)), lines)
-
-
-def _positions(poses: Poses) -> Floats:
-    """(n, 3) m, standard deviations along the static frame's axes: a covariance stands along the platform's."""
-    R, C = poses.T_base_platform.rotation.as_matrix(), poses.covariance
-    assert C is not None
-    return np.sqrt(np.einsum("nij,njk,nik->ni", R, C[:, :3, :3], R))
 
 
 def write_corners(path: Path, corners: Corners) -> None:

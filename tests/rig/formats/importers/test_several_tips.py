@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from rig.errors import RigError
 from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions, read_arm_file
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import arm as serial
+from rig.model.pose import pose_difference
+from rig.recording.recording_folder import load_recording
 from tests.cli import run
 from tests.rig.formats.importers.urdf_products import product, robot
 
@@ -86,3 +89,54 @@ def test_the_command_reads_several_tips_and_states_the_rig_in_other_units(tmp_pa
     for hand in ("left", "right"):
         expected, found = (serial.forward(q, one.of_hand(hand)).as_matrix() for one in (arm, stated))
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+JOINTS = ("waist", "lift", "l_shoulder", "l_elbow", "r_shoulder", "r_elbow")
+BOTH = [(k, hand) for k in range(8) for hand in ("right", "left")]
+HEADER = "time;gripper;x [mm];y [mm];z [mm];rx;ry;rz"
+STATED = ("--set", "poses.rotation=rotvec", "--set", "poses.rotation_unit=rad")
+
+
+def imported(folder, header=HEADER, rows=BOTH, more=(), ok=True, change=("", "")):
+    """`rig import` of a log of commands in degrees and mm, and of a table of two hands' poses, as others write them."""
+    (folder / "robot.urdf").write_text(HUMANOID)
+    given = ("--urdf", folder / "robot.urdf", "--tip", "left", "--tip", "right")
+    run("new", "design", *given, "--out", folder / "rig.toml", "--force")
+    q = np.random.default_rng(2).uniform(-0.8, 0.8, (8, 6)) * [1, 0.1, 1, 1, 1, 1] + [0, 0.1, 0, 0, 0, 0]
+    shown = q * np.where(np.arange(6) == 1, 1e3, 180 / np.pi)
+    log = ["time;j1 [deg];j2 [mm];j3 [deg];j4 [deg];j5 [deg];j6 [deg]"]
+    log += [f"{k};" + ";".join(f"{x:.9f}" for x in row) for k, row in enumerate(shown)]
+    (folder / "log.csv").write_text("\n".join(log) + "\n")
+    seen = [header]
+    for k, hand in rows:
+        M = product(HUMANOID, dict(zip(JOINTS, q[k])), hand)
+        figures = (*(1e3 * M[:3, 3]), *Rotation.from_matrix(M[:3, :3]).as_rotvec())
+        seen.append(f"{k};{hand};" + ";".join(f"{x:.9f}" for x in figures))
+    (folder / "seen.csv").write_text("\n".join(seen).replace(*change) + "\n")
+    tables = ("--commands", folder / "log.csv", "--poses", folder / "seen.csv")
+    return run("import", "--rig", folder / "rig.toml", *tables, *more, "--out", folder / "REC", ok=ok)
+
+
+def test_poses_of_two_hands_are_imported_with_the_hand_of_each(tmp_path):
+    rows = sorted((row for row in BOTH if row != (3, "left")), key=lambda row: row[1])
+    done = imported(tmp_path, rows=rows)
+    assert "rotations are rotation vectors in rad, which agree with the commands" in done.stdout
+    found = load_recording(tmp_path / "REC")
+    assert found.poses.frame.tolist() == [0, 0, 1, 1, 2, 2, 3, *np.repeat(range(4, 8), 2)]
+    frames, _, q = found.commanded()
+    q = q[np.searchsorted(frames, found.poses.frame)]
+    expected = serial.poses_of_hands(q, found.design.mechanism, found.poses.hand)
+    assert np.abs(pose_difference(expected, found.poses.T_base_platform)).max() < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"rows": [(0, "left"), (1, "right"), (1, "right")]}, "seen.csv: a hand occurs twice in a frame"),
+        ({"header": HEADER.replace("time", "a")}, "belong to frames by a column frame or t; add one"),
+        ({"header": HEADER.replace("gripper", "which")}, "seen.csv: no column is hand; columns of unknown meaning are"),
+        ({"change": ("2;right", "2;rigth")}, "seen.csv:6:2: 'rigth' is no hand; is 'right' meant?"),
+    ],
+)
+def test_a_table_of_two_hands_that_cannot_be_read_is_named(tmp_path, given, message):
+    assert message in imported(tmp_path, more=STATED, ok=False, **given).stderr
