@@ -218,7 +218,7 @@ def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
         design = design_file.load_design(path)
         return design.mechanism, [], design.actuator.screw_lead
 
-    calibration = calibration_file.load(path)
+    calibration = calibration_file.load(path, several_hands=True)
     correction, left_out = calibration.correction, []
     if calibration.physics is not None and calibration.physics.compensable_effects():
         names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.compensable_effects())

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rig.errors import RigError
+from rig.formats.exporters.urdf_and_sdf import arm_urdf
 from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions, read_arm_file
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import arm as serial
@@ -140,3 +141,13 @@ def test_poses_of_two_hands_are_imported_with_the_hand_of_each(tmp_path):
 )
 def test_a_table_of_two_hands_that_cannot_be_read_is_named(tmp_path, given, message):
     assert message in imported(tmp_path, more=STATED, ok=False, **given).stderr
+
+
+@pytest.mark.parametrize("tips", [("left", "right"), ("thumb", "left", "right"), ("left", "head")])
+def test_an_arm_with_several_hands_comes_back_from_its_own_urdf(tmp_path, tips):
+    _, stated = read(tmp_path, tips)
+    _, arm = read(tmp_path, tips, arm_urdf(stated), "base")
+    for q in np.random.default_rng(3).uniform(*arm.limits.T, (5, len(arm.axes))):
+        for tip in tips:
+            found, expected = (serial.forward(q, one.of_hand(tip)).as_matrix() for one in (arm, stated))
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
