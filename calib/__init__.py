@@ -22,24 +22,24 @@ if TYPE_CHECKING:
     from calib.api.correct import correct as correct
     from calib.api.diagnose import DiagnoseOptions as DiagnoseOptions
     from calib.api.diagnose import diagnose as diagnose
-    from calib.api.export import ExportOptions as ExportOptions
-    from calib.api.export import export as export
+    from calib.api.export_to_other_programs import ExportOptions as ExportOptions
+    from calib.api.export_to_other_programs import export as export
     from calib.api.investigate import investigate as investigate
-    from calib.api.learn import LearnOptions as LearnOptions
-    from calib.api.learn import learn as learn
     from calib.api.loop_closure_check_of_redundant_legs import LoopClosureOptions as LoopClosureOptions
     from calib.api.loop_closure_check_of_redundant_legs import close_loops as close_loops
     from calib.api.machine_run import RunOptions as RunOptions
     from calib.api.machine_run import plan_run as plan_run
     from calib.api.measuring_limb_acceptance_and_platform_poses import AcceptLimbsOptions as AcceptLimbsOptions
     from calib.api.measuring_limb_acceptance_and_platform_poses import accept_limbs as accept_limbs
+    from calib.api.online_learning import LearnOptions as LearnOptions
+    from calib.api.online_learning import learn as learn
     from calib.api.plan import plan as plan
     from calib.api.plan_options_and_result import PlanOptions as PlanOptions
-    from calib.api.recording_check_combination_and_instrument_displacement_correction import check as check
+    from calib.api.recording_check_and_combination import check as check
     from calib.api.verify_and_watch import verify as verify
     from calib.api.verify_and_watch import watch as watch
     from calib.api.why import why as why
-    from calib.api.why_options_and_import_of_data_as_recording import WhyOptions as WhyOptions
+    from calib.api.why_options_and_data_import import WhyOptions as WhyOptions
     from calib.api.workspace_change_by_calibration import analyse_workspace as analyse_workspace
     from calib.certificate.certificate_contents import CertifyOptions as CertifyOptions
     from calib.experiment.investigation_machine import InvestigateOptions as InvestigateOptions
@@ -83,7 +83,7 @@ __getattr__ = lazy_getattr(
     {
         "plan": "calib.api.plan",
         "PlanOptions": "calib.api.plan_options_and_result",
-        "check": "calib.api.recording_check_combination_and_instrument_displacement_correction",
+        "check": "calib.api.recording_check_and_combination",
         "calibrate": "calib.api.calibrate",
         "CalibrateOptions": "calib.api.calibrate",
         **dict.fromkeys(("diagnose", "DiagnoseOptions"), "calib.api.diagnose"),
@@ -91,18 +91,18 @@ __getattr__ = lazy_getattr(
         "verify": "calib.api.verify_and_watch",
         "watch": "calib.api.verify_and_watch",
         "certify": "calib.api.certify",
-        **dict.fromkeys(("learn", "LearnOptions"), "calib.api.learn"),
+        **dict.fromkeys(("learn", "LearnOptions"), "calib.api.online_learning"),
         **dict.fromkeys(
             ("accept_limbs", "AcceptLimbsOptions"), "calib.api.measuring_limb_acceptance_and_platform_poses"
         ),
         **dict.fromkeys(("close_loops", "LoopClosureOptions"), "calib.api.loop_closure_check_of_redundant_legs"),
-        **dict.fromkeys(("export", "ExportOptions"), "calib.api.export"),
+        **dict.fromkeys(("export", "ExportOptions"), "calib.api.export_to_other_programs"),
         **dict.fromkeys(("plan_run", "RunOptions"), "calib.api.machine_run"),
         "analyse_workspace": "calib.api.workspace_change_by_calibration",
         "investigate": "calib.api.investigate",
         "InvestigateOptions": "calib.experiment.investigation_machine",
         "why": "calib.api.why",
-        "WhyOptions": "calib.api.why_options_and_import_of_data_as_recording",
+        "WhyOptions": "calib.api.why_options_and_data_import",
         **dict.fromkeys(("load", "save"), "calib.files.calibration_file"),
         "CertifyOptions": "calib.certificate.certificate_contents",
     },

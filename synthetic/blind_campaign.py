@@ -15,8 +15,8 @@ from rig.formats.local_and_remote_input_files import read_bytes, short_repr
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 from rig.formats.output_files import write_text
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations_by_later_recordings import Verdict
-from synthetic import blind_arm_cases, blind_cases, blind_image_settings
+from rig.report.verdict_and_refutations import Verdict
+from synthetic import blind_arm_cases, blind_cases
 from synthetic.blind_campaign_page import campaign_dict, campaign_verdict, write_campaign_page
 from synthetic.diagnosis_score import Case, campaign_figures, campaign_medians, score_case
 from synthetic.image_simulation import is_renderable
@@ -47,7 +47,7 @@ class CampaignOptions:
             raise RigError(f"--season takes 1 to {MOST}, --seed at least 0 and below 2^63")
         if self.arm and self.images:
             raise RigError("--images are of hexapods; an arm's cases are poses: omit --images or --mechanism")
-        usual = blind_image_settings.IMAGE_FRAMES if self.images else blind_cases.FRAMES
+        usual = blind_cases.IMAGE_FRAMES if self.images else blind_cases.FRAMES
         frames = (blind_arm_cases.FRAMES if self.arm else usual) if self.frames is None else self.frames
         if not 40 <= frames <= MOST_FRAMES:
             raise RigError(
@@ -69,7 +69,7 @@ class CampaignOptions:
             for part in lists[name]:
                 if part not in known:
                     raise RigError(f"--{name}: there is no {part!r}; there are {', '.join(known)}")
-        able = blind_image_settings.IMAGE_KINDS if self.images else kinds
+        able = blind_cases.IMAGE_KINDS if self.images else kinds
         lists["hide"] = [kind for kind in lists["hide"] if kind in able]
         if not lists["hide"]:
             raise RigError(f"--hide takes some of {', '.join(able)}")

@@ -21,7 +21,7 @@ from rig.report.pages.page_templates_and_elements import (
     write_page,
 )
 from rig.report.pages.plots import Series, plot_panel_svg
-from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
 from synthetic import diagnosis_score
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from rig.errors import FileError, RigError
 from rig.formats.output_files import write_bytes
 from rig.model import motion_simulation
 from rig.model.design import Camera, Sensor
-from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
+from rig.planning.timed_plan_and_plan_csv import Plan
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors
 from synthetic import rig_meshes, secret_machine_and_truth_file

@@ -22,7 +22,7 @@ from rig.model.mechanisms.arm import link_frames
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, require_arm, require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
 from rig.planning.plan import sensors_with_payload
-from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
+from rig.planning.timed_plan_and_plan_csv import Plan
 from rig.recording.recording_folder import LIMB, Sensors, sensors_with_gravity
 from rig.recording.recording_table_loading_and_writing import (
     DISTANCE,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from rig.recording.recording_folder import Recording
 from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_adjustment, determined_combinations
 from vision.bundle.marker_displacements import compare_stated_and_adjusted_places
-from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import (
+from vision.checks.recording_refusal_and_cube_layout_remarks import (
     Notice,
     ignore_notice,
     make_spoilt_corner_refusal,
@@ -14,7 +14,7 @@ from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import (
 )
 from vision.measurement_result import MeasurementResult
 from vision.predict import marker_map
-from vision.reading.marker_identity_mistakes_found_against_rig_toml import find_suspicious_markers
+from vision.reading.marker_identity_mistakes import find_suspicious_markers
 from vision.reading.recording_corners import image_reader
 from vision.recording_adjustment import has_hand_cameras, invert_measured_poses, recording_seen_from_hand
 from vision.recording_measurement import PLACES, measure_recording, recording_with_unstated_markers_placed

@@ -18,17 +18,11 @@ from rig.recording.poses_as_roll_pitch_yaw import write_poses_as_roll_pitch_yaw
 from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
 from rig.recording.recording_table_loading_and_writing import Poses
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations_by_later_recordings import (
-    AGREES,
-    Evidence,
-    MissingEvidence,
-    Verdict,
-    judge_evidence,
-)
+from rig.report.verdict_and_refutations import AGREES, Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.bundle.adjustment_validation_and_determinacy import DeterminedUnknowns, HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places, adjusted_markers
 from vision.bundle.unknown_priors import stated_lens_prior_sigmas
-from vision.reading.marker_identity_mistakes_found_against_rig_toml import Suspect
+from vision.reading.marker_identity_mistakes import Suspect
 from vision.reading.recording_corners import Collected
 from vision.recording_adjustment import Measurement
 

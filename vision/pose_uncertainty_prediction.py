@@ -10,7 +10,11 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model.design import Design
 from rig.model.pose import adjoint
-from vision.bundle.normal_equations_and_corner_jacobians import linearise, normal_equations, schur_complement
+from vision.bundle.normal_equations_and_corner_jacobians import (
+    normal_equations,
+    schur_complement,
+    whitened_residuals_and_derivatives,
+)
 from vision.bundle.unknowns_estimate_and_printing_errors import POSE_SCALE, Estimate, Unknowns
 from vision.corner_observations import Observations, whitener_of_observations
 from vision.predict import (
@@ -116,7 +120,7 @@ def _covariances(
     )
     here: Unknowns = replace(u, used=np.ones((m, u.local), bool))
     estimate = Estimate(State(a.state.cameras, body, {}, markers), None, {})
-    _, derivatives = linearise(corners, estimate, here, whitener_of_observations(corners))
+    _, derivatives = whitened_residuals_and_derivatives(corners, estimate, here, whitener_of_observations(corners))
     blocks = normal_equations(corners, derivatives, here, np.zeros(u.shared))
     gain, _, _ = schur_complement(blocks)
     own = np.linalg.inv(blocks.local)[:, :6, :6] * POSE_SCALE**2

@@ -31,14 +31,14 @@ from vision.corner_observations import Observations, observations_of_frames
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_and_camera_poses import (
     Frames,
-    Views,
+    UndistortedCorners,
     camera_poses_from_body_poses,
     locate_cameras_without_base_targets,
     locate_fixed_cameras,
     locate_frames,
 )
 from vision.pose.marker_places_from_sightings import marker_places_from_sightings
-from vision.pose.pose_refinement_and_ambiguity_resolution_by_neighbouring_frames import FAR
+from vision.pose.pose_refinement_and_ambiguity_resolution import FAR
 from vision.predict import MarkerMap, State, predict_corners
 
 FARTHEST = 30.0  # px; a corner that lies farther from where it ought to be says no more by it
@@ -158,11 +158,11 @@ def measure_observations(
         markers, _ = marker_places_from_sightings(observations, cameras, marker_map)
         stated = replace(stated, markers=marker_map.with_unstated_at(markers))
     for _ in range(2 if places else 1):  # once to find the places, once more with these
-        views = Views(replace(observations, covariance=covariance), cameras, markers, finest)
-        found = locate_fixed_cameras(views, cameras) if "poses" in free else {}
+        undistorted = UndistortedCorners(replace(observations, covariance=covariance), cameras, markers, finest)
+        found = locate_fixed_cameras(undistorted, cameras) if "poses" in free else {}
         cameras = tuple(replace(c, pose=found.get(i, c.pose)) for i, c in enumerate(cameras))
         frames, cameras = _located(
-            views, cameras, t, set(found) if "poses" in free else None, progress and partial(progress, "locating")
+            undistorted, cameras, t, set(found) if "poses" in free else None, progress and partial(progress, "locating")
         )
         state = State(cameras, frames.all_poses(count), frames.all_moving(count), markers)
         unsolved = dict(frames.unsolved)
@@ -231,7 +231,7 @@ def _in_order(adjustment: Adjustment) -> tuple[Adjustment, Floats]:
 
 
 def _located(
-    views: Views,
+    undistorted: UndistortedCorners,
     cameras: tuple[Camera, ...],
     t: Floats | None,
     held: set[int] | None,
@@ -240,28 +240,28 @@ def _located(
     """(Frames, cameras) located by cameras as they are, or, where they may move and no base says where they stand, as
     the body relates them if
     the corners agree better so. held : indices of those that the base placed, None where none may move"""
-    found = locate_frames(views, cameras, t, progress)
+    found = locate_frames(undistorted, cameras, t, progress)
     other = (
         {}
         if held is None
-        else locate_cameras_without_base_targets(views, cameras)
-        or camera_poses_from_body_poses(views, cameras, found, held, t, progress)
+        else locate_cameras_without_base_targets(undistorted, cameras)
+        or camera_poses_from_body_poses(undistorted, cameras, found, held, t, progress)
     )
     if not other:
         return found, cameras
     moved = tuple(replace(c, pose=other.get(i, c.pose)) for i, c in enumerate(cameras))
-    again = locate_frames(views, moved, t, progress)
-    if _disagreement(views, again, moved) < _disagreement(views, found, cameras):
+    again = locate_frames(undistorted, moved, t, progress)
+    if _disagreement(undistorted, again, moved) < _disagreement(undistorted, found, cameras):
         return again, moved
     return found, cameras
 
 
-def _disagreement(views: Views, frames: Frames, cameras: tuple[Camera, ...]) -> float:
+def _disagreement(undistorted: UndistortedCorners, frames: Frames, cameras: tuple[Camera, ...]) -> float:
     """px, mean by which corners lie from where the frames' poses put them, FARTHEST at the most, so much for each of an
     unsolved frame's.
     """
-    o, count = views.observations, len(views.observations.frames)
-    uv, ahead = predict_corners(o, State(cameras, frames.all_poses(count), frames.all_moving(count), views.map))
+    o, count = undistorted.observations, len(undistorted.observations.frames)
+    uv, ahead = predict_corners(o, State(cameras, frames.all_poses(count), frames.all_moving(count), undistorted.map))
     off = np.linalg.norm(o.uv - uv, axis=1)
     off[(ahead[:, 2] <= 0) | ~np.isfinite(off) | np.isin(o.frame, list(frames.unsolved))] = FARTHEST
     return float(np.minimum(off, FARTHEST).mean())

@@ -148,11 +148,7 @@ def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[Json]]
             "rest": rest.tolist(),
             "found": "numerically",
             **(
-                {
-                    "steps": _steps(
-                        arm_dynamics_and_step_by_step_kinematics.joint_by_joint_steps_of_numerical_inverse(T, arm, q)
-                    )
-                }
+                {"steps": _steps(arm_dynamics_and_step_by_step_kinematics.joint_by_joint_inverse_steps(T, arm, q))}
                 if steps
                 else {}
             ),

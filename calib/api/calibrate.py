@@ -12,13 +12,13 @@ from calib.api.correction_over_configuration_or_pose_space import (
     ExtendOptions,
     certify_correction_extension,
 )
-from calib.api.recording_check_combination_and_instrument_displacement_correction import check_and_combine_recordings
+from calib.api.recording_check_and_combination import check_and_combine_recordings
 from calib.certification import platform_certification
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import calibration_verdict
 from calib.certification.error_claim_over_workspace import Claim
 from calib.certification.platform_certification import Progress, silent_progress
-from calib.correction.correction_tables_and_pose_space_map_json import (
+from calib.correction.correction_tables import (
     correction_summand_column_names,
     correction_summand_table_rows,
     strut_correction_summands,
@@ -35,16 +35,15 @@ from calib.diagnosis.findings_refit import (
 )
 from calib.diagnosis.problems.arm.effects_shown_by_instruments import fit_of_measured_effects
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
-from calib.files.calibration_provenance_and_used_frames import SEED, calibration_with_provenance
+from calib.files.calibration_file import SEED, calibration_with_provenance
 from calib.models.arm import calibration_page as arm_page
 from calib.models.arm import certification as arm_certification
 from calib.models.arm.joint_space_correction_and_certification import commanded_minus_joint_values_by_stated_arm
 from calib.models.arm.pointing_terms import PointingTerms, pointing_terms
 from calib.models.arm.workspace_claim import arm_workspace_claim
 from calib.models.chain import certification_and_page as chain_certification
-from calib.models.chain import certification_and_page as chain_page
 from calib.models.machine_models import Certified
-from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbSource, sample_by_limbs
+from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
 from calib.report import platform_and_lens_calibration_pages as platform_page
 from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from rig.array_and_json_types import Floats, Json
@@ -63,8 +62,8 @@ from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import write_table
 from rig.report.pages.page_templates_and_elements import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations_by_later_recordings import Verdict
-from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import Notice, ignore_notice
+from rig.report.verdict_and_refutations import Verdict
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,7 +182,7 @@ class CalibrationResult(OneLineRepr):
         if isinstance(self.done, arm_certification.CertifiedArm):
             arm_page.write_arm_calibration_page(*rest, self.done, links)
         elif isinstance(self.done, chain_certification.CertifiedChain):
-            chain_page.write_chain_calibration_page(*rest, self.done, links)
+            chain_certification.write_chain_calibration_page(*rest, self.done, links)
         else:
             platform_page.write_calibration_page(*rest, self.done.found, links)
 

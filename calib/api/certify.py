@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certificate import (
-    certificate_json_and_digital_si_xml,
+    certificate_json,
     certificate_page,
     certificate_pdf,
     certificate_sentences,
@@ -22,7 +22,7 @@ from calib.certificate.certificate_computation_verdict_and_provenance import (
 from calib.certificate.certificate_contents import CertifyOptions
 from calib.certificate.digital_certificate_xml import Issuer
 from calib.certificate.pointing_certificate import PointingCertificate, pointing_certificate
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration, refutation_sentence
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, refutation_sentence
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
     AgainstClaim,
     calibration_evidence_verdict_and_claim_check,
@@ -32,9 +32,9 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import (
     evidence_with_verification,
 )
 from calib.certification.platform_certification import Progress
-from calib.files import calibration_provenance_and_used_frames
-from calib.files.calibration_provenance_and_used_frames import SEED
-from calib.models.base_and_tool_displacement_since_reference_recording import samples_without_displacement
+from calib.files import calibration_file
+from calib.files.calibration_file import SEED
+from calib.models.base_and_tool_displacement_between_recordings import samples_without_displacement
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
@@ -49,7 +49,7 @@ from rig.recording.frame_selection_and_content_hashes import (
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations_by_later_recordings import Evidence, Refutation, Verdict
+from rig.report.verdict_and_refutations import Evidence, Refutation, Verdict
 
 UNSTATED, STANDARD = Issuer(), CertifyOptions()  # nobody is named; 95 % of poses with 95 %
 KINDS, POINTING_KINDS = (".json", ".html", ".pdf", ".xml"), (".json", ".html")
@@ -104,7 +104,7 @@ class CertificationResult(OneLineRepr):
         made = self.certificate
         if isinstance(made, PointingCertificate):
             return made.tree()
-        return certificate_json_and_digital_si_xml.certificate_dict(made)
+        return certificate_json.certificate_dict(made)
 
     def write(self, path: Path, links: Sequence[Link] = (), issuer: Issuer = UNSTATED) -> None:
         """Write the certificate, in the form that the path's suffix names, one of KINDS.
@@ -121,7 +121,7 @@ class CertificationResult(OneLineRepr):
         elif path.suffix == ".xml":
             write_text(path, digital_certificate_xml.digital_certificate_xml(made, issuer))
         else:
-            write_text(path, certificate_json_and_digital_si_xml.certificate_text(made))
+            write_text(path, certificate_json.certificate_text(made))
 
 
 def certify(
@@ -207,7 +207,7 @@ def _held_out_recordings(
     known: set[str] = set()
     for recording in recordings:
         path, frames = recording.folder, len(recording.exposures.times()[0])
-        same = calibration_provenance_and_used_frames.frames_used_in_calibration(calibration, recording)
+        same = calibration_file.frames_used_in_calibration(calibration, recording)
         if same:
             raise RigError(
                 f"{path}: {len(same)} of {frames} frames (the first: {same[0]}) took part in fitting {name}, "

@@ -6,14 +6,18 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.correction.command_timing_and_error_map_in_pose_space import HOLDING
-from calib.correction.corrected_pose_commands_for_pose_taking_controllers import poses_to_command
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.correction.command_timing_and_pose_error_map import HOLDING
 from calib.correction.correction import require_reachable
 from calib.correction.physics_compensation import require_sensor_coverage
 from calib.models.arm.correction import ArmCorrection
 from calib.models.machine_models import corrected_pose_covariance
-from calib.models.wanted_pose_commands import RouteCommands, commands_along_route, pace_that_holds_poses_at_times
+from calib.models.wanted_pose_commands import (
+    RouteCommands,
+    commands_along_route,
+    pace_that_holds_poses_at_times,
+    poses_to_command,
+)
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.driving.protocols.gcs_hexapod import AXES as HEXAPOD_AXES
 from rig.driving.protocols.gcs_hexapod import PoseFrames as PoseFrames

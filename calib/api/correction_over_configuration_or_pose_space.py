@@ -9,8 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.certification_of_correction_extended_over_configuration_space import (
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.certification.error_claim_over_workspace import (
+    Claim,
+    mean_square_pose_errors_of_extension,
+    workspace_samples,
+)
+from calib.certification.extended_correction_certification import (
     ExtensionBasis,
     ExtensionRequest,
     Tried,
@@ -19,7 +24,6 @@ from calib.certification.certification_of_correction_extended_over_configuration
     claim_without_geometry,
     mean_stated_position_variance,
 )
-from calib.certification.error_claim_over_workspace import Claim, mean_square_pose_errors_of_extension, sample_workspace
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     axis_travel_limits,
     configuration_numbers,
@@ -31,7 +35,7 @@ from calib.certification.platform_certification import (
     platform_workspace_claim,
     silent_progress,
 )
-from calib.correction.command_timing_and_error_map_in_pose_space import NAMES, PoseMap, pose_coordinates
+from calib.correction.command_timing_and_pose_error_map import NAMES, PoseMap, pose_coordinates
 from calib.correction.correction import AnyCorrection
 from calib.correction.interpolation.field_interface_and_combinations import (
     Field,
@@ -50,7 +54,7 @@ from calib.correction.interpolation_methods_and_correction_summand_fields import
     residual_pose_tangents_of_pass,
     single_step_command_errors,
 )
-from calib.files.mechanism_and_physics_entries_of_calibration_json import mechanism_dict
+from calib.files.mechanism_and_physics_entries import mechanism_dict
 from calib.models.arm import joint_space_correction_and_certification as arm_extension
 from calib.models.arm.certification import CertifiedArm as ArmCertified
 from calib.models.arm.workspace_claim import arm_workspace_claim
@@ -147,7 +151,7 @@ def _with_covariance(done: Certified, before: Calibration, rng: np.random.Genera
     to be now: a pass takes away no more than it moves, and nothing that those do not tell from noise."""
     if done.left is None:
         return done
-    commands, T = sample_workspace(done.correction)
+    commands, T = workspace_samples(done.correction)
     was = float(np.trace(platform_pose_covariance(before, T)[:, :3, :3], axis1=1, axis2=2).mean())
     stated = float(
         mean_square_pose_errors_of_extension(

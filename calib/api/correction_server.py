@@ -18,7 +18,7 @@ from contextlib import suppress
 import numpy as np
 
 from calib.api.correct import CorrectionResult, CorrectOptions, correct
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError, Unreachable
 from rig.formats.checked_entries import LARGEST_RIG
@@ -91,7 +91,7 @@ class CorrectionServer:
                     reply: Json = {"id": None, "error": f"a line has at most {LONGEST} bytes; this one is longer"}
                 else:
                     with self._one:
-                        reply = answer(self._calibration, line)
+                        reply = answer_request(self._calibration, line)
                 client.sendall(_line(reply))
 
     def close(self) -> None:
@@ -108,7 +108,7 @@ class CorrectionServer:
                 client.shutdown(socket.SHUT_RDWR)
 
 
-def answer(calibration: Calibration, line: bytes) -> Json:
+def answer_request(calibration: Calibration, line: bytes) -> Json:
     """The answer to a request's line: commands with covariance and refusals, or what is wrong with it.
 
     A fault of the program is an error in the answer too, and its traceback is printed on the error output.

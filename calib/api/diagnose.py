@@ -1,15 +1,12 @@
-"""Diagnosis of a rig's recordings: which physical effects the model leaves out, where and how large.
-
-Also the next experiment, which best resolves what a diagnosis leaves ambiguous.
-"""
+"""Diagnosis of a rig's recordings: which physical effects the model leaves out, where and how large."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calib.api.next_experiment import NextExperiment, available_plans, ranked_experiments_and_excluded_plans
-from calib.api.recording_check_combination_and_instrument_displacement_correction import check_and_combine_recordings
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.api.next_experiment import ExperimentOptions, NextExperiment, diagnosis_questions, next_experiment
+from calib.api.recording_check_and_combination import check_and_combine_recordings
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import OfCalibrations
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.diagnosis import recording_diagnosis
@@ -21,107 +18,26 @@ from calib.diagnosis.calibration_left_out_physics import (
 from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import StatedTerms
 from calib.diagnosis.recording_diagnosis import Diagnosis, DiagnosisOptions
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
-from calib.diagnosis.report.diagnosis_page import arm_or_platform_page_view, write_diagnosis_page
+from calib.diagnosis.report.diagnosis_page import figures_of_arm_or_platform, write_diagnosis_page
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
     Report,
     diagnosis_report,
     diagnosis_verdict,
     write_diagnosis_json_and_simulation_files,
 )
-from calib.experiment.experiment_questions_and_information import Question, camera_information_shares
-from calib.files import calibration_provenance_and_used_frames
+from calib.files import calibration_file
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_text_parsing import Kinds, parse_effect_and_place, require_known_effect
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.model.arm_branches_and_hands import hand_names
-from rig.model.design import PERMITTED, TURN, Design, quarter_turns_of_cubes
-from rig.model.design_comparison_and_cube_turning_instructions import parse_cube_turn_permission
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_elements import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations_by_later_recordings import State, Verdict
-from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import (
-    Notice,
-    ignore_notice,
-    recorded_or_sampled_corners,
-)
-
-TELLING = 0.01  # bits; a plan that tells less tells nothing
-
-
-LONGEST = 6000.0  # min
-
-
-@dataclass(frozen=True, slots=True)
-class ExperimentOptions:
-    """minutes : that the experiment may take; may : what may be asked of an operator ("payload", "wait", "turn cube
-    NAME"), None for what rig.toml says; standing : whether the struts must stand to be exposed; seed : of the plan
-    """
-
-    minutes: float = 60.0
-    may: tuple[str, ...] | None = None
-    standing: bool = False
-    seed: int = 1
-
-    def __post_init__(self) -> None:
-        if not 0 < self.minutes <= LONGEST:
-            raise RigError(f"--minutes takes a time above 0 and up to {LONGEST:g} min, not {self.minutes:g}")
-        for word in self.may or ():
-            if word not in PERMITTED and not word.startswith(TURN):
-                raise RigError(f"--may takes {', '.join(PERMITTED)} or '{TURN}NAME', not {word!r}")
-
-    def interventions(self, design: Design) -> tuple[str, ...]:
-        """What an experiment may ask of an operator, cubes by their names. Raises RigError for a cube that the design
-        does not have
-        """
-        out = []
-        for word in self.may or design.experiment.may:
-            may, problem = parse_cube_turn_permission(word, design.targets)
-            if problem:
-                raise RigError(f"--may {word!r}: {problem}")
-            out.append(may)
-        return tuple(out)
-
-
-def next_experiment(
-    questions: Sequence[Question[object]], design: Design, options: ExperimentOptions, progress: Progress
-) -> NextExperiment:
-    """NextExperiment that best resolves what a diagnosis leaves ambiguous.
-
-    progress : called with (label, done, of)
-    """
-    if not questions:
-        return NextExperiment((), (), {}, {}, design.mechanism.axes)
-    texts = available_plans(options.interventions(design), options.standing, tuple(quarter_turns_of_cubes(design)))
-    experiments, refused = ranked_experiments_and_excluded_plans(
-        questions,
-        design,
-        texts,
-        options.seed,
-        options.minutes,
-        lambda done, of: progress("predicting experiments", done, of),
-    )
-    experiments = [e for e in experiments if e.bits >= TELLING]
-    seen = camera_information_shares(questions, experiments[0].plan) if experiments else {}
-    return NextExperiment(questions, experiments, dict(refused), seen, design.mechanism.axes)
-
-
-def diagnosis_questions(diagnosis: Diagnosis) -> Sequence[Question[object]]:
-    """Questions of what a Diagnosis cannot tell apart, none where it can.
-
-    Raises RigError for a machine of which no plan can be foretold.
-    """
-    if diagnosis.evidence.family == "joints":
-        from calib.experiment.arm_questions import arm_questions
-
-        return arm_questions(diagnosis)
-    from calib.experiment.platform_questions import platform_questions
-
-    return platform_questions(diagnosis)
-
+from rig.report.verdict_and_refutations import State, Verdict
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice, recorded_or_sampled_corners
 
 AN_HOUR = ExperimentOptions()
 
@@ -202,7 +118,7 @@ class DiagnosisResult(OneLineRepr):
     def write_page(self, path: Path, links: Sequence[Link] = ()) -> None:
         """Write the page of it."""
         write_diagnosis_page(
-            path, self.report, arm_or_platform_page_view(self.found, self.recording, self.report), links
+            path, self.report, figures_of_arm_or_platform(self.found, self.recording, self.report), links
         )
 
     def next_experiment(
@@ -249,7 +165,7 @@ def _refuse_same_data(options: DiagnoseOptions, recording: Recording) -> None:
     """Raise RigError where a calibration was made from this very recording, which would count twice."""
     if options.calibration is None:
         return
-    same = calibration_provenance_and_used_frames.frames_used_in_calibration(options.calibration, recording)
+    same = calibration_file.frames_used_in_calibration(options.calibration, recording)
     if same:
         raise RigError(
             f"{options.name} was made from {len(same)} of the frames of {recording.folder}, which would count twice; "

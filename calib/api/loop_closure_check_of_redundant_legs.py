@@ -6,15 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification import (
-    measuring_limb_identification_and_agreement_with_vision,
-    redundant_measuring_limb_checks_by_loop_closure,
-)
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification import measuring_limb_identification_and_agreement, redundant_limb_checks
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.online.measuring_limbs_file import Accepted
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
-from rig.model.mechanisms.best_six_legs_and_closures_of_others import (
+from rig.model.mechanisms.best_six_legs_and_closures import (
     LegClosures,
     RedundantLegs,
     best_six_legs,
@@ -142,9 +139,9 @@ def _legs(recording: Recording, options: LoopClosureOptions) -> tuple[RedundantL
     """(Legs of struts and limbs, frames (n,), lengths (n, legs) m as commanded and read)."""
     machine, stated = (
         require_hexapod(recording.design.mechanism),
-        measuring_limb_identification_and_agreement_with_vision.stated_limbs(recording.design),
+        measuring_limb_identification_and_agreement.stated_limbs(recording.design),
     )
-    frames, lengths = measuring_limb_identification_and_agreement_with_vision.limb_readings(recording)
+    frames, lengths = measuring_limb_identification_and_agreement.limb_readings(recording)
     n = len(stated.channels)
     every, _, values = recording.commanded()
     commanded = values[np.searchsorted(every, frames)]
@@ -157,10 +154,7 @@ def _legs(recording: Recording, options: LoopClosureOptions) -> tuple[RedundantL
         struts = ("l", fitted, np.hypot(calibration.scatter, EXACT), calibration.covariance)
         commanded = commanded - calibration.correction.rho(commanded)
     if options.limbs is not None:
-        limbs = (
-            "m",
-            *redundant_measuring_limb_checks_by_loop_closure.limbs_sigmas_and_covariance(options.limbs.limbs, stated),
-        )
+        limbs = ("m", *redundant_limb_checks.limbs_sigmas_and_covariance(options.limbs.limbs, stated))
     return combine_leg_sets([struts, limbs], machine.home), frames, np.hstack([commanded, lengths])
 
 

@@ -20,10 +20,9 @@ from calib.online.run_options_cameras_sensors_and_observer import (
 )
 from rig.array_and_json_types import Floats
 from rig.driving import trapezoidal_move_profile_and_path_check
-from rig.driving.cameras.camera_interface_and_grabbing import Settling, SynchronisedCameras, parse_settling
+from rig.driving.cameras.camera_interface_and_synchronised_grabbing import SynchronisedCameras
 from rig.driving.clock import Clock, SystemClock
-from rig.driving.controller_limits import require_goals_within_limits
-from rig.driving.controller_status_and_operator_advice import TRUST, ControllerStatus
+from rig.driving.controller_status_and_limits import TRUST, ControllerStatus, require_goals_within_limits
 from rig.driving.driver_opening_and_settled_status import open_driver, settled_status
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.driving.move_and_record_loop import RunOperator
@@ -37,6 +36,7 @@ from rig.driving.run_steps_and_progress import (
     step_distances,
     steps_of_plan,
 )
+from rig.driving.settling_check import Settling, parse_settling
 from rig.driving.strut_driver import Driver
 from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
 from rig.errors import ControllerFault, PositionLost, RigError, Unreachable
@@ -46,7 +46,7 @@ from rig.model.design import Design, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import turning_instructions
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
 from rig.planning.plan import build_plan
-from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import Notice, ignore_notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
 STANDARD = RunOptions()
 Displays = Callable[[RunObserver], AbstractContextManager[list[RunDisplay]]]
@@ -158,7 +158,7 @@ class PlannedRun:
                 operator.run()
             finally:
                 observer.finish()
-        return observer.view.frames
+        return observer.state.frames
 
     def _home(
         self, driver: Driver, status: ControllerStatus, before: Progress | None, notice: Notice

@@ -6,21 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.api.learn import LearningResult, learn_from_samples
-from calib.api.recording_check_combination_and_instrument_displacement_correction import (
-    refuse_unfit_recording_and_return_corner_check,
-)
-from calib.certification import (
-    measuring_limb_identification_and_agreement_with_vision,
-    redundant_measuring_limb_checks_by_loop_closure,
-)
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.measuring_limb_identification_and_agreement_with_vision import Agreement
-from calib.files.calibration_provenance_and_used_frames import calibration_provenance
+from calib.api.online_learning import LearningResult, learn_from_samples
+from calib.api.recording_check_and_combination import refuse_unfit_recording
+from calib.certification import measuring_limb_identification_and_agreement, redundant_limb_checks
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.certification.measuring_limb_identification_and_agreement import Agreement
+from calib.files.calibration_file import calibration_provenance
 from calib.models.machine_models import corrected_pose_covariance
-from calib.online import measuring_limbs_file, platform_poses_from_measuring_limbs_checked_by_vision
+from calib.online import measuring_limb_poses_checked_by_vision, measuring_limbs_file
+from calib.online.measuring_limb_poses_checked_by_vision import LimbPoses, LimbSource, checked_limb_poses
 from calib.online.measuring_limbs_file import Accepted
-from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbPoses, LimbSource, checked_limb_poses
 from calib.report.online_learning_and_measuring_limb_pages import measuring_limbs_verdict, write_measuring_limbs_page
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Floats, Integers, Json
@@ -36,9 +31,9 @@ from rig.recording.recording_folder import Recording, copy_frames_commands_and_s
 from rig.recording.recording_table_loading_and_writing import Poses, write_poses
 from rig.report.pages.page_templates_and_elements import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations_by_later_recordings import Verdict
+from rig.report.verdict_and_refutations import Verdict
 from vision.api import Progress
-from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import Notice, ignore_notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
 FIGURES = ("bias", "scatter", "expected", "limits", "surely", "tolerance", "moved", "passed")
 
@@ -135,8 +130,8 @@ class LimbAcceptance(OneLineRepr):
 
     def learn(self, state: Path | None, progress: Progress, notice: Notice) -> LearningResult:
         """LearningResult of the struts from the limbs' poses. state : of a filter to go on with, where it is there"""
-        poses = platform_poses_from_measuring_limbs_checked_by_vision.limb_poses(self.recording, self.accepted)
-        sampled = platform_poses_from_measuring_limbs_checked_by_vision.samples_of_limb_poses(self.recording, poses)
+        poses = measuring_limb_poses_checked_by_vision.limb_poses(self.recording, self.accepted)
+        sampled = measuring_limb_poses_checked_by_vision.samples_of_limb_poses(self.recording, poses)
         return learn_from_samples(self.recording, sampled, state, progress, notice)
 
 
@@ -149,41 +144,35 @@ def accept_limbs(
     Raises RigError for a recording without limbs' readings, and for other limbs than it has
     """
     design = recording.design
-    measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(
+    measuring_limb_identification_and_agreement.hexapod_of_six_limbs(
         design
     )  # limbs that determine no pose are refused before anything is read
-    frames, every = measuring_limb_identification_and_agreement_with_vision.limb_readings(recording)
-    stated = measuring_limb_identification_and_agreement_with_vision.stated_limbs(design)
+    frames, every = measuring_limb_identification_and_agreement.limb_readings(recording)
+    stated = measuring_limb_identification_and_agreement.stated_limbs(design)
     requested = None if options.use is None else _limb_numbers(options.use, stated.channels)
     by_vision = sample_recording(recording, progress=progress)
-    sigma, home = (
-        stated.length_sigma,
-        measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(design).home,
-    )
+    sigma, home = (stated.length_sigma, measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design).home)
     chosen = (
-        redundant_measuring_limb_checks_by_loop_closure.best_six_limbs(stated, home, by_vision.samples.T_base_platform)
+        redundant_limb_checks.best_six_limbs(stated, home, by_vision.samples.T_base_platform)
         if requested is None
         else requested
     )
-    nominal = measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(design, chosen)
-    samples = measuring_limb_identification_and_agreement_with_vision.samples_with_limb_readings_as_commands(
+    nominal = measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design, chosen)
+    samples = measuring_limb_identification_and_agreement.samples_with_limb_readings_as_commands(
         by_vision.samples, frames, every[:, chosen]
     )
-    T, expected = measuring_limb_identification_and_agreement_with_vision.held_out_limb_poses(samples, nominal, sigma)
-    found = measuring_limb_identification_and_agreement_with_vision.limb_agreement(
+    T, expected = measuring_limb_identification_and_agreement.held_out_limb_poses(samples, nominal, sigma)
+    found = measuring_limb_identification_and_agreement.limb_agreement(
         samples.T_base_platform, T, expected, options.tolerance
     )
     six = replace(
-        measuring_limb_identification_and_agreement_with_vision.calibrate_limbs(samples, nominal, sigma)[0],
-        chosen=chosen,
+        measuring_limb_identification_and_agreement.calibrate_limbs(samples, nominal, sigma)[0], chosen=chosen
     )
     both = every[np.searchsorted(frames, samples.frame)]
-    limbs = replace(
-        six, checks=redundant_measuring_limb_checks_by_loop_closure.fit_redundant_limb_checks(six, stated, both)
-    )
+    limbs = replace(six, checks=redundant_limb_checks.fit_redundant_limb_checks(six, stated, both))
     source = calibration_provenance(recording, options.arguments, 0, by_vision.source == "images")
     accepted = Accepted(limbs, nominal, found, None, source)
-    slipped = measuring_limb_identification_and_agreement_with_vision.detect_limb_slip(samples, limbs, sigma)
+    slipped = measuring_limb_identification_and_agreement.detect_limb_slip(samples, limbs, sigma)
     if slipped is not None:
         limb = chosen[slipped.limb - 1] + 1
         reason = (
@@ -191,7 +180,7 @@ def accept_limbs(
             "it slipped"
         )
         accepted = measuring_limbs_file.withdraw_acceptance(accepted, str(recording.folder), slipped.frame, reason)
-    error, check_sigma = redundant_measuring_limb_checks_by_loop_closure.held_out_check_errors(limbs, stated, both)
+    error, check_sigma = redundant_limb_checks.held_out_check_errors(limbs, stated, both)
     return LimbAcceptance(recording, by_vision, accepted, stated.channels, error, check_sigma)
 
 
@@ -240,7 +229,7 @@ def measure_poses_by_limbs(
 
     Raises RigError for limbs that were not accepted, or with which vision no longer agrees
     """
-    refuse_unfit_recording_and_return_corner_check(recording, anyway, notice)
+    refuse_unfit_recording(recording, anyway, notice)
     return MeasuredLimbPoses(recording, *checked_limb_poses(recording, limbs, progress, notice))
 
 

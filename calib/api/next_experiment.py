@@ -7,21 +7,24 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.certification.platform_certification import Progress
+from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_questions_and_information import (
     NAME,
     Information,
     Question,
+    camera_information_shares,
     discriminating_configurations,
     experiment_information,
 )
 from calib.experiment.investigation_folder_and_report import SETTING_UP
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
-from rig.model.design import Design, Permission, quarter_turns_of_cubes
-from rig.model.design_comparison_and_cube_turning_instructions import turning_instructions
-from rig.planning import timed_plan_construction_and_plan_csv_table
+from rig.model.design import PERMITTED, TURN, Design, Permission, quarter_turns_of_cubes
+from rig.model.design_comparison_and_cube_turning_instructions import parse_cube_turn_permission, turning_instructions
+from rig.planning import timed_plan_and_plan_csv
 from rig.planning.plan import build_plan
-from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
+from rig.planning.timed_plan_and_plan_csv import Plan
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 
 PARTS = ("sobol:12", "ladder:1", "axes:3", "repeat:12", "sobol:30", "sobol:90")  # at whose exposures the struts rest
@@ -34,6 +37,8 @@ PLAN_TURN = "turn:"  # part of a plan
 TURNING = 3.0  # min that an operator takes for it
 PAIRED = 3  # of the best that are tried two by two
 DAYS = (-1.0, 0.0, 1.0)  # K by which the room may be warmer than it was: nobody heats or cools it for an experiment
+TELLING = 0.01  # bits; a plan that tells less tells nothing
+LONGEST = 6000.0  # min that an experiment may take
 HOPELESS = 0.02  # chance to settle; of plans with less than this counts what they tell per minute
 
 
@@ -225,7 +230,7 @@ class NextExperiment(OneLineRepr):
         """
         if not self.experiments:
             raise ValueError("there is no experiment to write")
-        timed_plan_construction_and_plan_csv_table.write_plan_table(path, self.experiments[0].plan, self.axes)
+        timed_plan_and_plan_csv.write_plan_table(path, self.experiments[0].plan, self.axes)
 
     def tree(self) -> Json:
         """What next.json holds."""
@@ -277,3 +282,71 @@ def _experiment_lines(experiments: Sequence[Experiment], seen: dict[str, float])
         f"  rather than {e.text}: {e.settles:.0%}, {e.bits:.2f} bits in {e.minutes:.1f} min"
         for e in experiments[1:SHOWN]
     ]
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentOptions:
+    """minutes : that the experiment may take; may : what may be asked of an operator ("payload", "wait", "turn cube
+    NAME"), None for what rig.toml says; standing : whether the struts must stand to be exposed; seed : of the plan
+    """
+
+    minutes: float = 60.0
+    may: tuple[str, ...] | None = None
+    standing: bool = False
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if not 0 < self.minutes <= LONGEST:
+            raise RigError(f"--minutes takes a time above 0 and up to {LONGEST:g} min, not {self.minutes:g}")
+        for word in self.may or ():
+            if word not in PERMITTED and not word.startswith(TURN):
+                raise RigError(f"--may takes {', '.join(PERMITTED)} or '{TURN}NAME', not {word!r}")
+
+    def interventions(self, design: Design) -> tuple[str, ...]:
+        """What an experiment may ask of an operator, cubes by their names. Raises RigError for a cube that the design
+        does not have
+        """
+        out = []
+        for word in self.may or design.experiment.may:
+            may, problem = parse_cube_turn_permission(word, design.targets)
+            if problem:
+                raise RigError(f"--may {word!r}: {problem}")
+            out.append(may)
+        return tuple(out)
+
+
+def next_experiment(
+    questions: Sequence[Question[object]], design: Design, options: ExperimentOptions, progress: Progress
+) -> NextExperiment:
+    """NextExperiment that best resolves what a diagnosis leaves ambiguous.
+
+    progress : called with (label, done, of)
+    """
+    if not questions:
+        return NextExperiment((), (), {}, {}, design.mechanism.axes)
+    texts = available_plans(options.interventions(design), options.standing, tuple(quarter_turns_of_cubes(design)))
+    experiments, refused = ranked_experiments_and_excluded_plans(
+        questions,
+        design,
+        texts,
+        options.seed,
+        options.minutes,
+        lambda done, of: progress("predicting experiments", done, of),
+    )
+    experiments = [e for e in experiments if e.bits >= TELLING]
+    seen = camera_information_shares(questions, experiments[0].plan) if experiments else {}
+    return NextExperiment(questions, experiments, dict(refused), seen, design.mechanism.axes)
+
+
+def diagnosis_questions(diagnosis: Diagnosis) -> Sequence[Question[object]]:
+    """Questions of what a Diagnosis cannot tell apart, none where it can.
+
+    Raises RigError for a machine of which no plan can be foretold.
+    """
+    if diagnosis.evidence.family == "joints":
+        from calib.experiment.arm_questions import arm_questions
+
+        return arm_questions(diagnosis)
+    from calib.experiment.platform_questions import platform_questions
+
+    return platform_questions(diagnosis)

@@ -51,10 +51,10 @@ from rig.model.base_tilt import GRAVITY_SIGMA
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, has_axes, has_links, is_hexapod, require_arm
+from rig.planning.balanced_visiting_order_and_approach import time_balanced_order
 from rig.planning.configuration_sets import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan, sensors_with_payload
-from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
-from rig.planning.visiting_order_and_approach_decorrelated_from_position import time_balanced_order
+from rig.planning.timed_plan_and_plan_csv import Plan
 from rig.recording.recording_folder import Sensors
 from vision.predict import marker_map, visible_marker_counts_over_all_cameras
 

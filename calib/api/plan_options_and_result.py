@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.models.platform.optimal_configurations import ConfigurationExclusion
 from calib.report.recording_and_plan_pages import write_plan_page
 from calib.samples.confounded_conditions import Confounds, confound_sentences
@@ -19,7 +19,7 @@ from rig.recording.recording_folder import Sensors
 from rig.recording.recording_table_loading_and_writing import write_configurations, write_table
 from rig.report.pages.page_templates_and_elements import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
 
 SEED = 0
 SHOWN = 8  # combinations that are listed

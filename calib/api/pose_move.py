@@ -7,11 +7,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.api.correct import rms_and_greatest_uncertainty
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import require_reachable
 from calib.models.wanted_pose_commands import commands_along_route
 from rig.array_and_json_types import Floats, Json
-from rig.driving.controller_status_and_operator_advice import ControllerStatus
+from rig.driving.controller_status_and_limits import ControllerStatus
 from rig.driving.strut_driver import Driver
 from rig.errors import RigError
 from rig.model import mechanisms

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration, refutation_sentence
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, refutation_sentence
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
     calibration_evidence_verdict_and_claim_check,
     verify_claim_on_samples,
@@ -24,12 +24,12 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     configuration_numbers,
 )
 from calib.certification.platform_certification import Progress, silent_progress
-from calib.drift import change_sentences
-from calib.drift.change_evidence import Verdict as ChangeVerdict
+from calib.drift import change_evidence_and_sentences
+from calib.drift.change_evidence_and_sentences import Verdict as ChangeVerdict
 from calib.drift.visit_history import History, add_visit_and_judge_change
-from calib.files import calibration_provenance_and_used_frames
-from calib.files.calibration_provenance_and_used_frames import SEED
-from calib.models.base_and_tool_displacement_since_reference_recording import Placement, samples_without_displacement
+from calib.files import calibration_file
+from calib.files.calibration_file import SEED
+from calib.models.base_and_tool_displacement_between_recordings import Placement, samples_without_displacement
 from calib.models.machine_models import corrected_pose_covariance
 from calib.report.verification_and_repeated_visit_pages import (
     Verified,
@@ -51,7 +51,7 @@ from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Poses
 from rig.report.pages.page_templates_and_elements import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations_by_later_recordings import Refutation, State, Verdict
+from rig.report.verdict_and_refutations import Refutation, State, Verdict
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -163,7 +163,7 @@ def verify(
         verify_claim_on_samples(calibration, samples, np.random.default_rng(SEED)),
         calibration,
         refutations,
-        calibration_provenance_and_used_frames.frames_used_in_calibration(calibration, recording),
+        calibration_file.frames_used_in_calibration(calibration, recording),
         None if wanted is None else _driven(calibration, recording, sampled.samples, wanted),
         sampled.measurement.unsolved if sampled.measurement is not None else {},
         confounds_of_recordings([recording]),
@@ -275,7 +275,7 @@ def watch(
         entries.append(_tree(change, history, scale) | {"claim": claim, "confounds": confounds and confounds.tree()})
         visit = Visit(history.visits[-1].name, change, (), scale, found)
         names = [one.name for one in history.visits for _ in range(one.visits)]
-        lines = change_sentences.change_verdict_lines(
+        lines = change_evidence_and_sentences.change_verdict_lines(
             change, visit.name, names, history.reference, scale, visit.allowed
         )
         seen.append(replace(visit, lines=lines))

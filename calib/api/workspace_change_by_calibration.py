@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.files import calibration_file
 from calib.models.machine_models import calibration_with_workspace
 from calib.workspace import workspace_page
@@ -28,8 +28,8 @@ from rig.model import mechanisms
 from rig.recording.recording_table_loading_and_writing import write_table
 from rig.report.pages.page_templates_and_elements import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations_by_later_recordings import Verdict
-from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import Notice, ignore_notice
+from rig.report.verdict_and_refutations import Verdict
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

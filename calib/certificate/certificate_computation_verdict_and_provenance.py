@@ -12,7 +12,7 @@ import numpy as np
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate_contents import CertifyOptions, Contents, measured_volume, measuring_conditions
 from calib.certification import noise_free_errors_and_tolerance_limits, pose_error_promise_and_conformity
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.held_out_errors import error_statistics, errors_before_and_after_correction
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     HeldPoses,
@@ -40,7 +40,7 @@ from calib.certification.uncertainty_budget import (
     thermometer_covariance,
     uncertainty_budget,
 )
-from calib.files import calibration_provenance_and_used_frames
+from calib.files import calibration_file
 from calib.files.calibration_file import calibration_text
 from calib.models.machine_models import corrected_pose_covariance
 from calib.samples.confounded_conditions import confound_sentences, confounds_of_recordings
@@ -50,7 +50,7 @@ from rig.errors import NotEnoughData
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, hashes_of_frames
 from rig.recording.recording_folder import Recording
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -235,9 +235,7 @@ def certificate_provenance(
     inputs = {"calibration.json" if path is None else path.name: {"file": hashlib.sha256(text).hexdigest()}}
     for recording in recordings:
         name = recording.folder.resolve().name
-        origin = calibration_provenance_and_used_frames.calibration_provenance(
-            recording, (), seed, recording.has_images
-        )
+        origin = calibration_file.calibration_provenance(recording, (), seed, recording.has_images)
         content = hashlib.sha256("\n".join(hashes_of_frames(content_hashes_of_frames(recording))).encode()).hexdigest()
         inputs[name if name not in inputs else str(recording.folder)] = {
             **origin["inputs_sha256"],
@@ -248,7 +246,7 @@ def certificate_provenance(
     return {
         "inputs_sha256": inputs,
         "calibration": {"recording": made.get("recording"), "created": made.get("created")},
-        "versions": calibration_provenance_and_used_frames.package_versions(),
+        "versions": calibration_file.package_versions(),
         "seed": seed,
         "arguments": list(arguments),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),

@@ -1,7 +1,7 @@
 """Sentences of a certificate: scale, promise, volume, basis, conformity, ISO figures and uncertainties."""
 
 from calib.certificate.certificate_contents import Contents
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import (
+from calib.certification.calibration_dataclass_and_claim_sentences import (
     claim_status_text,
     explaining_rigid_motion_text,
 )

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.certificate.certificate_computation_verdict_and_provenance import AGAIN, TWICE, combined_held_out_poses
 from calib.certificate.certificate_contents import CertifyOptions, Conditions, measuring_conditions
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration, claim_status_text
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, claim_status_text
 from calib.certification.calibration_evidence_verdict_and_claim_check import AgainstClaim
 from calib.certification.held_out_pose_errors_and_distinct_configurations import HeldPoses, pose_repeatability
 from calib.certification.noise_free_errors_and_tolerance_limits import (
@@ -37,7 +37,7 @@ from rig.report.pages.page_templates_and_elements import (
     table_html,
     write_page,
 )
-from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
 
 SCHEMA = "pointing-certificate/1"
 ACROSS = slice(3, 5)  # of a pose's error, what turns the direction

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import (
+from calib.certification.calibration_dataclass_and_claim_sentences import (
     WHERE,
     Calibration,
     claim_lines,
@@ -23,7 +23,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
 from calib.samples.confounded_conditions import Confounds, confound_sentences
 from calib.samples.pose_samples import Samples
 from rig.effects.framework.unmodelled_curve import TIME
-from rig.report.verdict_and_refutations_by_later_recordings import (
+from rig.report.verdict_and_refutations import (
     LOOK,
     Evidence,
     MissingEvidence,

@@ -223,7 +223,7 @@ def error_claim_over_workspace(
     told = ConfigurationInformation(distinct, determined, better, len(identified.prior), _tolerance_in_words(tolerance))
     if distinct < LEAST:
         return empty_claim_of_too_few_configurations(told, middle)
-    commands, T = sample_workspace(correction)
+    commands, T = workspace_samples(correction)
     offset = pose_difference(T, mechanisms.kinematics_of(nominal).forward(commands, nominal))
     back, J = inverse_strut_length_jacobian(T, fitted), pose_parameter_jacobian(T, fitted)
     if machines is not None:
@@ -243,7 +243,7 @@ def error_claim_over_workspace(
     return claim_from_machine_draws(Workspace(J, -offset, own, middle), draws, samples, told, rng)
 
 
-def sample_workspace(correction: AnyCorrection) -> tuple[Floats, RigidTransform]:
+def workspace_samples(correction: AnyCorrection) -> tuple[Floats, RigidTransform]:
     """Samples of the workspace: (commands (m, axes) m, poses (m,) of the corrected machine)."""
     ranges = axis_travel_limits(correction.nominal)
     return solvable_commands_and_poses(sobol_configurations(ranges, PLACES, FILL), correction)

@@ -255,13 +255,13 @@ def mean_square_held_out_errors_by_configuration(
     )
 
 
-def residuals_corrected_for_noise_absorbed_by_fit(
+def residuals_corrected_for_absorbed_noise(
     residuals: Floats, jacobian: Floats, covariance: Floats, noise: Floats, label: Integers
 ) -> Floats:
     """Standardised residuals (n, 6) of a linear fit: corrected for the noise that the fit absorbed, m and rad.
 
     residuals : (n, 6); label : (n,) configuration of each sample
-    The rest as `mean_square_held_out_pose_errors_by_parameters` has it.
+    The rest as `mean_square_pose_errors_caused_by_parameters` has it.
     Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.1, by blocks
     """
     out = np.empty_like(residuals)
@@ -271,7 +271,7 @@ def residuals_corrected_for_noise_absorbed_by_fit(
     return out
 
 
-def mean_square_held_out_pose_errors_by_parameters(
+def mean_square_pose_errors_caused_by_parameters(
     jacobian: Floats, covariance: Floats, noise: Floats, part: Integers
 ) -> Floats:
     """Mean squares (2,) of held-out pose errors caused by the fitted parameters, m^2 and rad^2.

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.error_claim_over_workspace import (
     Claim,
     draw_fit_variance_ratio,
     error_claim_over_workspace,
-    sample_workspace,
+    workspace_samples,
 )
 from calib.certification.held_out_errors import (
     HeldErrors,
@@ -210,7 +210,7 @@ def certified_with_possible_machines(
             samples,
             strut_deviation_sizes,
             correction.nominal,
-            sample_workspace(correction)[0],
+            workspace_samples(correction)[0],
             noise,
             rng,
         ),
@@ -219,7 +219,7 @@ def certified_with_possible_machines(
 
 def add_machine_draws(certified: Certified, machines: Machines) -> Certified:
     """Certified with machine draws about its correction added."""
-    places, T = sample_workspace(certified.correction)
+    places, T = workspace_samples(certified.correction)
     covariance, struts = machines.second_moments(
         loop_closure_parameter_jacobian(T, certified.correction.fitted), certified.correction.rho(places)
     )

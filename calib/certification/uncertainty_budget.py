@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.held_out_pose_errors_and_distinct_configurations import HeldPoses, Repeatability
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats

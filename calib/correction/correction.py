@@ -14,7 +14,7 @@ from typing import Any, Generic, NamedTuple, Self, TypeVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.command_timing_and_error_map_in_pose_space import PoseMap
+from calib.correction.command_timing_and_pose_error_map import PoseMap
 from calib.correction.interpolation import gaussian_process
 from calib.correction.interpolation.field_interface_and_combinations import Field, RestrictedMap
 from calib.correction.interpolation.gaussian_process import Radial

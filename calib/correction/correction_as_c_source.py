@@ -15,7 +15,12 @@ from importlib.resources import files
 import numpy as np
 
 from calib.correction.correction import AnyCorrection
-from calib.correction.correction_fields_as_c_functions import CTables, field_functions, number_rows, radial_functions
+from calib.correction.correction_fields_as_c_functions import (
+    CTables,
+    field_functions,
+    radial_functions,
+    wrapped_number_lines,
+)
 from calib.correction.interpolation.field_interface_and_combinations import Field
 from calib.correction.physics_compensation import Physics
 from rig.array_and_json_types import Floats
@@ -126,17 +131,17 @@ def correction_c_source(
     settled = define_remainder(tables, correction.extension, parts)
     maps = _pose_maps(tables, correction)
     return CSource(
-        joined(
-            *opening(HEXAPOD, correction, effects, gaps, origin),
+        joined_c_parts(
+            *c_file_opening(HEXAPOD, correction, effects, gaps, origin),
             "\n".join(geometry.lines),
-            *(part(name) for name in FIELDS if name in tables.parts),
+            *(c_source_part(name) for name in FIELDS if name in tables.parts),
             "\n".join(tables.lines),
-            part("settle" if settled else "no remainder"),
-            part("rotation"),
-            *([part("rotation vector"), part("pose maps")] if maps else []),
+            c_source_part("settle" if settled else "no remainder"),
+            c_source_part("rotation"),
+            *([c_source_part("rotation vector"), c_source_part("pose maps")] if maps else []),
             *commands_of_effects(effects),
-            part("ranges"),
-            part("correct").replace("    /* insert: pose maps */\n", "".join(maps)),
+            c_source_part("ranges"),
+            c_source_part("correct").replace("    /* insert: pose maps */\n", "".join(maps)),
         ),
         effects.notes,
         effects.channels,
@@ -153,22 +158,22 @@ def _parts() -> dict[str, str]:
     return dict(zip(found[1::2], found[2::2]))
 
 
-def part(name: str) -> str:
+def c_source_part(name: str) -> str:
     """Text of a part of the C files."""
     return _parts()[name]
 
 
-def joined(*texts: str) -> str:
+def joined_c_parts(*texts: str) -> str:
     """The text of a C file of its parts."""
     return "\n".join(text.rstrip("\n") + "\n" for text in texts if text)
 
 
-def opening(
+def c_file_opening(
     call: CCall, correction: AnyCorrection, effects: EffectsInC, gaps: Floats, origin: str
 ) -> tuple[str, str, str]:
     """What a C file begins with: its head comment, its interface, home and channels. gaps : (axes,) m or rad, play"""
     home = mechanisms.kinematics_of(correction.nominal).home_values(correction.nominal)
-    interface = f"enum {{ RIG_AXES = {len(home)} }};\n\n{part('api')}"
+    interface = f"enum {{ RIG_AXES = {len(home)} }};\n\n{c_source_part('api')}"
     return _head(call, correction, effects, gaps, origin), interface, _constants(effects.channels, home)
 
 
@@ -230,7 +235,7 @@ def _constants(channels: dict[str, float], home: Floats) -> str:
             "};",
             "extern const double rig_channel_medians[RIG_CHANNELS];",
             "const double rig_channel_medians[RIG_CHANNELS] = {",
-            *number_rows([repr(median) for median in channels.values()]),
+            *wrapped_number_lines([repr(median) for median in channels.values()]),
             "};",
         ]
     else:
@@ -273,7 +278,7 @@ def controller_terms_of_compensable_effects(correction: AnyCorrection, physics: 
 def commands_of_effects(effects: EffectsInC) -> tuple[str, ...]:
     """The functions that undo effects."""
     if not effects.terms:
-        return (part("no effects"),)
+        return (c_source_part("no effects"),)
     statements = [line for term in effects.terms for line in term.statements]
     used = "\n".join(statements)
     unused = [name for name in ("c", "tip", "channels", "d") if not re.search(rf"\b{name}\[", used)]
@@ -286,7 +291,7 @@ def commands_of_effects(effects: EffectsInC) -> tuple[str, ...]:
         *(f"    {line}" for line in statements),
         "}",
     ]
-    return "\n".join(lines), part("effects")
+    return "\n".join(lines), c_source_part("effects")
 
 
 def define_remainder(tables: CTables, extension: Field | None, axis_functions: list[list[str]]) -> bool:

@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction import command_timing_and_error_map_in_pose_space
+from calib.correction import command_timing_and_pose_error_map
+from calib.correction.command_timing_and_pose_error_map import NAMES, PoseMap
 from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.correction.interpolation.delaunay_and_grid_kernels import Delaunay
 from calib.correction.interpolation.field_interface_and_combinations import (
@@ -36,6 +37,7 @@ from rig.formats.checked_entries import Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, geometric_parameters, strut_length_jacobian
+from rig.model.pose import pose_to_entry
 from rig.planning.configuration_sets import FILL, sobol_configurations
 
 SHAPES = {  # of the arrays: a axes, m outputs, the other letters any number, the same wherever they stand
@@ -246,7 +248,7 @@ def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection) 
     """Residual pose tangents that an earlier pass leaves: from its corrected poses to the measured ones.
 
     Over the coordinates in which the mechanism's poses differ, see
-    `command_timing_and_error_map_in_pose_space.PoseMap`. Source:
+    `command_timing_and_pose_error_map.PoseMap`. Source:
     configuration-space patent, [0035]
     """
     nominal, some = correction.nominal, list(pose_coordinate_indices(correction.nominal))
@@ -255,14 +257,12 @@ def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection) 
     _, all_over = solvable_commands_and_poses(
         sobol_configurations(mechanisms.kinematics_of(nominal).travel_ranges(nominal), PLACES, 1.0), correction
     )
-    x, box = (
-        command_timing_and_error_map_in_pose_space.pose_coordinates(poses, home)[:, some] for poses in (T, all_over)
-    )
+    x, box = (command_timing_and_pose_error_map.pose_coordinates(poses, home)[:, some] for poses in (T, all_over))
     both = np.concatenate([x, box])
     variances = np.einsum("nii->ni", samples.covariance)[:, some]
     return FieldSamples(
         x,
-        command_timing_and_error_map_in_pose_space.pose_error_tangents(T, samples.T_base_platform)[:, some],
+        command_timing_and_pose_error_map.pose_error_tangents(T, samples.T_base_platform)[:, some],
         variances,
         np.stack([both.min(axis=0), both.max(axis=0)], axis=1),
     )
@@ -283,7 +283,7 @@ def correction_with_pose_space_map(correction: AnyCorrection, field: Field | Non
     """Correction with a map in pose space (a Field) added, applied last; unchanged where the field is None."""
     if field is None:
         return correction
-    one = command_timing_and_error_map_in_pose_space.PoseMap(
+    one = command_timing_and_pose_error_map.PoseMap(
         home_pose(correction.nominal), pose_coordinate_indices(correction.nominal), field
     )
     return replace(correction, posed=(*correction.posed, one))
@@ -324,3 +324,24 @@ def single_step_command_errors(correction: AnyCorrection) -> tuple[float, float]
     )
     off = correction.single_step(wanted) - correction.inverse(wanted)
     return float(np.sqrt((off**2).mean())), float(np.abs(off).max())
+
+
+def pose_map_dict(pose_map: PoseMap) -> Json:
+    """dict of a PoseMap, as JSON holds it."""
+    return {
+        "home": pose_to_entry(pose_map.home),
+        "coordinates": [NAMES[i] for i in pose_map.coordinates],
+        "field": field_to_dict(pose_map.field),
+    }
+
+
+def pose_map_from_entries(table: Entries, nominal: Parallel) -> PoseMap:
+    """PoseMap of a mechanism from its entries, as `pose_map_dict` gives them. Raises FileError for anything else."""
+    some = pose_coordinate_indices(nominal)
+    if table.texts("coordinates") != tuple(NAMES[i] for i in some):
+        table.fail(
+            f"{table.name('coordinates')} must be {', '.join(NAMES[i] for i in some)} for a mechanism of "
+            f"kind {nominal.kind!r}",
+            "coordinates",
+        )
+    return PoseMap(table.pose("home"), some, field_from_entries(table.table("field"), len(some)))

@@ -11,15 +11,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.command_timing_and_error_map_in_pose_space import Route
+from calib.correction.command_timing_and_pose_error_map import Route
 from calib.correction.correction import AnyCorrection
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
-    Coordinate,
-    coordinates_of_effects,
-)
+from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
 from rig.effects.framework.unmodelled_curve import TIME
 from rig.errors import NotConverged, RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
@@ -87,7 +84,7 @@ class Unknown:
 @dataclass(frozen=True, slots=True, eq=False)
 class Physics:
     """effects : Effects found; own : (c, c) covariance of their coordinates
-    (rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates), in
+    (rig.effects.framework.effect_checks_and_fit_coordinates), in
     order; cross : (p, c) of the geometry's p parameters with these; gravity, actuator, platform : of the machine as its
     owner states them, which effects look at
     channels : {sensor channel: (median, standard deviation)} while all this was learnt; unknown : what has no name

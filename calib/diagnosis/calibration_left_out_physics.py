@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaincinv
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
     OfCalibrations,
     calibration_evidence_verdict_and_claim_check,
@@ -35,13 +35,13 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
     unexplained_sentences,
 )
 from calib.files import calibration_file
-from calib.files.calibration_provenance_and_used_frames import SEED
+from calib.files.calibration_file import SEED
 from calib.samples.pose_samples import Sampled, Samples
 from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
 from rig.recording.frame_selection_and_content_hashes import Marks, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
-from rig.report.verdict_and_refutations_by_later_recordings import State, refutations_of_file
+from rig.report.verdict_and_refutations import State, refutations_of_file
 
 LARGEST = 50_000_000  # bytes of a file that is looked into
 NOT_SEARCHED = "it was not searched for unmodelled effects"

@@ -27,16 +27,13 @@ from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
 from calib.diagnosis.unmodelled_curves import arm_fit_with_curves, refinement_with_curves
 from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm_of_fit
 from calib.models.arm.error_model_and_observations import parameter_names, sample_observations
-from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, JointFit, Prior, fit_geometry_and_effects
+from calib.models.arm.joint_effect_fit_and_held_out_scatter import History, JointFit, Prior, fit_geometry_and_effects
 from calib.models.platform.identification import Loops
 from calib.samples.pose_samples import Sampled, Samples, samples_of_freedoms
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
-    Coordinate,
-    coordinates_of_effects,
-)
+from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
 from rig.effects.texts.effect_text_parsing import Kinds
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading, machine_geometry_and_effects_json_file

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from threadpoolctl import threadpool_limits
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import (
     NO_STATED_TERMS,

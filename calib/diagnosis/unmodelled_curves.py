@@ -23,7 +23,7 @@ from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement, refine_operating_point
 from calib.models.arm.error_model_and_observations import sample_observations
-from calib.models.arm.joint_effects_fit_and_held_out_scatter import (
+from calib.models.arm.joint_effect_fit_and_held_out_scatter import (
     Columns,
     JointFit,
     WhitenedSamples,
@@ -31,11 +31,8 @@ from calib.models.arm.joint_effects_fit_and_held_out_scatter import (
 )
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import conserved_coordinate_sums, coordinates_of_effects
 from rig.effects.framework.effect_parameters_and_covariates import Context
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
-    conserved_coordinate_sums,
-    coordinates_of_effects,
-)
 from rig.effects.framework.unmodelled_curve import covariate_words, unmodelled_curves
 from rig.model.motion_simulation import motion_of_commands
 

@@ -1,7 +1,7 @@
 """Normal equations of a visit in places, geometry and machine changes, and the reference of the first visit.
 
 Unknowns, in this order: six for each camera and target (or for the instrument), the geometry's 42, the eight of
-calib.drift.machine_changes.
+calib.drift.change_evidence_and_sentences.
 Poses and lenses, which every visit has for itself, are eliminated.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.models.platform.identification import inverse_strut_length_jacobian, pose_parameter_jacobian
 from calib.samples.pose_samples import Samples, sample_recording
 from rig.array_and_json_types import Floats, Integers
@@ -25,7 +25,7 @@ from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import log, skew
 from rig.recording.recording_folder import Commands, Recording, Sensors
-from vision.bundle.normal_equations_and_corner_jacobians import linearise, normal_equations
+from vision.bundle.normal_equations_and_corner_jacobians import normal_equations, whitened_residuals_and_derivatives
 from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import POSE_SCALE
 from vision.corner_observations import whitener_of_observations
@@ -255,7 +255,7 @@ def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, refe
     """
     a, kept = measured.adjustment, measured.used()
     u, estimate = adjustment_unknowns(kept, a.state, a.stated, FREE)
-    _, derivatives = linearise(kept, estimate, u, whitener_of_observations(kept))
+    _, derivatives = whitened_residuals_and_derivatives(kept, estimate, u, whitener_of_observations(kept))
     blocks = normal_equations(kept, derivatives, u, np.zeros(u.shared))
     frames, at = 6 * len(samples), {Place("target", name): s for name, s in u.targets.items()}
     at |= {Place("camera", a.state.cameras[i].name): s for i, s in u.poses.items()}

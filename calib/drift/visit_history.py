@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.drift.change_evidence import (
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.drift.change_evidence_and_sentences import (
     Verdict,
     change_hypotheses,
     change_verdict,

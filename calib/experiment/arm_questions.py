@@ -39,11 +39,11 @@ from calib.experiment.experiment_questions_and_information import (
     predictions_with_unlisted_hypothesis,
     rival_hypotheses,
 )
-from calib.experiment.predicted_poses_corners_and_sensor_log_of_plan import predicted_sensor_log
+from calib.experiment.predicted_recording_of_plan import predicted_sensor_log
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Arm
-from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
+from rig.planning.timed_plan_and_plan_csv import Plan
 
 WEAK = 1e-10  # of the greatest singular value; directions below are none
 
@@ -78,7 +78,7 @@ class ArmQuestion(Question[ArmFit]):
             self, Prediction(means, covariances, _cosines(self, tables[0], shapes)), basis.T @ shapes
         )
 
-    def predict_outcomes_of_two_likeliest_by_frame(self, plan: Plan) -> PerFrame:
+    def predicted_outcomes_of_two_likeliest_hypotheses(self, plan: Plan) -> PerFrame:
         first, other = self.likeliest
         (one, two), _, seen = _seen([first.fitted, other.fitted], [first.number, other.number], plan, 0.0)
         F, k = len(plan.t), len(one) // len(seen)

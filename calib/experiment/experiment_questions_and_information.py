@@ -17,7 +17,7 @@ from rig.errors import RigError
 from rig.model.design import Design
 from rig.planning.configuration_sets import grid_configurations, sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan
-from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
+from rig.planning.timed_plan_and_plan_csv import Plan
 
 FOREIGN = 0.05  # of all odds, for what is in no catalogue
 F = TypeVar("F")
@@ -110,7 +110,7 @@ class Question(ABC, Generic[F_co]):
         Raises RigError where the machine as found cannot follow it, or nothing would be seen of some of it"""
 
     @abstractmethod
-    def predict_outcomes_of_two_likeliest_by_frame(self, plan: Plan) -> PerFrame:
+    def predicted_outcomes_of_two_likeliest_hypotheses(self, plan: Plan) -> PerFrame:
         """PerFrame of the two likeliest names. Raises what `foretold` raises, and ValueError for a question of one
         name
         """
@@ -188,7 +188,7 @@ def discriminating_configurations(
     strokes = axis_strokes(design)
     pool = np.concatenate([sobol_configurations(strokes, POOL, seed=seed), grid_configurations(strokes, 2)])
     plan = build_plan(design, "pool", additional_parts={"pool": pool})
-    return pool[choose_exposures([q.predict_outcomes_of_two_likeliest_by_frame(plan) for q in open_ones], count)]
+    return pool[choose_exposures([q.predicted_outcomes_of_two_likeliest_hypotheses(plan) for q in open_ones], count)]
 
 
 def choose_exposures(questions: Sequence[PerFrame], count: int) -> Floats:
@@ -221,7 +221,7 @@ def camera_information_shares(open_questions: Sequence[Question[object]], plan: 
     parts: dict[str, float] = {}
     for question in open_questions:
         for name, squares in (
-            question.predict_outcomes_of_two_likeliest_by_frame(plan).by_camera if len(question.named) > 1 else {}
+            question.predicted_outcomes_of_two_likeliest_hypotheses(plan).by_camera if len(question.named) > 1 else {}
         ).items():
             parts[name] = parts.get(name, 0.0) + float(squares.sum())
     whole = max(sum(parts.values()), 1e-300)

@@ -24,14 +24,7 @@ from rig.report.pages.page_templates_and_elements import (
     write_page,
 )
 from rig.report.pages.plots import COLOURS, Series, plot_panel_svg
-from rig.report.verdict_and_refutations_by_later_recordings import (
-    LOOK,
-    Evidence,
-    MissingEvidence,
-    State,
-    Verdict,
-    judge_evidence,
-)
+from rig.report.verdict_and_refutations import LOOK, Evidence, MissingEvidence, State, Verdict, judge_evidence
 
 SETTING_UP = 1.0  # min that a recording takes besides its plan
 

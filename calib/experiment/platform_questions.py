@@ -37,7 +37,7 @@ from calib.experiment.experiment_questions_and_information import (
     predictions_with_unlisted_hypothesis,
     rival_hypotheses,
 )
-from calib.experiment.predicted_poses_corners_and_sensor_log_of_plan import (
+from calib.experiment.predicted_recording_of_plan import (
     fitted_design,
     operating_point_of_last_recording,
     operating_point_with_turned_cubes,
@@ -47,11 +47,11 @@ from calib.experiment.predicted_poses_corners_and_sensor_log_of_plan import (
 )
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import Coordinate
+from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.effect_places_and_part_tolerances import SEAT
-from rig.planning.timed_plan_construction_and_plan_csv_table import Plan
+from rig.planning.timed_plan_and_plan_csv import Plan
 
 WEAK = 1e-12  # of the greatest eigenvalue; directions below are none
 
@@ -82,8 +82,8 @@ class PlatformQuestion(Question[Refinement]):
     def predict_outcomes(self, plan: Plan, warmer: float = 0.0) -> Prediction:
         return _predict_outcomes(self, plan, warmer)
 
-    def predict_outcomes_of_two_likeliest_by_frame(self, plan: Plan) -> PerFrame:
-        return predict_outcomes_of_two_likeliest_by_frame(self, plan)
+    def predicted_outcomes_of_two_likeliest_hypotheses(self, plan: Plan) -> PerFrame:
+        return predicted_outcomes_of_two_likeliest_hypotheses(self, plan)
 
 
 def _predict_outcomes(question: PlatformQuestion, plan: Plan, temperature_rise: float = 0.0) -> Prediction:
@@ -111,7 +111,7 @@ def _predict_outcomes(question: PlatformQuestion, plan: Plan, temperature_rise: 
     return predictions_with_unlisted_hypothesis(question, Prediction(means, np.array(covariances), cosines), parts[-1])
 
 
-def predict_outcomes_of_two_likeliest_by_frame(question: PlatformQuestion, plan: Plan) -> PerFrame:
+def predicted_outcomes_of_two_likeliest_hypotheses(question: PlatformQuestion, plan: Plan) -> PerFrame:
     """Predicted outcomes by frame (PerFrame) of a question's two likeliest hypotheses.
     Raises what `_predict_outcomes` raises, and ValueError for a question of one name
     """

@@ -1,4 +1,4 @@
-"""Machine models by kind: geometric parameters, certification, covariance of corrected poses, file entries."""
+"""Machine models by kind: geometric parameters, covariance of corrected poses, file entries."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,25 +9,22 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification import platform_certification
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.error_claim_over_workspace import Claim
-from calib.certification.platform_certification import Progress
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import AnyCorrection, Correction
-from calib.correction.correction_tables_and_pose_space_map_json import pose_map_from_entries
 from calib.correction.interpolation.field_interface_and_combinations import Field
-from calib.correction.interpolation_methods_and_correction_summand_fields import gaussian_process_from_entries
+from calib.correction.interpolation_methods_and_correction_summand_fields import (
+    gaussian_process_from_entries,
+    pose_map_from_entries,
+)
 from calib.models.arm import certification as arm_certification
 from calib.models.arm import error_model_and_observations, identification_and_joint_profiles
 from calib.models.arm import error_model_and_observations as arm_errors
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import PLAUSIBLE
 from calib.models.arm.identification_and_joint_profiles import Profile
-from calib.models.arm.workspace_claim import arm_workspace_claim
 from calib.models.chain import certification_and_page as chain_certification
-from calib.models.chain import error_model as chain_errors
-from calib.models.chain import error_model as chains
+from calib.models.chain import error_model_and_identification as chains
 from calib.models.platform.identification import PRIOR, pose_parameter_jacobian
-from calib.samples.pose_samples import Sampled
 from calib.workspace.workspace_map_and_lost_poses import map_workspace
 from rig.array_and_json_types import Booleans, Floats
 from rig.formats.checked_entries import Entries
@@ -88,14 +85,6 @@ class MachineModel(Protocol):
         """The names of the parameters in their order, as a file states them."""
         ...
 
-    def certify(
-        self, sampled: Sampled, nominal: Commanded, rng: np.random.Generator, progress: Progress | None = None
-    ) -> tuple[Certified, Claim]:
-        """What a calibration of samples finds, and what it claims all over the workspace. Raises NotEnoughData,
-        NotConverged.
-        """
-        ...
-
     def pose_covariance(self, calibration: Calibration, T: RigidTransform, commands: Floats) -> Floats:
         """(n, 6, 6) covariance (m, rad) of the poses T (n,) that commands (n, axes) give, docs/mathematics.md (21)."""
         ...
@@ -127,13 +116,6 @@ class PlatformModel:
             parameter_names(require_parallel(nominal))
         )
 
-    def certify(
-        self, sampled: Sampled, nominal: Commanded, rng: np.random.Generator, progress: Progress | None = None
-    ) -> tuple[Certified, Claim]:
-        """What a calibration of samples finds, and what it claims all over the workspace."""
-        done = platform_certification.certify_platform(sampled.samples, require_parallel(nominal), rng, progress)
-        return done, platform_certification.platform_workspace_claim(sampled.samples, done, rng)
-
     def pose_covariance(self, calibration: Calibration, T: RigidTransform, commands: Floats) -> Floats:
         """(n, 6, 6) covariance (m, rad) of the poses T (n,)."""
         return platform_certification.platform_pose_covariance(calibration, T)
@@ -160,13 +142,6 @@ class ArmModel:
         """The names of the parameters in their order."""
         return ", ".join(arm_errors.parameter_names(require_arm(nominal)))
 
-    def certify(
-        self, sampled: Sampled, nominal: Commanded, rng: np.random.Generator, progress: Progress | None = None
-    ) -> tuple[Certified, Claim]:
-        """What a calibration of samples finds, and what it claims all over the workspace."""
-        done = arm_certification.certify_arm(sampled.samples, require_arm(nominal), sampled.instrument, rng, progress)
-        return done, arm_workspace_claim(sampled.samples, done, rng)
-
     def pose_covariance(self, calibration: Calibration, T: RigidTransform, commands: Floats) -> Floats:
         """(n, 6, 6) covariance (m, rad) of the poses that commands (n, axes) give."""
         return arm_certification.arm_pose_covariance(calibration, commands)
@@ -190,18 +165,11 @@ class ChainModel:
 
     def parameter_count(self, nominal: Commanded) -> int:
         """How many parameters its geometry has."""
-        return len(chain_errors.parameter_names(require_chain(nominal)))
+        return len(chains.parameter_names(require_chain(nominal)))
 
     def parameter_order(self, nominal: Commanded) -> str:
         """The names of the parameters in their order."""
-        return "changes from nominal: " + ", ".join(chain_errors.parameter_names(require_chain(nominal)))
-
-    def certify(
-        self, sampled: Sampled, nominal: Commanded, rng: np.random.Generator, progress: Progress | None = None
-    ) -> tuple[Certified, Claim]:
-        """What a calibration of samples finds, and what it claims all over the workspace."""
-        done = chain_certification.certify_chain(sampled.samples, require_chain(nominal), rng, progress)
-        return done, chain_certification.chain_workspace_claim(sampled.samples, done, rng)
+        return "changes from nominal: " + ", ".join(chains.parameter_names(require_chain(nominal)))
 
     def pose_covariance(self, calibration: Calibration, T: RigidTransform, commands: Floats) -> Floats:
         """(n, 6, 6) covariance (m, rad) of the poses that commands (n, axes) give."""

@@ -1,4 +1,9 @@
-"""Commands for wanted poses through a calibration, with approaches and the covariance of each pose."""
+"""Commands for wanted poses through a calibration, with approaches and the covariance of each pose.
+
+Also poses to command a controller that takes poses: it computes strut lengths by its own nominal geometry, that of
+rig.toml, so what is commanded is the nominal forward kinematics of the corrected lengths, in its frames and about its
+pivot point.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,8 +12,8 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.correction.command_timing_and_error_map_in_pose_space import Pace, Route, timed_route, untimed_route
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.correction.command_timing_and_pose_error_map import Pace, Route, timed_route, untimed_route
 from calib.correction.correction import Responses
 from calib.correction.physics_compensation import (
     Machine,
@@ -19,9 +24,11 @@ from calib.correction.physics_compensation import (
 )
 from calib.models.machine_models import corrected_pose_covariance
 from rig.array_and_json_types import Booleans, Floats
+from rig.driving.protocols.gcs_hexapod import PoseFrames
 from rig.effects.framework.effect import Effect
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_hexapod
 from rig.model.motion_simulation import motion_of_commands
 from rig.planning.plan import SPEED, UNSTATED_SPEED
 from rig.recording.recording_folder import Sensors
@@ -217,3 +224,31 @@ def _columns(physics: Physics, of: Machine, stands: Callable[[tuple[Effect, ...]
             ends, between = c.ends_of(physics.effects, of.effects)
             out[..., i] = (stands(ends[0]) - stands(ends[1])) / between
     return out
+
+
+AGREED = 1e-9  # m, of the lengths that a commanded pose gives
+
+
+def poses_to_command(nominal: Mechanism, lengths: Floats, wanted: RigidTransform, frames: PoseFrames) -> RigidTransform:
+    """Poses (n,) to command so that the controller's nominal kinematics gives strut lengths (n, 6) m.
+
+    wanted : T_base_platform (n,) near which they are looked for
+    Raises RigError for what is no hexapod, NotConverged for lengths that no pose near the wanted one gives, and for a
+    pose whose lengths are not these
+    """
+    hexapod = require_hexapod(
+        nominal, "a controller that takes poses drives a hexapod, not a mechanism of kind {kind!r}"
+    )
+    found = mechanisms.hexapod.forward(lengths, hexapod, wanted)
+    command = frames.command_of_pose(found)
+    off = np.abs(mechanisms.hexapod.inverse(frames.pose_of_command(command), hexapod) - lengths).max(axis=-1)
+    wrong = np.flatnonzero(~(off <= AGREED))
+    if len(wrong):
+        raise NotConverged(
+            f"{len(wrong)} of {len(off)} commanded poses do not give their lengths back; the worst is off by "
+            f"{off.max():.3g} m",
+            wrong,
+            lengths[wrong],
+            off[wrong],
+        )
+    return command

@@ -98,11 +98,11 @@ def initial_state(start: Start, shared: int) -> State:
     )
 
 
-def state_of_new_session(state: State, shared: int) -> State:
-    """State at the start of a new session, with `shared` new draws of common errors."""
+def state_of_new_session(state: State, common_errors: int) -> State:
+    """State at the start of a new session, with so many new draws of common errors."""
     c, estimate = len(state.estimate.s), state.estimate
     return State(
-        _initial_estimate(estimate.p, estimate.S[c:, c : c + 42], shared),
+        _initial_estimate(estimate.p, estimate.S[c:, c : c + 42], common_errors),
         state.learnt,
         (),
         None,

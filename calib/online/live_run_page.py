@@ -7,14 +7,14 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.online.observer_of_run_frames import MeasuredFrame, RunObserver, View
+from calib.online.observer_of_run_frames import MeasuredFrame, RunObserver, RunState
 from calib.report.pose_and_effect_figures import closed_outline, fixed_rig_lines
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.model.design import Camera, Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 from rig.model.pose import pose_to_vector, transform_points
 from rig.report.pages.run_page_server import PageServer
-from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.frame_pictures import encode_jpeg
 from vision.predict import MarkerMap, marker_map
 
@@ -24,14 +24,14 @@ CALIBRATE = (
 )
 
 
-def run_verdict(view: View) -> Verdict:
-    """Verdict on a run so far, from its RunView: alarms, early end, deviation of the last pose."""
-    refuted = (f"it ended prematurely: {view.ended}",) if view.ended else ()
-    alarms = tuple(MissingEvidence(f"{alarm.kind}: {alarm.text}") for alarm in view.alarms)
-    off = math.nan if view.seen is None else _pose_deviation_in_sigmas(view.seen)
+def run_verdict(state: RunState) -> Verdict:
+    """Verdict on a run so far, from its RunState: alarms, early end, deviation of the last pose."""
+    refuted = (f"it ended prematurely: {state.ended}",) if state.ended else ()
+    alarms = tuple(MissingEvidence(f"{alarm.kind}: {alarm.text}") for alarm in state.alarms)
+    off = math.nan if state.seen is None else _pose_deviation_in_sigmas(state.seen)
     unexplained = (f"the last pose is {off:.3g} times its own uncertainty from the prediction",) if off > OFF else ()
     return judge_evidence(
-        Evidence(view.phase, missing=alarms, unexplained=unexplained, refuted=refuted, look=CALIBRATE)
+        Evidence(state.phase, missing=alarms, unexplained=unexplained, refuted=refuted, look=CALIBRATE)
     )
 
 
@@ -50,7 +50,7 @@ LATEST = 400  # frames whose figures are shown
 
 
 class RunPage:
-    """Serves the view of a RunObserver. As a context it is open; see calib.online.observer_of_run_frames.RunDisplay."""
+    """Page that serves the RunState of a RunObserver: a RunDisplay, open while it is a context."""
 
     def __init__(self, looking: RunObserver, port: int) -> None:
         self._design = looking.design
@@ -67,37 +67,37 @@ class RunPage:
     def __exit__(self, *_: object) -> None:
         self._server.close()
 
-    def show(self, view: View) -> None:
-        """Have the page show a view."""
+    def show(self, state: RunState) -> None:
+        """Have the page show a RunState."""
         images: dict[str, Callable[[], bytes]] | None = None
-        if view.seen is not None and view.seen is not self._shown:
-            self._shown = view.seen
-            self._history = [*self._history[1 - LATEST :], _figures(view.seen)]
-            images = {name: partial(encode_jpeg, frame.image) for name, frame in view.seen.shot.frames.items()}
-        self._server.show(partial(self._event, view, self._history), images)
+        if state.seen is not None and state.seen is not self._shown:
+            self._shown = state.seen
+            self._history = [*self._history[1 - LATEST :], _figures(state.seen)]
+            images = {name: partial(encode_jpeg, frame.image) for name, frame in state.seen.shot.frames.items()}
+        self._server.show(partial(self._event, state, self._history), images)
 
     def close(self) -> None:
         """The run is over; the page stays until the context ends."""
 
-    def _event(self, view: View, history: list[Json]) -> Json:
+    def _event(self, state: RunState, history: list[Json]) -> Json:
         struts = [
             {"low": low * 1e3, "high": high * 1e3, "at": at * 1e3, "goal": goal * 1e3}
-            for (low, high), at, goal in zip(view.ranges.tolist(), view.lengths.tolist(), view.goal.tolist())
+            for (low, high), at, goal in zip(state.ranges.tolist(), state.lengths.tolist(), state.goal.tolist())
         ]
-        T = view.seen.sight.T_base_platform if view.seen is not None else None
+        T = state.seen.sight.T_base_platform if state.seen is not None else None
         return {
-            "verdict": run_verdict(view).tree(),
-            "phase": view.phase,
-            "frame": view.frame,
-            "frames": view.frames,
-            "step": view.step,
-            "steps": view.steps,
-            "left": view.left if np.isfinite(view.left) else 0.0,
-            "ended": view.ended,
+            "verdict": run_verdict(state).tree(),
+            "phase": state.phase,
+            "frame": state.frame,
+            "frames": state.frames,
+            "step": state.step,
+            "steps": state.steps,
+            "left": state.left if np.isfinite(state.left) else 0.0,
+            "ended": state.ended,
             "struts": struts,
             "history": history,
-            "alarms": [{"kind": alarm.kind, "text": alarm.text} for alarm in view.alarms],
-            "seen": None if view.seen is None else _seen(view.seen, self._design, self._markers),
+            "alarms": [{"kind": alarm.kind, "text": alarm.text} for alarm in state.alarms],
+            "seen": None if state.seen is None else _seen(state.seen, self._design, self._markers),
             "rig": _rig(self._design, self._fixed, self._markers, T),
         }
 

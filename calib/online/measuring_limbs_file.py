@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.measuring_limb_identification_and_agreement_with_vision import (
+from calib.certification.measuring_limb_identification_and_agreement import (
     Agreement,
     hexapod_of_six_limbs,
     stated_limbs,
 )
-from calib.certification.redundant_measuring_limb_checks_by_loop_closure import Checks, Limbs
+from calib.certification.redundant_limb_checks import Checks, Limbs
 from calib.files.calibration_file import covariance_from_entries
-from calib.files.mechanism_and_physics_entries_of_calibration_json import mechanism_dict, mechanism_from_entries
+from calib.files.mechanism_and_physics_entries import mechanism_dict, mechanism_from_entries
 from rig.array_and_json_types import Json
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading

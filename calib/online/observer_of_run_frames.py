@@ -11,10 +11,10 @@ from typing import Protocol, TypedDict, Unpack
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.redundant_measuring_limb_checks_by_loop_closure import has_six_measuring_limbs
+from calib.certification.redundant_limb_checks import has_six_measuring_limbs
 from calib.online.filter_kernels_and_change_detection import change_sentence
-from calib.online.live_learner_and_limb_agreement_with_vision import Learner, Learnt, LimbWatch
-from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import Disagreement, LiveLimbPoses
+from calib.online.live_learner_and_limb_agreement import Learner, Learnt, LimbWatch
+from calib.online.measuring_limb_poses_checked_by_vision import Disagreement, LiveLimbPoses
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import RecordedFrame
@@ -56,7 +56,7 @@ class MeasuredFrame:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class RunState:
     """What displays show. phase : in words; frame, frames, step, steps : how far; left : s; lengths, goal : (axes,) m
     ranges : (axes, 2) m; alarms : the latest; seen : the latest Seen, None before the first; ended : why, None while it
         goes."""
@@ -75,8 +75,8 @@ class View:
     ended: str | None
 
 
-class ViewChanges(TypedDict, total=False):
-    """Fields of a View that have changed."""
+class RunStateChanges(TypedDict, total=False):
+    """Fields of a RunState that have changed."""
 
     phase: str
     frame: int
@@ -95,7 +95,7 @@ class ViewChanges(TypedDict, total=False):
 class RunDisplay(Protocol):
     """Something that shows a run."""
 
-    def show(self, view: View) -> None:
+    def show(self, state: RunState) -> None:
         """The run as it stands now."""
 
     def close(self) -> None:
@@ -143,7 +143,7 @@ class RunObserver:
         speed = design.controller.max_speed.min() if design.controller else np.inf
         self._travel, self._planned = self._way / speed, planned
         frames = sum(step.frames for step in planned)
-        self.view = View(
+        self.state = RunState(
             "starting",
             0,
             frames,
@@ -185,7 +185,7 @@ class RunObserver:
             if self._limbs is not None and "m1" in values:
                 self._read = np.array([values[name] for name in self._limbs.channels])
         else:
-            self.update(phase="settling", lengths=np.array(getattr(row, "position", self.view.lengths)))
+            self.update(phase="settling", lengths=np.array(getattr(row, "position", self.state.lengths)))
 
     def seen(self, shot: RecordedFrame) -> None:
         """A frame is on disk: it is measured while the run goes on."""
@@ -201,13 +201,13 @@ class RunObserver:
         self._reason = self._reason or reason
         self._stopping.halt()
 
-    def update(self, **changes: Unpack[ViewChanges]) -> None:
-        """Show what has changed of the view."""
+    def update(self, **changes: Unpack[RunStateChanges]) -> None:
+        """Show what has changed of the state."""
         with self._lock:
-            self.view = replace(self.view, **changes)
+            self.state = replace(self.state, **changes)
             for display in tuple(self.displays):
                 try:
-                    display.show(self.view)
+                    display.show(self.state)
                 except (
                     Exception
                 ) as error:  # of a display, whatever it is: the run goes on without that one, and reports it
@@ -222,7 +222,7 @@ class RunObserver:
 
     def warn(self, alarm: Alarm) -> None:
         """Say what is wrong, and stop the run where that was asked for."""
-        self.update(alarms=(*self.view.alarms[1 - LATEST :], alarm))
+        self.update(alarms=(*self.state.alarms[1 - LATEST :], alarm))
         self.note(f"{alarm.kind}: {alarm.text}")
         if alarm.kind in self._stopping.kinds:
             self.ask_stop(alarm.text)

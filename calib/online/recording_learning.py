@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.online.filter_kernels_and_change_detection import Change, change_sentence
-from calib.online.forgetting_kalman_and_gradient_parameter_learners import LEARNERS, Learner, load_learner
+from calib.online.forgetting_kalman_and_gradient_learners import LEARNERS, Learner, load_learner
 from calib.online.information_filter import Online, Update
 from calib.report.online_learning_and_measuring_limb_pages import MANY, OnlineResult
 from calib.samples.pose_samples import Sampled
@@ -24,7 +24,7 @@ from rig.recording.frame_selection_and_content_hashes import (
 )
 from rig.recording.recording_folder import Recording
 from vision.api import Progress
-from vision.checks.recording_refusal_and_uneven_cube_spacing_remarks import Notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice
 
 RETURNS = 0.5  # of the sum of its changes' sizes, within which a strut that changes comes back to where it was
 FILTER = "filter"  # the learner that names what jumped; the others are in LEARNERS

@@ -7,24 +7,21 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification import measuring_limb_identification_and_agreement_with_vision
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification import measuring_limb_identification_and_agreement
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.online import measuring_limbs_file
-from calib.online.live_learner_and_limb_agreement_with_vision import Learner
+from calib.online.live_learner_and_limb_agreement import Learner
+from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, LiveLimbPoses, write_acceptance_withdrawal
 from calib.online.measuring_limbs_file import Accepted
 from calib.online.observer_of_run_frames import RunObserver, RunStop
-from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import (
-    LimbSource,
-    LiveLimbPoses,
-    write_acceptance_withdrawal,
-)
 from rig.array_and_json_types import Floats
 from rig.driving.cameras import open_camera
-from rig.driving.cameras.camera_interface_and_grabbing import Settling, SynchronisedCameras, set_exposure_for_markers
+from rig.driving.cameras.camera_interface_and_synchronised_grabbing import SynchronisedCameras, set_exposure_for_markers
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import RunEquipment
 from rig.driving.run_steps_and_progress import Step
 from rig.driving.sensor_reader import open_sensors
+from rig.driving.settling_check import Settling
 from rig.driving.strut_driver import Driver
 from rig.driving.trapezoidal_move_profile_and_path_check import Way, trapezoidal_profile
 from rig.errors import RigError
@@ -88,7 +85,7 @@ class RunOptions:
         if self.limbs is None:
             return None
         found = measuring_limbs_file.accepted_limbs(self.limbs.path, design)
-        channels = measuring_limb_identification_and_agreement_with_vision.stated_limbs(design).channels
+        channels = measuring_limb_identification_and_agreement.stated_limbs(design).channels
         if design.sensors is None or set(channels) - set(design.sensors.channels):
             raise RigError(
                 f"--limbs takes a [sensors] table in rig.toml with the channels {channels[0]} .. {channels[-1]}"

@@ -31,7 +31,7 @@ from vision.bundle.adjustment_validation_and_determinacy import HeldOut, NotHeld
 from vision.bundle.marker_displacements import Places
 from vision.bundle.unknowns_estimate_and_printing_errors import UnknownName
 from vision.measurement_result import TWICE, MeasurementResult, measurement_verdict
-from vision.reading.marker_identity_mistakes_found_against_rig_toml import Suspect
+from vision.reading.marker_identity_mistakes import Suspect
 from vision.recording_adjustment import Measurement
 
 ENLARGED = 200.0

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_evidence_verdict_and_claim_check import ALONE, OfCalibrations
-from calib.certification.measuring_limb_identification_and_agreement_with_vision import AXES, MOVES, Agreement
+from calib.certification.measuring_limb_identification_and_agreement import AXES, MOVES, Agreement
 from calib.samples.confounded_conditions import Confounds, confound_sentences
 from rig.array_and_json_types import Floats, Integers
 from rig.report.pages.page_templates_and_elements import (
@@ -23,13 +23,7 @@ from rig.report.pages.page_templates_and_elements import (
     write_page,
 )
 from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
-from rig.report.verdict_and_refutations_by_later_recordings import (
-    AGREES,
-    Evidence,
-    MissingEvidence,
-    Verdict,
-    judge_evidence,
-)
+from rig.report.verdict_and_refutations import AGREES, Evidence, MissingEvidence, Verdict, judge_evidence
 
 MANY = 6  # changes beyond which they are not believed to be steps
 ASK = "Determine the effects on the struts or the measurement: `rig diagnose REC --out found`"

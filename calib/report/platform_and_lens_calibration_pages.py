@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration, claim_lines
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, claim_lines
 from calib.certification.calibration_evidence_verdict_and_claim_check import calibration_verdict
 from calib.certification.held_out_errors import Figures, HeldOut, errors_before_and_after_correction
 from calib.correction.correction import Correction
@@ -43,7 +43,7 @@ from rig.report.pages.page_templates_and_elements import (
     write_page,
 )
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
-from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.lenses.lens_calibration_from_photographs import Calibrated
 
 

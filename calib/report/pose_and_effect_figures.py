@@ -38,7 +38,7 @@ FACTORS = (0.0, 0.5, 1.0, 2.0, 4.0)  # of the size that it has
 NONE = 1e-9  # m and rad; less than this does not move the platform
 
 
-def effect_displacements(
+def pose_displacements_by_effect_at_several_sizes(
     design: Design,
     commands: Commands,
     t: Floats,
@@ -46,7 +46,7 @@ def effect_displacements(
     effect_index: int,
     sensors: Sensors | None = None,
 ) -> image_plane_and_3d_views.DrawnEffect | None:
-    """Displacements by one of several effects at exposures t (n,) s, at several sizes; None without any"""
+    """DrawnEffect: pose displacements by one of several effects at exposures t (n,) s, in several sizes, or None"""
     effect = effects[effect_index]
     if effect.stage not in MOTION_STAGES:
         return None

@@ -7,7 +7,11 @@ from typing import Protocol
 
 import numpy as np
 
-from calib.report.pose_and_effect_figures import effect_displacements, pose_coverage_figures, rig_scene
+from calib.report.pose_and_effect_figures import (
+    pose_coverage_figures,
+    pose_displacements_by_effect_at_several_sizes,
+    rig_scene,
+)
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
@@ -19,13 +23,7 @@ from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Played
 from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_elements import Link, Page, captioned_html, heading_html, list_html, write_page
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
-from rig.report.verdict_and_refutations_by_later_recordings import (
-    Evidence,
-    MissingEvidence,
-    State,
-    Verdict,
-    judge_evidence,
-)
+from rig.report.verdict_and_refutations import Evidence, MissingEvidence, State, Verdict, judge_evidence
 
 
 def write_recording_page(
@@ -43,7 +41,10 @@ def write_recording_page(
         frames, t, values = recording.commanded()
         T = mechanisms.kinematics_of(design.mechanism).forward(values, design.mechanism)
         tried = [
-            effect_displacements(design, recording.commands, t, (effect,), 0, recording.sensors) for effect in effects
+            pose_displacements_by_effect_at_several_sizes(
+                design, recording.commands, t, (effect,), 0, recording.sensors
+            )
+            for effect in effects
         ]
         if poses is not None:
             at, by_model = np.searchsorted(frames, poses.frame), T

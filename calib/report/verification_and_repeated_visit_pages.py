@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import (
+from calib.certification.calibration_dataclass_and_claim_sentences import (
     Calibration,
     refutation_sentence,
     verification_line,
@@ -20,8 +20,8 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import (
 )
 from calib.certification.claim_verification import Verification
 from calib.certification.held_out_errors import Figures, HeldOut
-from calib.drift.change_evidence import ALARM
-from calib.drift.change_evidence import Verdict as Changes
+from calib.drift.change_evidence_and_sentences import ALARM
+from calib.drift.change_evidence_and_sentences import Verdict as Changes
 from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.confounded_conditions import Confounds
 from calib.samples.pose_samples import Samples
@@ -39,14 +39,7 @@ from rig.report.pages.page_templates_and_elements import (
     write_page,
 )
 from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
-from rig.report.verdict_and_refutations_by_later_recordings import (
-    AGREES,
-    Evidence,
-    MissingEvidence,
-    Refutation,
-    Verdict,
-    judge_evidence,
-)
+from rig.report.verdict_and_refutations import AGREES, Evidence, MissingEvidence, Refutation, Verdict, judge_evidence
 
 FAR = 3.0  # times the stated uncertainty, which errors that all poses share may reach by chance: beyond it is refuted
 ANOTHER = "Verify with a recording that was not used in the calibration: `rig verify calibration.json OTHER-REC`"

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from calib.two_strut.four_sample_correction_example_and_svg_figures import example_figures
+from calib.two_strut.four_sample_example_and_figures import example_figures
 from rig.formats.output_files import write_text
 
 if len(sys.argv) != 2:

@@ -31,12 +31,11 @@ SAME = 1e-6  # m and rad, within which a command gives the pose that it was foun
 @dataclass(frozen=True, slots=True, eq=False)
 class MachineReach:
     """What one machine reaches. commands : (n, axes) m or rad, all over its strokes, those that close on a pose;
-    T_base_platform : RigidTransform (n,), the poses; needed : (n, axes) what the other machine is to be commanded for
-    them, NaN where nothing was found; out : (n,) bool, whether the other machine does not reach them"""
+    T_base_platform : RigidTransform (n,), the poses; out : (n,) bool, whether the other machine does not reach them
+    """
 
     commands: Floats
     T_base_platform: RigidTransform
-    needed: Floats
     out: Booleans
 
 
@@ -52,8 +51,7 @@ def reachable_poses_and_loss(machine: AnyCorrection, other: AnyCorrection, comma
     Raises NotConverged where none of them closes on a pose.
     """
     commands, T = solvable_commands_and_poses(commands, machine)
-    needed = other.near(T, commands)
-    return MachineReach(commands, T, needed, ~_reached(needed, T, other))
+    return MachineReach(commands, T, ~_reached(other.near(T, commands), T, other))
 
 
 def is_pose_lost(correction: AnyCorrection, configurations: Floats) -> Booleans:

@@ -25,7 +25,7 @@ from rig.report.pages.page_templates_and_elements import (
     write_page,
 )
 from rig.report.pages.plots import panel_row_html
-from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
 
 
 def workspace_lines(workspace: Workspace, unit: str) -> list[str]:

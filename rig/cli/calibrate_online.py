@@ -26,8 +26,8 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
-    from calib.api.learn import LearningResult, LearnOptions
-    from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbSource
+    from calib.api.online_learning import LearningResult, LearnOptions
+    from calib.online.measuring_limb_poses_checked_by_vision import LimbSource
 
 FILTER = "filter"  # the learner of calib.online.information_filter
 SETTINGS = {"forgetting": "kept", "drifting": "drift", "first-order": "step"}
@@ -88,7 +88,7 @@ def run(arguments: Namespace) -> None:
     progress("reading the recording", 0, 1)
     limbs = limb_source(arguments)
     recording = read_recording(arguments)
-    from calib.api.learn import learn
+    from calib.api.online_learning import learn
 
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
     page, options = page_path(arguments), _options(arguments, limbs)
@@ -115,7 +115,7 @@ def _print_result(arguments: Namespace, result: LearningResult) -> None:
 
 def _options(arguments: Namespace, limbs: LimbSource | None) -> LearnOptions:
     """How poses are learnt, by the arguments."""
-    from calib.api.learn import LearnOptions
+    from calib.api.online_learning import LearnOptions
     from calib.files import calibration_file
 
     _refuse_other_learners_settings(arguments)

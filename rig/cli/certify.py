@@ -25,7 +25,7 @@ from rig.cli.shared.hand_option import add_hand_option, recording_of_chosen_hand
 from rig.cli.shared.input_options_and_output_display import Progress, read_recording
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
-from rig.report.verdict_and_refutations_by_later_recordings import exit_status
+from rig.report.verdict_and_refutations import exit_status
 
 if TYPE_CHECKING:
     from calib.api.certify import CertificationResult
@@ -142,7 +142,7 @@ def run(arguments: Namespace) -> int:
     from calib.api.certify import certify
     from calib.certificate.certificate_computation_verdict_and_provenance import certificate_provenance
     from calib.files import calibration_file
-    from rig.report.verdict_and_refutations_by_later_recordings import refutations_of_file
+    from rig.report.verdict_and_refutations import refutations_of_file
 
     calibration = calibration_file.load(arguments.calibration, several_hands=True)
     whole = arguments.outputs.folder(arguments.out) if suffix == "" else arguments.outputs.file(arguments.out)

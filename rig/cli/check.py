@@ -20,7 +20,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     Exit status 1 where results would mean nothing.
     """
-    from calib.api.recording_check_combination_and_instrument_displacement_correction import check
+    from calib.api.recording_check_and_combination import check
 
     found = check(arguments.recording, arguments.detect)
     if arguments.json:

@@ -19,7 +19,7 @@ from rig.formats.number_parsing_and_rounding import parse_numbers
 
 if TYPE_CHECKING:
     from calib.api.correct import CorrectionResult, CorrectOptions, PoseFrames
-    from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+    from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
     from rig.array_and_json_types import Floats
     from rig.formats.csv_and_parquet_tables_and_time_origin import TableFormat
     from rig.formats.length_and_angle_units import LengthAndAngleUnits

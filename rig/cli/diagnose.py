@@ -26,7 +26,8 @@ from rig.formats.local_and_remote_input_files import list_json_files_in_same_fol
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
-    from calib.api.diagnose import DiagnoseOptions, ExperimentOptions
+    from calib.api.diagnose import DiagnoseOptions
+    from calib.api.next_experiment import ExperimentOptions
     from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report
     from rig.recording.recording_folder import Recording
 
@@ -215,7 +216,7 @@ def _print_report(report: Report) -> None:
 
 def _experiment_options(arguments: Namespace) -> ExperimentOptions | None:
     """What the next experiment may require, None where none is requested. Raises RigError for what cannot be meant"""
-    from calib.api.diagnose import ExperimentOptions
+    from calib.api.next_experiment import ExperimentOptions
 
     may = None if arguments.may is None else tuple(arguments.may)
     found = ExperimentOptions(arguments.minutes, may, arguments.standing, SEED + 1 + len(arguments.further))

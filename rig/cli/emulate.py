@@ -160,7 +160,7 @@ def _protocol(arguments: Namespace) -> str | None:
 
 def _conform(arguments: Namespace) -> None:
     """Print each check of a protocol. Raises RigError where one is not passed."""
-    from rig.driving.emulators.driver_conformance_checks_against_emulator import check_conformance, conformance_design
+    from rig.driving.emulators.driver_conformance_checks import check_conformance, conformance_design
 
     design = conformance_design(arguments.design)
     protocol = _protocol(arguments) or (design.driver().protocol if arguments.design else None)

@@ -103,7 +103,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Run `rig export`: export a calibrated geometry to another format."""
-    from calib.api.export import ExportOptions, export
+    from calib.api.export_to_other_programs import ExportOptions, export
 
     _require_out(arguments)
     names = [name for name, _ in arguments.over]

@@ -26,7 +26,7 @@ from rig.cli.shared.input_options_and_output_display import (
 
 if TYPE_CHECKING:
     from calib.api.measuring_limb_acceptance_and_platform_poses import LimbAcceptance
-    from calib.certification.measuring_limb_identification_and_agreement_with_vision import Agreement
+    from calib.certification.measuring_limb_identification_and_agreement import Agreement
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -124,7 +124,7 @@ def _print_checks(result: LimbAcceptance) -> None:
 
 def _print_agreement(found: Agreement, source: str) -> None:
     """Print how far each axis agrees with vision, against its tolerance."""
-    from calib.certification.measuring_limb_identification_and_agreement_with_vision import AXES, MOVES
+    from calib.certification.measuring_limb_identification_and_agreement import AXES, MOVES
 
     print(
         f"measuring limbs minus vision ({source}), {found.n} poses, each by limbs fitted to other stretches; "

@@ -19,7 +19,7 @@ from rig.cli.shared.input_options_and_output_display import (
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbSource
+    from calib.online.measuring_limb_poses_checked_by_vision import LimbSource
     from rig.recording.recording_folder import Recording
 
 

@@ -21,8 +21,11 @@ def run(arguments: Namespace) -> None:
     Its run can be resumed.
     """
     from rig.driving.clock import SystemClock
+    from rig.driving.controller_address_and_urgent_stop import (
+        controller_address_in_rig_toml,
+        urgently_stopped_controller,
+    )
     from rig.driving.controller_lock import stop_lock_holder
-    from rig.driving.urgent_stop import controller_address_in_rig_toml, urgently_stopped_controller
 
     clock = SystemClock()
     address = controller_address_in_rig_toml(arguments.design, arguments.port)

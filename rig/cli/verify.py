@@ -19,7 +19,7 @@ from rig.cli.shared.argument_parser_and_common_options import (
 )
 from rig.cli.shared.hand_option import add_hand_option, recording_of_chosen_hand
 from rig.cli.shared.input_options_and_output_display import Progress, add_recording_argument, read_recording
-from rig.report.verdict_and_refutations_by_later_recordings import exit_status
+from rig.report.verdict_and_refutations import exit_status
 
 if TYPE_CHECKING:
     from calib.api.verify_and_watch import VerificationResult
@@ -46,7 +46,7 @@ def run(arguments: Namespace) -> int:
     """
     from calib.api.verify_and_watch import verify
     from rig.recording.recording_table_loading_and_writing import load_poses
-    from rig.report.verdict_and_refutations_by_later_recordings import refutations_of_file
+    from rig.report.verdict_and_refutations import refutations_of_file
 
     progress = Progress()
     progress("reading the recording", 0, 1)

@@ -18,7 +18,7 @@ from rig.cli.shared.argument_parser_and_common_options import (
 from rig.cli.shared.input_options_and_output_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_whole_number
-from rig.report.verdict_and_refutations_by_later_recordings import exit_status, refutations_of_file
+from rig.report.verdict_and_refutations import exit_status, refutations_of_file
 
 POSES = 12
 

@@ -14,7 +14,7 @@ from rig.cli.shared.argument_parser_and_common_options import (
     print_json,
 )
 from rig.cli.shared.input_options_and_output_display import Progress, add_anyway_option
-from rig.report.verdict_and_refutations_by_later_recordings import exit_status
+from rig.report.verdict_and_refutations import exit_status
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -67,7 +67,7 @@ def run(arguments: Namespace) -> int:
     Exit status 3 where the verdict is bad.
     """
     from calib.api.why import why
-    from calib.api.why_options_and_import_of_data_as_recording import WhyOptions
+    from calib.api.why_options_and_data_import import WhyOptions
 
     progress = Progress()
     progress("reading the data", 0, 1)

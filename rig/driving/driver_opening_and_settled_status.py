@@ -6,19 +6,19 @@ from dataclasses import replace
 from pathlib import Path
 
 from rig.driving.clock import Clock, SystemClock
+from rig.driving.controller_address_and_urgent_stop import ControllerAddress, StoppedController
 from rig.driving.controller_lock import ControllerLock
-from rig.driving.controller_status_and_operator_advice import ControllerStatus
+from rig.driving.controller_status_and_limits import ControllerStatus
 from rig.driving.protocols import protocol_of_controller
 from rig.driving.request_and_answer_exchange_with_controller import Port
 from rig.driving.serial_port import SerialPort, find_usb_port
 from rig.driving.strut_driver import Driver
-from rig.driving.urgent_stop import ControllerAddress, StoppedController
 from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_file
-from rig.model.controller_protocol_list_and_port_name_check import port_problem
 from rig.model.design import Controller, Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_struts
+from rig.model.protocol_and_port_names import port_problem
 
 
 def design_with_controller_port(path: Path, port: str | None) -> Design:

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from rig.array_and_json_types import Floats, Pixels
-from rig.driving.cameras.camera_interface_and_grabbing import Frame, Settling, SynchronisedCameras
+from rig.driving.cameras.camera_interface_and_synchronised_grabbing import Frame, SynchronisedCameras
 from rig.driving.clock import Clock
 from rig.driving.run_journal_and_recording import (
     Arrival,
@@ -26,6 +26,7 @@ from rig.driving.run_journal_and_recording import (
     Row,
 )
 from rig.driving.run_steps_and_progress import Progress, Step, interrupted_move_result, progress_from_journal
+from rig.driving.settling_check import Settling
 from rig.driving.trapezoidal_move_profile_and_path_check import Way
 from rig.errors import MotionError, RigError, Stopped
 from rig.formats.output_files.locks_of_files_and_folders import sync_folder

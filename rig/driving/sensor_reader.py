@@ -11,8 +11,8 @@ from rig.driving.serial_port import SerialPort
 from rig.driving.user_protocol_camera_and_sensor_classes import fail_at_class, guard_call, load_user_class
 from rig.errors import NoAnswer, RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
-from rig.model.controller_protocol_list_and_port_name_check import is_user_program
 from rig.model.design import SensorPort
+from rig.model.protocol_and_port_names import is_user_program
 
 WAIT = 2.0  # s for a line
 LONGEST = 4096  # bytes

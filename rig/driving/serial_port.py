@@ -11,7 +11,7 @@ from serial.tools import list_ports
 
 from rig.driving.clock import Clock
 from rig.errors import LinkLost
-from rig.model.controller_protocol_list_and_port_name_check import port_problem
+from rig.model.protocol_and_port_names import port_problem
 
 PATIENCE = 2.0  # s that a write may take
 MOST = 4096  # bytes of a read

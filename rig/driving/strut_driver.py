@@ -11,14 +11,16 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving import protocols, trapezoidal_move_profile_and_path_check
 from rig.driving.clock import Clock, SystemClock
-from rig.driving.controller_limits import ControllerLimits, limit_warnings, limits_of_linuxcnc_ini
-from rig.driving.controller_status_and_operator_advice import (
+from rig.driving.controller_status_and_limits import (
     ANEW,
     CANNOT_HOME,
     OUT_OF_RANGE,
     TRUST,
+    ControllerLimits,
     ControllerStatus,
     FinishedMove,
+    limit_warnings,
+    limits_of_linuxcnc_ini,
     operator_advice,
 )
 from rig.driving.protocols.protocol_interface import Dialogue, Segment, State, Verdict

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
-from rig.driving.controller_status_and_operator_advice import OUT_OF_RANGE
+from rig.driving.controller_status_and_limits import OUT_OF_RANGE
 from rig.driving.protocols.protocol_interface import Segment
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms

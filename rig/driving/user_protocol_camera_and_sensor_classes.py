@@ -14,8 +14,8 @@ from typing import ParamSpec, TypeVar, cast
 from rig.errors import FileError, RigError
 from rig.formats.local_and_remote_input_files import is_remote
 from rig.formats.user_python_file import UserModule, line_of_class, line_within, run_user_file
-from rig.model.controller_protocol_list_and_port_name_check import is_user_program
 from rig.model.design import Design
+from rig.model.protocol_and_port_names import is_user_program
 
 P = ParamSpec("P")
 Steps = Generator[object, object, object]  # of a dialogue

@@ -80,7 +80,7 @@ def file_size(path: Path) -> int | None:
     return path.stat().st_size if path.is_file() else None
 
 
-def read(path: Path, max_bytes: int | None = None) -> bytes:
+def read_remote_bytes(path: Path, max_bytes: int | None = None) -> bytes:
     """Read the bytes of a remote file, the first `max_bytes` at most.
 
     Raises FileNotFoundError where it is missing, MissingLibrary without what opens it, FileError for what else goes
@@ -201,7 +201,7 @@ def read_bytes(path: Path, max_bytes: int = LARGEST, missing_message: str = "no 
 def _fetched(path: Path, most: int, missing: str) -> bytes:
     """`read_bytes` of a file behind a URL."""
     try:
-        data = read(path, most + 1)
+        data = read_remote_bytes(path, most + 1)
     except FileNotFoundError:
         raise FileError(path, missing) from None
     if len(data) > most:

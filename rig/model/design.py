@@ -12,8 +12,8 @@ from rig.errors import RigError
 from rig.model.base_tilt import BaseTilt, TiltSensor
 from rig.model.calibration_board import DICTIONARIES as DICTIONARIES
 from rig.model.calibration_board import Board
-from rig.model.controller_protocol_list_and_port_name_check import PROTOCOLS as PROTOCOLS
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2, freeze_array
+from rig.model.protocol_and_port_names import PROTOCOLS as PROTOCOLS
 
 
 @dataclass(frozen=True, slots=True, eq=False)

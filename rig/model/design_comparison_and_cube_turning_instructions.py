@@ -36,7 +36,7 @@ def design_contradictions(a: Design, b: Design) -> list[str]:
     return [*found, PAYLOAD] if any(text.startswith("platform.mass") for text in found) else found
 
 
-def same_camera_apart_from_pose_and_source(a: Camera, b: Camera) -> bool:
+def is_same_lens_sensor_and_mount(a: Camera, b: Camera) -> bool:
     """Whether two Cameras have the same lens, sensor, shutter and mount, wherever they are."""
     return not any(where.partition(".")[0] not in ("pose", "source", "capture") for where, _ in _differences(a, b, ""))
 

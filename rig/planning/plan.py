@@ -29,7 +29,7 @@ from rig.planning.configuration_sets import (
     single_axis_pose_moves,
     sobol_configurations,
 )
-from rig.planning.timed_plan_construction_and_plan_csv_table import (
+from rig.planning.timed_plan_and_plan_csv import (
     MOST,
     STEP,
     ApproachSettings,
@@ -78,7 +78,7 @@ def build_plan(
 
     Scattered configurations (sobol, division, grid, simplices, axes, combined, payload, warmup, repeat) are shuffled
     and approached from sides so that neither time nor direction is a function of place (see
-    rig.planning.visiting_order_and_approach_decorrelated_from_position). A ladder, iso9283 and commands keep their
+    rig.planning.balanced_visiting_order_and_approach). A ladder, iso9283 and commands keep their
     order and go straight.
     Parts: sobol:N, division:Q (see rig.planning.configuration_sets.divided_grid_configurations), grid:PER_AXIS,
     simplices:SHELLS, axes:PER_AXIS, combined:PER_PAIR, ladder:STEPS,

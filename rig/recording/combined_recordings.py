@@ -17,7 +17,7 @@ from rig.formats import local_and_remote_input_files
 from rig.model.design import Camera, Design, Target
 from rig.model.design_comparison_and_cube_turning_instructions import (
     design_contradictions,
-    same_camera_apart_from_pose_and_source,
+    is_same_lens_sensor_and_mount,
 )
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording, RecordingPart, Sensors
 from rig.recording.recording_table_loading_and_writing import Corners, Exposures, Poses
@@ -72,7 +72,7 @@ def camera_owner_recordings(recordings: Sequence[Recording]) -> Owners:
 
 def _is(recording: Recording, camera: Camera, owners: dict[str, int], number: int) -> bool:
     """Whether a camera of a recording (its number) came to stand there in it, and is stated like this one."""
-    return owners.get(camera.name) == number and same_camera_apart_from_pose_and_source(
+    return owners.get(camera.name) == number and is_same_lens_sensor_and_mount(
         recording.design.camera(camera.name), camera
     )
 

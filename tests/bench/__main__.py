@@ -2,13 +2,13 @@
 
 import sys
 
-from tests.bench import false_findings, masks, truth
+from tests.bench import false_findings, masks, several_faults, truth
 from tests.bench.benchmark_list import ALL, NAMED
 
 
 def main() -> None:
     """Run the benchmarks and print a line each: figure, reached, wanted; of those with options, their campaign."""
-    campaigns = {"truth": truth, "masks": masks, "false_findings": false_findings}
+    campaigns = {"truth": truth, "masks": masks, "false_findings": false_findings, "several_faults": several_faults}
     campaign = campaigns.get(sys.argv[1]) if sys.argv[2:3] and sys.argv[2].startswith("-") else None
     if campaign is not None:
         campaign.main(sys.argv[2:])

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.diagnosis.findings_refit import findings_of_diagnosis, refit_arm_with_findings
-from calib.files.calibration_provenance_and_used_frames import calibration_with_provenance
+from calib.files.calibration_file import calibration_with_provenance
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import certify_arm
 from calib.models.arm.workspace_claim import arm_workspace_claim

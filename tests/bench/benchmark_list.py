@@ -24,6 +24,7 @@ from tests.bench import (
     physics,
     recordings_and_renders,
     scale,
+    several_faults,
     simulated_images_loop,
     tour,
     truth,
@@ -63,4 +64,5 @@ NAMED = {
     "accusations": accusations,
     "masks": masks,
     "false_findings": false_findings,
+    "several_faults": several_faults,
 }  # minutes: only where they are named

@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 
 from tests.vision.exact_pictures import camera, picture, quad
-from vision.corners.marker_detection_and_corner_fit import fit_read_markers
-from vision.corners.whole_image_marker_reader import ReadMarkers
+from vision.corners.marker_detection_and_corner_fit import ReadMarkers, fit_read_markers
 
 NAME = "DICT_5X5_100"
 BLURS, NOISES, TILTS, SIDES = (0.5, 1.0, 1.5), (0.5, 1.0, 2.0, 4.0), (0, 35, 65), (25, 50, 120)

@@ -136,8 +136,7 @@ def _rendered(design, rng):
 def _score(pictures, markers):
     """{kind: px, RMS per axis of corners fitted with a spread learnt from the pictures themselves}."""
     from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, empty_residual_profile, learn_edge_spread
-    from vision.corners.marker_detection_and_corner_fit import fit_read_markers, grey_image_at_full_depth
-    from vision.corners.whole_image_marker_reader import ReadMarkers
+    from vision.corners.marker_detection_and_corner_fit import ReadMarkers, fit_read_markers, grey_image_at_full_depth
     from vision.reading.recording_corners import ROUNDS
 
     out = {}

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from calib.certification import measuring_limb_identification_and_agreement_with_vision
+from calib.certification import measuring_limb_identification_and_agreement
 from calib.correction import simultaneous_camera_and_geometry_fit
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import PLAUSIBLE, parameter_combinations
 from calib.models.platform.identification import PRIOR, identify_platform, pose_parameter_jacobian
 from calib.models.platform.optimal_configurations import CRITERIA, choose_d_optimal_configurations
-from calib.online.forgetting_kalman_and_gradient_parameter_learners import Drifting, FirstOrder, Forgetting
+from calib.online.forgetting_kalman_and_gradient_learners import Drifting, FirstOrder, Forgetting
 from calib.online.information_filter import Online
 from calib.samples.pose_samples import sample_recording
 from rig.formats.exporters import geometry_and_camera_files
@@ -208,15 +208,15 @@ def _limbs():
         )
         recording_simulation.write_recording(done, Path(folder) / "rec", text, rng, noise=0.04)
         read = recording_folder.load_recording(Path(folder) / "rec")
-        frames, lengths = measuring_limb_identification_and_agreement_with_vision.limb_readings(read)
+        frames, lengths = measuring_limb_identification_and_agreement.limb_readings(read)
         samples, nominal = (
-            measuring_limb_identification_and_agreement_with_vision.samples_with_limb_readings_as_commands(
+            measuring_limb_identification_and_agreement.samples_with_limb_readings_as_commands(
                 sample_recording(read).samples, frames, lengths
             ),
-            measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(design),
+            measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design),
         )
-    T, expected = measuring_limb_identification_and_agreement_with_vision.held_out_limb_poses(samples, nominal, 1e-6)
-    found = measuring_limb_identification_and_agreement_with_vision.limb_agreement(
+    T, expected = measuring_limb_identification_and_agreement.held_out_limb_poses(samples, nominal, 1e-6)
+    found = measuring_limb_identification_and_agreement.limb_agreement(
         samples.T_base_platform, T, expected, (5e-5, 2e-4)
     )
     for part, name, unit in ((slice(0, 3), "position", "um"), (slice(3, 6), "rotation", "urad")):
@@ -228,7 +228,7 @@ def _limbs():
             f"{bias:.1f}, {scatter:.1f} ({claim:.1f}), {surely:.1f} {unit}",
             "50 um, 200 urad",
         )
-    limbs, _ = measuring_limb_identification_and_agreement_with_vision.calibrate_limbs(samples, nominal, 1e-6)
+    limbs, _ = measuring_limb_identification_and_agreement.calibrate_limbs(samples, nominal, 1e-6)
     T = limbs.pose(lengths)
     learner, true = Online(read.design.mechanism, shared=42), done.world.true.mechanism
     for each in zip(read.commanded()[2], T, *limbs.uncertainty(T)):

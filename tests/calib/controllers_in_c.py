@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.correction.correction_as_c_source import correction_c_source
 from calib.correction.interpolation.field_interface_and_combinations import (

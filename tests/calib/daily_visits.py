@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import calibrate_correction
 from calib.drift.visit_configurations import choose_visit_configurations
 from calib.samples.pose_samples import sample_recording

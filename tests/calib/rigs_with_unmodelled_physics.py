@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.platform_certification import Certified
 from calib.correction.correction import calibrate_correction
 from calib.diagnosis.findings_refit import findings_of_diagnosis, refit_platform_with_findings

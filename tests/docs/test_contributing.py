@@ -6,9 +6,7 @@ import yaml
 
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
-    check_effect_place_and_parameter_bounds,
-)
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from tests.docs.told import ROOT
 
 PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")

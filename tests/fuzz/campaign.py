@@ -29,7 +29,7 @@ WATCHED = (
     "rig.driving.cameras.opencv_camera",
     "rig.model.design",
     "rig.report.pages.run_page_server",
-    "calib.files.mechanism_and_physics_entries_of_calibration_json",
+    "calib.files.mechanism_and_physics_entries",
     "rig.effects.texts.effect_text_parsing",
     "calib.files.calibration_file",
     "calib.online.filter_state",

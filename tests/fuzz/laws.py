@@ -17,8 +17,8 @@ from rig.formats.json_toml_and_yaml_loading import Places, first_repeated_key, t
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable
 from rig.formats.rig_toml import design_file
-from rig.model.controller_protocol_list_and_port_name_check import SCHEMES, port_problem
 from rig.model.design import Actuator
+from rig.model.protocol_and_port_names import SCHEMES, port_problem
 from rig.report.pages import run_page_server
 
 PLAIN = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")

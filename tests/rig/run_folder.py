@@ -4,11 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.driving.cameras.camera_interface_and_grabbing import CameraError, Frame, SynchronisedCameras, parse_settling
+from rig.driving.cameras.camera_interface_and_synchronised_grabbing import CameraError, Frame, SynchronisedCameras
 from rig.driving.clock import SimulatedClock
 from rig.driving.move_and_record_loop import RunEquipment, RunOperator
 from rig.driving.run_journal_and_recording import Arrival, Began, Journal
 from rig.driving.run_steps_and_progress import steps_of_plan
+from rig.driving.settling_check import parse_settling
 from rig.driving.trapezoidal_move_profile_and_path_check import trapezoidal_profile
 from rig.planning.plan import build_plan
 

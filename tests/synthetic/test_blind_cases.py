@@ -14,9 +14,7 @@ from rig.cli import command_line
 from rig.cli import simulate_blind as command
 from rig.cli.shared import blind_case_process
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
-    check_effect_place_and_parameter_bounds,
-)
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import FileError
 from rig.model import effect_places_and_part_tolerances, motion_simulation
@@ -24,7 +22,6 @@ from rig.planning import plan
 from rig.recording import recording_folder
 from synthetic import (
     blind_cases,
-    blind_image_settings,
     diagnosis_score,
     recording_simulation,
     secret_machine_and_truth_file,
@@ -401,13 +398,13 @@ def test_a_campaign_end_to_end(tmp_path, capsys):
 
 def test_a_case_in_images_draws_optics_and_prints_its_markers_within_tolerance():
     cases = [blind_cases.draw_case(8, index, 40, (), ("one",), (), True) for index in range(1, 7)]
-    assert {(t.image_settings.width, t.image_settings.height) for t in cases} == set(blind_image_settings.RESOLUTIONS)
-    assert {t.image_settings.lens for t in cases} == set(blind_image_settings.LENSES) and all(
+    assert {(t.image_settings.width, t.image_settings.height) for t in cases} == set(blind_cases.RESOLUTIONS)
+    assert {t.image_settings.lens for t in cases} == set(blind_cases.LENSES) and all(
         t.image_settings.lens in t.text for t in cases
     )
     for t in cases:
         (hidden,), (*_, printed) = t.hidden, t.simulation.world.effects
-        assert blind_image_settings.is_renderable(type(hidden)) and hidden in t.simulation.world.effects
+        assert blind_cases.is_renderable(type(hidden)) and hidden in t.simulation.world.effects
         assert (
             printed.name == "printing"
             and np.std(printed.offsets) < effect_places_and_part_tolerances.PLACES.sigma * 1.3

@@ -19,7 +19,7 @@ from calib.models.arm.error_model_and_observations import (
 )
 from calib.models.arm.identification_and_joint_profiles import identify_arm
 from calib.models.arm.tilt_observations import link_turns_by_joints, link_turns_by_parameters, tilt_rows
-from calib.models.base_and_tool_displacement_since_reference_recording import samples_without_displacement
+from calib.models.base_and_tool_displacement_between_recordings import samples_without_displacement
 from calib.samples.pose_samples import sample_recording
 from rig.errors import FileError, RigError
 from rig.model.base_tilt import TiltReadings, TiltSensor

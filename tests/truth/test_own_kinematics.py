@@ -15,7 +15,7 @@ import calib
 import rig
 from calib.api.calibrate import CalibrateOptions
 from calib.api.correction_over_configuration_or_pose_space import ExtendOptions
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from rig.model.mechanisms import kinematics_of
 from tests.conftest import ROOT
 from tests.truth.other_machines import OTHERS, OtherMachine, grid, measured, scattered

@@ -8,7 +8,11 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from vision.bundle.bundle_adjustment import Adjustment
-from vision.bundle.normal_equations_and_corner_jacobians import linearise, normal_equations, schur_complement
+from vision.bundle.normal_equations_and_corner_jacobians import (
+    normal_equations,
+    schur_complement,
+    whitened_residuals_and_derivatives,
+)
 from vision.bundle.unknown_priors import POSE_SIGMA, adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import Unknowns, datum_markers, offset_from_stated
 from vision.corner_observations import Observations, observations_of_frames, whitener_of_observations
@@ -70,7 +74,7 @@ def crossvalidate_adjustment(
     for fold in np.unique(stretch):
         frames = np.flatnonzero(stretch == fold)
         part, own_u = observations_of_frames(observations, frames), replace(u, used=u.used[frames])
-        residual, derivatives = linearise(
+        residual, derivatives = whitened_residuals_and_derivatives(
             part, replace(estimate, state=estimate.state.at(frames)), own_u, whitener_of_observations(part)
         )
         blocks = normal_equations(part, derivatives, own_u, np.zeros(u.shared))

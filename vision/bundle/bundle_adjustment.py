@@ -15,11 +15,11 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera
 from vision.bundle.normal_equations_and_corner_jacobians import (
-    linearise,
     normal_equations,
     predicted_decrease,
     schur_complement,
     solve_step,
+    whitened_residuals_and_derivatives,
 )
 from vision.bundle.unknown_priors import adjustment_unknowns, stated_lens_prior_sigmas
 from vision.bundle.unknowns_estimate_and_printing_errors import (
@@ -131,7 +131,7 @@ def adjust_bundle(
     damping, cost, blocks = 0.0, np.inf, None
     for _ in range(MAX_ITERATIONS):
         if blocks is None:
-            residual, derivatives = linearise(few, estimate, u, W)
+            residual, derivatives = whitened_residuals_and_derivatives(few, estimate, u, W)
             away = offset_from_stated(estimate, stated, u)
             cost = float((residual**2).sum() + (u.prior * away**2).sum()) + spare
             blocks = normal_equations(few, derivatives, u, away)
@@ -189,7 +189,7 @@ def _finish(
     free: tuple[str, ...],
 ) -> Adjustment:
     """The Adjustment of Observations that were adjusted as few, with their Whitener."""
-    residual, derivatives = linearise(few, estimate, u, W)
+    residual, derivatives = whitened_residuals_and_derivatives(few, estimate, u, W)
     away = offset_from_stated(estimate, stated, u)
     blocks = normal_equations(few, derivatives, u, away)
     uv, _ = predict_corners(observations, estimate.state)

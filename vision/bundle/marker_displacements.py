@@ -13,15 +13,15 @@ from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.pose import log
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.normal_equations_and_corner_jacobians import (
-    linearise,
     normal_equations,
     predicted_decrease,
     solve_step,
+    whitened_residuals_and_derivatives,
 )
 from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated
 from vision.corner_observations import Observations, whitener_of_observations
-from vision.pose.pose_refinement_and_ambiguity_resolution_by_neighbouring_frames import (
+from vision.pose.pose_refinement_and_ambiguity_resolution import (
     MOST,
     neighbour_rotation_scatter,
     pose_from_neighbours,
@@ -120,7 +120,7 @@ def are_stated_places_doubtful(measurement: Measured, markers: MarkerMap) -> boo
     state = replace(a.state, markers=markers)
     u, estimate = adjustment_unknowns(kept, state, replace(a.stated, markers=markers), (*a.free, "markers"))
     W = whitener_of_observations(kept)
-    residual, derivatives = linearise(kept, estimate, u, W)
+    residual, derivatives = whitened_residuals_and_derivatives(kept, estimate, u, W)
     away = offset_from_stated(estimate, replace(a.stated, markers=markers), u)
     blocks = normal_equations(kept, derivatives, u, away)
     left = (residual**2).sum() - predicted_decrease(blocks, *solve_step(blocks, u))

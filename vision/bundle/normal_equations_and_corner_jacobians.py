@@ -222,10 +222,10 @@ class Blocks:
     common: Floats
 
 
-def linearise(
+def whitened_residuals_and_derivatives(
     observations: Observations, estimate: Estimate, unknowns: Unknowns, whitener: Whitener
 ) -> tuple[Floats, dict[int, Derivatives]]:
-    """Linearised prediction: whitened residuals (n, 2), and {camera index: Derivatives}.
+    """Whitened residuals (n, 2) of corners, and {camera index: Derivatives}: the linearised prediction.
 
     whitener : Whitener of the observations
     """

@@ -14,11 +14,11 @@ from rig.array_and_json_types import Floats
 from rig.compute.parallel_map_and_dask_cluster import thread_map
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.normal_equations_and_corner_jacobians import (
-    linearise,
     normal_equations,
     predicted_decrease,
     schur_complement,
     solve_step,
+    whitened_residuals_and_derivatives,
 )
 from vision.bundle.robust_adjustment import RobustAdjustment, inflate_repeated_corner_covariance, is_within_gate
 from vision.bundle.unknown_priors import adjustment_unknowns
@@ -118,7 +118,7 @@ def _print_information(observations: Observations, a: Adjustment, free: tuple[st
     """_Told of observations weighed as standing_error has it, linearised at an Adjustment."""
     one = _merged(observations, a.state)
     u, estimate = adjustment_unknowns(one, a.state, a.stated, free, printing=TRIAL)
-    residual, derivatives = linearise(one, estimate, u, whitener_of_observations(one))
+    residual, derivatives = whitened_residuals_and_derivatives(one, estimate, u, whitener_of_observations(one))
     away = offset_from_stated(estimate, a.stated, u)
     blocks = normal_equations(one, derivatives, u, away)
     _, reduced, _ = schur_complement(blocks)

@@ -18,7 +18,7 @@ from vision.corner_observations import (
     observations_of_frames,
 )
 from vision.pose.frame_and_camera_poses import PLATFORM
-from vision.pose.pose_refinement_and_ambiguity_resolution_by_neighbouring_frames import GATE, MEDIAN
+from vision.pose.pose_refinement_and_ambiguity_resolution import GATE, MEDIAN
 from vision.predict import State, predict_corners
 
 ROUNDS = 8  # of adjusting and sorting out; a corner that still wavers then remains as adjusted

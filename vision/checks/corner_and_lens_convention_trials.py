@@ -153,7 +153,7 @@ def least_misfit_with_edge_bias(first: Trial, wanted: float) -> float:
     return min(measure_trial(put(bias)).misfit for bias in BIASES)
 
 
-def trial_with_start_cameras_of_other_trial(first: Trial, other: Trial) -> Trial | None:
+def stated_trial_from_cameras_of_other_trial(first: Trial, other: Trial) -> Trial | None:
     """The stated trial measured again from another trial's cameras; None unless only targets differ.
 
     The other trial is of another statement of the targets.

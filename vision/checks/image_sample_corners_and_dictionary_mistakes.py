@@ -12,8 +12,7 @@ from rig.errors import FileError
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners
 from vision.checks.corner_and_lens_convention_trials import FRAMES
-from vision.corners.marker_detection_and_corner_fit import Detection, detect_markers
-from vision.corners.whole_image_marker_reader import opencv_detector
+from vision.corners.marker_detection_and_corner_fit import Detection, detect_markers, opencv_detector
 from vision.predict import MarkerMap, marker_map
 from vision.reading.parallel_image_map_and_marker_rendering import map_images_in_threads
 from vision.reading.recording_corners import image_reader
@@ -37,7 +36,7 @@ SURE = 0.7  # proof from which that is said
 OFF = 0.3  # px by which corners.csv may differ from what is read in the images, in the middle
 
 
-def read_corners_and_mistakes_of_image_sample(recording: Recording) -> tuple[Corners | None, list[Mistake]]:
+def image_sample_corners_and_mistakes(recording: Recording) -> tuple[Corners | None, list[Mistake]]:
     """Corners read from a sample of a recording's images, None without images; and the images' Mistakes."""
     markers = marker_map(recording.design)
     sights, found = _sights(recording, markers, FRAMES)

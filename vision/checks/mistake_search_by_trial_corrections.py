@@ -112,7 +112,7 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
             what, do, other = min(
                 (one for one in rivals if one[2].misfit < ALIKE * least), key=lambda one: _elsewhere(one[2])
             )
-            begun = conventions.trial_with_start_cameras_of_other_trial(first, other)
+            begun = conventions.stated_trial_from_cameras_of_other_trial(first, other)
             if begun is not None and begun.misfit < DONE:
                 return [], begun  # what is stated explains all: the mistake was but another place to begin
             if other.misfit < 0.7 * best.misfit:

@@ -16,7 +16,7 @@ from vision import lens
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.corner_observations import Observations, observations_of_frames
 from vision.lenses.board_corners_in_photograph import BoardView
-from vision.pose.pose_refinement_and_ambiguity_resolution_by_neighbouring_frames import GATE, MEDIAN
+from vision.pose.pose_refinement_and_ambiguity_resolution import GATE, MEDIAN
 from vision.predict import State, predict_corners
 
 MODELS = (0, 4, 5, 8, 12, 14)  # distortion terms, OpenCV's order; 0: a pinhole

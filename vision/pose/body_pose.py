@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Camera
 from vision import lens
-from vision.pose.pose_refinement_and_ambiguity_resolution_by_neighbouring_frames import AHEAD, GATE, refine_pose
+from vision.pose.pose_refinement_and_ambiguity_resolution import AHEAD, GATE, refine_pose
 from vision.predict import SQUARE, MarkerMap
 
 CONSENSUS = 10.0  # px; a corner farther than this from where a candidate puts it speaks against the candidate
@@ -23,8 +23,8 @@ AGREED = 0.8  # share of corners in consensus at which the first sightings suffi
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """What posed cameras see of one body at one moment.
+class BodyCorners:
+    """Corners of one body that posed cameras see at one moment, lens taken out.
 
     points : (n, 3) m, body frame; normals : (n, 3) of the corner's marker, body frame
     ideal : (n, 2) image coordinates x/z, y/z, lens taken out; covariance : (n, 2, 2) of them
@@ -104,33 +104,37 @@ def undistort_corners(
     return ideal, out
 
 
-def locate_body(view: View, marker_map: MarkerMap, finest: float = FINEST) -> Located | Unsolved:
-    """Locate a body: its pose from all cameras' corners at once, wrong identities and outliers excluded.
+def body_pose_from_corners(
+    body_corners: BodyCorners, marker_map: MarkerMap, finest: float = FINEST
+) -> Located | Unsolved:
+    """Pose of a body from its corners in all cameras at once, wrong identities and outliers excluded.
 
-    view : View; marker_map : MarkerMap, which says how each marker sits on the body; finest : px, residuals smaller
-    than this are never an outlier's: what the markers' stated places are uncertain by
+    marker_map : how each marker sits on the body; finest : px, residuals smaller than this are never an outlier's: what
+    the markers' stated places are uncertain by
     Returns Located, or Unsolved where nothing is seen, where one sighting of one marker cannot be checked against
     another, where the sightings contradict each other, or where two different poses fit as well
     Source: Collins and Bartoli, Infinitesimal plane-based pose estimation, IJCV 2014 (candidates); consensus as in
     Fischler and Bolles 1981, over all candidates instead of a random draw
     """
-    sightings = _sightings(view)
+    sightings = _sightings(body_corners)
     if not sightings:
-        return Unsolved("no marker of the body is seen whole" if len(view.points) else "no marker of the body is seen")
+        return Unsolved(
+            "no marker of the body is seen whole" if len(body_corners.points) else "no marker of the body is seen"
+        )
     seen = sorted({int(marker_map.id[marker]) for _, marker, _ in sightings})
-    matrices, distance = _candidates(view, sightings[:FIRST_SIGHTINGS], marker_map)
+    matrices, distance = _candidates(body_corners, sightings[:FIRST_SIGHTINGS], marker_map)
     if len(sightings) == 1:
         return Unsolved(
             f"only marker {seen[0]} is seen, once: a single sighting cannot be checked against another",
-            _alone(view, matrices, distance, finest),
+            _alone(body_corners, matrices, distance, finest),
         )
     if not len(matrices) or (distance < CONSENSUS).mean(axis=1).max() < AGREED:
-        matrices, distance = _candidates(view, sightings, marker_map)
+        matrices, distance = _candidates(body_corners, sightings, marker_map)
     if not len(matrices):
         return Unsolved("no single marker gives a pose in front of its camera")
     score = (np.minimum(distance / CONSENSUS, 1) ** 2).sum(axis=1)
     chosen = np.argmin(score)
-    best = _refine(view, matrices[chosen], distance[chosen] < CONSENSUS, finest)
+    best = _refine(body_corners, matrices[chosen], distance[chosen] < CONSENSUS, finest)
     if best is None:
         return Unsolved(f"markers {seen} give no common pose")
     matrix, covariance, inliers, square, scale = best
@@ -141,18 +145,18 @@ def locate_body(view: View, marker_map: MarkerMap, finest: float = FINEST) -> Lo
             "agree on a pose"
         )
     located = Located(matrix, covariance, inliers)
-    alternative = _alternative(view, matrices, distance, matrix, square, scale, finest)
+    alternative = _alternative(body_corners, matrices, distance, matrix, square, scale, finest)
     if alternative is not None:
         turn = np.degrees(_turn(alternative.matrix, matrix))
         return Unsolved(f"two poses {turn:.0f} degrees apart fit markers {seen} equally well", (located, alternative))
     return located
 
 
-def _alone(view: View, matrices: Floats, distance: Floats, finest: float) -> tuple[Located, ...]:
+def _alone(body_corners: BodyCorners, matrices: Floats, distance: Floats, finest: float) -> tuple[Located, ...]:
     """Located poses of one sighting by itself: one, or the two that a plane's image leaves and whose fits do not differ
     enough.
     """
-    refined = [_refine(view, matrix, near < CONSENSUS, finest) for matrix, near in zip(matrices, distance)]
+    refined = [_refine(body_corners, matrix, near < CONSENSUS, finest) for matrix, near in zip(matrices, distance)]
     found = sorted((one for one in refined if one is not None), key=lambda one: one[3])
     worst = (
         found[0][3] + RIVAL * max(1.0, found[0][3] / 2) if found else 0.0
@@ -164,28 +168,30 @@ def _alone(view: View, matrices: Floats, distance: Floats, finest: float) -> tup
     )
 
 
-def _sightings(view: View) -> list[_Sighting]:
+def _sightings(body_corners: BodyCorners) -> list[_Sighting]:
     """(camera, marker, rows in corner order) of every marker seen with its four corners, largest image first."""
-    order = np.lexsort((view.corner, view.marker, view.camera))
-    key = (view.camera * 100_000 + view.marker)[order]
+    order = np.lexsort((body_corners.corner, body_corners.marker, body_corners.camera))
+    key = (body_corners.camera * 100_000 + body_corners.marker)[order]
     whole = [
         rows
         for rows in np.split(order, np.flatnonzero(np.diff(key)) + 1)
-        if len(rows) == 4 and np.isfinite(view.ideal[rows]).all()
+        if len(rows) == 4 and np.isfinite(body_corners.ideal[rows]).all()
     ]
-    whole.sort(key=lambda rows: -np.ptp(view.ideal[rows], axis=0).prod())
-    return [(int(view.camera[rows[0]]), int(view.marker[rows[0]]), rows) for rows in whole]
+    whole.sort(key=lambda rows: -np.ptp(body_corners.ideal[rows], axis=0).prod())
+    return [(int(body_corners.camera[rows[0]]), int(body_corners.marker[rows[0]]), rows) for rows in whole]
 
 
-def _candidates(view: View, sightings: Sequence[_Sighting], marker_map: MarkerMap) -> tuple[Floats, Floats]:
+def _candidates(
+    body_corners: BodyCorners, sightings: Sequence[_Sighting], marker_map: MarkerMap
+) -> tuple[Floats, Floats]:
     """Matrices (k, 4, 4) T_world_body from each sighting by itself, and their distances (k, n) px to every corner."""
     found = []
     for camera, marker, rows in sightings:
         count, rotations, translations, _ = cv2.solvePnPGeneric(
-            marker_map.side[marker] * SQUARE, view.ideal[rows], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+            marker_map.side[marker] * SQUARE, body_corners.ideal[rows], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
         )
         T_world_camera, T_marker_body = (
-            inverse_pose(view.T_camera_world[camera]),
+            inverse_pose(body_corners.T_camera_world[camera]),
             inverse_pose(marker_map.T_body_marker[marker].as_matrix()),
         )
         for k in range(count):
@@ -194,7 +200,7 @@ def _candidates(view: View, sightings: Sequence[_Sighting], marker_map: MarkerMa
             if np.isfinite(T_camera_marker).all() and T_camera_marker[2, 3] > AHEAD:
                 found.append(T_world_camera @ T_camera_marker @ T_marker_body)
     matrices = np.array(found).reshape(-1, 4, 4)
-    return matrices, _distances(view, matrices)
+    return matrices, _distances(body_corners, matrices)
 
 
 def inverse_pose(pose: Floats) -> Floats:
@@ -205,33 +211,39 @@ def inverse_pose(pose: Floats) -> Floats:
     return out
 
 
-def _ahead(view: View, matrices: Floats) -> tuple[Floats, Floats]:
+def _ahead(body_corners: BodyCorners, matrices: Floats) -> tuple[Floats, Floats]:
     """Rotations (..., n, 3, 3) body to each corner's camera, and the corners there (..., n, 3) m."""
-    to_camera = view.T_camera_world[view.camera] @ matrices[..., None, :, :]
+    to_camera = body_corners.T_camera_world[body_corners.camera] @ matrices[..., None, :, :]
     R = to_camera[..., :3, :3]
-    return R, (R @ view.points[..., None])[..., 0] + to_camera[..., :3, 3]
+    return R, (R @ body_corners.points[..., None])[..., 0] + to_camera[..., :3, 3]
 
 
-def _distances(view: View, matrices: Floats) -> Floats:
+def _distances(body_corners: BodyCorners, matrices: Floats) -> Floats:
     """(k, n) px between corners and where each pose puts them; infinite where the marker would face away."""
-    R, ahead = _ahead(view, matrices)
-    facing = np.einsum("knij,nj,kni->kn", R, view.normals, ahead) < 0
+    R, ahead = _ahead(body_corners, matrices)
+    facing = np.einsum("knij,nj,kni->kn", R, body_corners.normals, ahead) < 0
     possible = facing & (ahead[..., 2] > AHEAD)
-    gap = ahead[..., :2] / np.where(possible, ahead[..., 2], 1)[..., None] - view.ideal
-    return np.where(possible & np.isfinite(gap[..., 0]), np.linalg.norm(gap, axis=-1) * view.focal[view.camera], np.inf)
+    gap = ahead[..., :2] / np.where(possible, ahead[..., 2], 1)[..., None] - body_corners.ideal
+    return np.where(
+        possible & np.isfinite(gap[..., 0]),
+        np.linalg.norm(gap, axis=-1) * body_corners.focal[body_corners.camera],
+        np.inf,
+    )
 
 
-def _refine(view: View, matrix: Floats, inliers: Booleans, least: float) -> _Refined | None:
+def _refine(body_corners: BodyCorners, matrix: Floats, inliers: Booleans, least: float) -> _Refined | None:
     """A robust Gauss-Newton from a pose and who agrees with it; None where it falls apart. least : px, the robust
     scale's floor
     """
     matrix, inliers = matrix.copy(), inliers.copy()
-    J, square = np.zeros((len(view.points), 2, 6)), np.zeros(len(view.points))
+    J, square = np.zeros((len(body_corners.points), 2, 6)), np.zeros(len(body_corners.points))
     try:
         scale = refine_pose(
-            (view.points, view.ideal, view.covariance, view.camera),
-            np.ascontiguousarray(view.T_camera_world),  # a view of another layout would be compiled for once more
-            view.focal,
+            (body_corners.points, body_corners.ideal, body_corners.covariance, body_corners.camera),
+            np.ascontiguousarray(
+                body_corners.T_camera_world
+            ),  # a body_corners of another layout would be compiled for once more
+            body_corners.focal,
             matrix,
             inliers,
             least,
@@ -240,7 +252,7 @@ def _refine(view: View, matrix: Floats, inliers: Booleans, least: float) -> _Ref
         )
     except np.linalg.LinAlgError:
         return None
-    inliers &= np.isfinite(_distances(view, matrix[None])[0])
+    inliers &= np.isfinite(_distances(body_corners, matrix[None])[0])
     if np.isnan(scale) or inliers.sum() < 4:
         return None
     used = J[inliers].reshape(-1, 6)
@@ -257,11 +269,17 @@ def _refine(view: View, matrix: Floats, inliers: Booleans, least: float) -> _Ref
 
 
 def _alternative(
-    view: View, matrices: Floats, distance: Floats, matrix: Floats, square: float, scale: float, finest: float
+    body_corners: BodyCorners,
+    matrices: Floats,
+    distance: Floats,
+    matrix: Floats,
+    square: float,
+    scale: float,
+    finest: float,
 ) -> Located | None:
     """Located, a different pose that fits as well, or None. Only a candidate near nearly all corners can be one."""
     near = np.flatnonzero((distance < CONSENSUS).mean(axis=1) >= 0.9)
-    tried, free = [matrix], max(2 * len(view.points) - 6, 1)
+    tried, free = [matrix], max(2 * len(body_corners.points) - 6, 1)
     unit = max(scale**2, square / free)  # of a few corners the median alone says little
     worse = (
         RIVAL * (1 + RIVAL / free) * unit
@@ -272,7 +290,7 @@ def _alternative(
         if any(_apart(matrices[at], other) is None for other in tried):
             continue
         tried.append(matrices[at])
-        alternative = _refine(view, matrices[at], distance[at] < CONSENSUS, finest)
+        alternative = _refine(body_corners, matrices[at], distance[at] < CONSENSUS, finest)
         if (
             alternative is None
             or not alternative.square - square < worse

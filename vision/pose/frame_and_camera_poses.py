@@ -12,12 +12,16 @@ from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.model.design import Camera
 from rig.model.pose import transform_points
 from vision.corner_observations import Observations
-from vision.pose.body_pose import CONSENSUS, Located, Unsolved, View, inverse_pose, locate_body, undistort_corners
-from vision.pose.pose_refinement_and_ambiguity_resolution_by_neighbouring_frames import (
-    Poses,
-    choose_poses_by_neighbours,
-    rotation_outliers,
+from vision.pose.body_pose import (
+    CONSENSUS,
+    BodyCorners,
+    Located,
+    Unsolved,
+    body_pose_from_corners,
+    inverse_pose,
+    undistort_corners,
 )
+from vision.pose.pose_refinement_and_ambiguity_resolution import Poses, choose_poses_by_neighbours, rotation_outliers
 from vision.predict import MarkerMap
 
 SHARED = 3  # frames that two cameras must share for the body to say how they stand to each other
@@ -54,8 +58,8 @@ def _filled(poses: Poses, count: int) -> RigidTransform:
     return RigidTransform.from_matrix(matrices)
 
 
-class Views:
-    """Views cut out of a recording's observations, the lens taken out of all of them once."""
+class UndistortedCorners:
+    """Corners of a recording's observations, the lens taken out of all of them once."""
 
     def __init__(
         self, observations: Observations, cameras: Sequence[Camera], marker_map: MarkerMap, finest: float
@@ -69,7 +73,7 @@ class Views:
         self.focal = np.array([np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]) for camera in cameras])
         self.identity = np.broadcast_to(np.eye(4), (len(cameras), 4, 4))
 
-    def take(self, mask: Booleans) -> "Views":
+    def take(self, mask: Booleans) -> "UndistortedCorners":
         """The same recording with only the corners of a mask (n,)."""
         some = copy(self)
         some.observations, some.ideal, some.covariance, some.normals = (
@@ -84,8 +88,8 @@ class Views:
         """Located or Unsolved from the observations' rows. T_camera_world : (c, 4, 4)."""
         o = self.observations
         ideal = self.ideal[rows] if ideal is None else ideal
-        return locate_body(
-            View(
+        return body_pose_from_corners(
+            BodyCorners(
                 o.points[rows],
                 self.normals[rows],
                 ideal,
@@ -101,34 +105,40 @@ class Views:
         )
 
 
-def locate_fixed_cameras(views: Views, cameras: Sequence[Camera]) -> dict[int, RigidTransform]:
+def locate_fixed_cameras(
+    undistorted_corners: UndistortedCorners, cameras: Sequence[Camera]
+) -> dict[int, RigidTransform]:
     """Locate the fixed cameras by base corners, median over frames: {camera index: T_base_camera}."""
-    o, found = views.observations, {}
+    o, found = undistorted_corners.observations, {}
     for i, camera in enumerate(cameras):
         if camera.mount == "moving":
             continue
         rows = np.flatnonzero(~o.on_platform & (o.camera == i))
         key = o.marker[rows] * 4 + o.corner[rows]
         keys, first = np.unique(key, return_index=True)
-        ideal = np.array([np.median(views.ideal[rows[key == k]], axis=0) for k in keys]).reshape(-1, 2)
-        located = views.locate(rows[first], views.identity, ideal)
+        ideal = np.array([np.median(undistorted_corners.ideal[rows[key == k]], axis=0) for k in keys]).reshape(-1, 2)
+        located = undistorted_corners.locate(rows[first], undistorted_corners.identity, ideal)
         if located:
             found[i] = located.T_world_body.inv()
     return found
 
 
-def locate_cameras_without_base_targets(views: Views, cameras: Sequence[Camera]) -> dict[int, RigidTransform]:
+def locate_cameras_without_base_targets(
+    undistorted_corners: UndistortedCorners, cameras: Sequence[Camera]
+) -> dict[int, RigidTransform]:
     """Locate fixed cameras without base targets by the body that they all see: {camera index: T_base_camera}.
 
     Nothing where fewer than two share SHARED frames or some camera sees the base or moves.
     """
-    o = views.observations
+    o = undistorted_corners.observations
     if not o.on_platform.all() or any(camera.mount == "moving" for camera in cameras):
         return {}
     alone = {}  # (camera, frame): T_camera_body
     for i in np.unique(o.camera).tolist():
         for f in np.unique(o.frame[o.camera == i]).tolist():
-            answer = views.locate(np.flatnonzero((o.camera == i) & (o.frame == f)), views.identity)
+            answer = undistorted_corners.locate(
+                np.flatnonzero((o.camera == i) & (o.frame == f)), undistorted_corners.identity
+            )
             if answer:
                 alone[i, f] = answer.T_world_body
     frames = {i: {f for j, f in alone if j == i} for i in np.unique(o.camera).tolist()}
@@ -147,14 +157,17 @@ def locate_cameras_without_base_targets(views: Views, cameras: Sequence[Camera])
 
 
 def locate_frames(
-    views: Views, cameras: Sequence[Camera], t: Floats | None = None, progress: Callable[[int, int], None] | None = None
+    undistorted_corners: UndistortedCorners,
+    cameras: Sequence[Camera],
+    t: Floats | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Frames:
     """Locate the platform and moving cameras in all frames, as Frames.
     t : (F,) s; with it, a single sighting is checked against its neighbours in time
 
     progress : called with (done, of), or None
     """
-    o, count = views.observations, len(views.observations.frames)
+    o, count = undistorted_corners.observations, len(undistorted_corners.observations.frames)
     moving, unsolved, vouched = {}, {}, set()
     by_frame = np.argsort(o.frame, kind="stable")
     edges = np.searchsorted(o.frame[by_frame], np.arange(count + 1))
@@ -164,9 +177,10 @@ def locate_frames(
         if camera.mount != "moving":
             continue
         calls = [
-            (f, rows[~o.on_platform[rows] & (o.camera[rows] == i)], views.identity) for f, rows in enumerate(rows_of)
+            (f, rows[~o.on_platform[rows] & (o.camera[rows] == i)], undistorted_corners.identity)
+            for f, rows in enumerate(rows_of)
         ]
-        found, alone, why = _decided(_answers(views, calls), t)
+        found, alone, why = _decided(_answers(undistorted_corners, calls), t)
         moving[i] = {f: inverse_pose(matrix) for f, matrix in found.items()}
         vouched |= {(f, i) for f in alone}
         lost[i] = {f: f"moving camera {camera.name!r} is lost: {reason}" for f, reason in why.items()}
@@ -185,18 +199,18 @@ def locate_frames(
             unsolved[f] = next(lost[i][f] for i in o.camera[seen].tolist())
         else:
             calls.append((f, seen[known], T_camera_world))
-    answers = _answers(views, calls, progress)
+    answers = _answers(undistorted_corners, calls, progress)
     poses, alone, why = _decided(answers, t)
     return Frames(poses, moving, unsolved | why, vouched | {(f, PLATFORM) for f in alone})
 
 
 def _answers(
-    views: Views, calls: Sequence[Call], progress: Callable[[int, int], None] | None = None
+    undistorted_corners: UndistortedCorners, calls: Sequence[Call], progress: Callable[[int, int], None] | None = None
 ) -> dict[int, Located | Unsolved]:
     """{frame: Located or Unsolved} of calls, on all cores where they are many."""
     parts = [calls[at : at + TOGETHER] for at in range(0, len(calls), TOGETHER)]
     found = parallel_map(
-        lambda part: [views.locate(rows, T) for _, rows, T in part],
+        lambda part: [undistorted_corners.locate(rows, T) for _, rows, T in part],
         parts,
         progress and (lambda done, of: progress(min(done * TOGETHER, len(calls)), len(calls))),
     )
@@ -231,7 +245,7 @@ MOST = 60  # sightings of markers by which a camera is placed: more only take lo
 
 
 def camera_poses_from_body_poses(
-    views: Views,
+    undistorted_corners: UndistortedCorners,
     cameras: Sequence[Camera],
     frames: Frames,
     cameras_placed_by_base: set[int],
@@ -247,33 +261,40 @@ def camera_poses_from_body_poses(
     loose = [
         i
         for i, camera in enumerate(cameras)
-        if camera.mount != "moving" and i not in cameras_placed_by_base and not _stands(views, cameras, frames, i)
+        if camera.mount != "moving"
+        and i not in cameras_placed_by_base
+        and not _stands(undistorted_corners, cameras, frames, i)
     ]
     if not loose or len(loose) == len(cameras):
         return {}
-    by_others = locate_frames(views.take(~np.isin(views.observations.camera, loose)), cameras, t, progress)
-    placed = {i: _placed(views, by_others, i) for i in loose}
+    by_others = locate_frames(
+        undistorted_corners.take(~np.isin(undistorted_corners.observations.camera, loose)), cameras, t, progress
+    )
+    placed = {i: _placed(undistorted_corners, by_others, i) for i in loose}
     return {i: pose for i, pose in placed.items() if pose is not None}
 
 
-def _stands(views: Views, cameras: Sequence[Camera], found: Frames, i: int) -> bool:
+def _stands(undistorted_corners: UndistortedCorners, cameras: Sequence[Camera], found: Frames, i: int) -> bool:
     """Whether a fixed camera's corners, those of frames without a pose counted against it, lie mostly where the frames'
     poses put them.
     """
-    o, count = views.observations, len(views.observations.frames)
+    o, count = undistorted_corners.observations, len(undistorted_corners.observations.frames)
     rows = np.flatnonzero(o.camera == i)
     points, moved = o.points[rows].copy(), o.on_platform[rows]
     points[moved] = transform_points(found.all_poses(count)[o.frame[rows[moved]]], points[moved][:, None])[:, 0]
     ahead = transform_points(cameras[i].pose.inv(), points)
-    off = np.linalg.norm(ahead[:, :2] / ahead[:, 2:] - views.ideal[rows], axis=1) * views.focal[i]
+    off = (
+        np.linalg.norm(ahead[:, :2] / ahead[:, 2:] - undistorted_corners.ideal[rows], axis=1)
+        * undistorted_corners.focal[i]
+    )
     lost = moved & np.isin(o.frame[rows], list(found.unsolved))
     return bool((~lost & (ahead[:, 2] > 0) & (off < CONSENSUS)).mean() >= HELD) if len(rows) else True
 
 
-def _placed(views: Views, found: Frames, i: int) -> RigidTransform | None:
+def _placed(undistorted_corners: UndistortedCorners, found: Frames, i: int) -> RigidTransform | None:
     """T_base_camera by the markers that a camera sees at the located frames' poses and on the base, each sighting of a
     marker being one marker of a body that is the base; None where these lead to no pose."""
-    o, m = views.observations, views.map
+    o, m = undistorted_corners.observations, undistorted_corners.map
     rows = np.flatnonzero((o.camera == i) & (~o.on_platform | ~np.isin(o.frame, list(found.unsolved))))
     key = o.frame[rows] * len(m.id) + o.marker[rows]
     keys = np.unique(key)
@@ -301,16 +322,16 @@ def _placed(views: Views, found: Frames, i: int) -> RigidTransform | None:
     )
     own = np.searchsorted(keys, key)
     normals = T_base_marker.rotation.as_matrix()[:, :, 2][own]
-    seen = View(
+    seen = BodyCorners(
         world.corners[own, o.corner[rows]],
         normals,
-        views.ideal[rows],
-        views.covariance[rows],
+        undistorted_corners.ideal[rows],
+        undistorted_corners.covariance[rows],
         np.full(len(rows), i),
         own,
         o.corner[rows],
-        views.focal,
-        views.identity,
+        undistorted_corners.focal,
+        undistorted_corners.identity,
     )
-    located = locate_body(seen, world, views.finest)
+    located = body_pose_from_corners(seen, world, undistorted_corners.finest)
     return located.T_world_body.inv() if located else None

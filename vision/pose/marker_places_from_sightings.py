@@ -18,7 +18,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Camera
 from vision.corner_observations import Observations
 from vision.pose.body_pose import RIVAL, inverse_pose, undistort_corners
-from vision.pose.pose_refinement_and_ambiguity_resolution_by_neighbouring_frames import AHEAD
+from vision.pose.pose_refinement_and_ambiguity_resolution import AHEAD
 from vision.predict import SQUARE, MarkerMap
 
 TURN = 0.2  # rad; relative poses of a pair of markers that turn by less agree

@@ -16,8 +16,12 @@ from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners
 from vision.corners import local_lens
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD
-from vision.corners.marker_detection_and_corner_fit import Detection, fit_read_markers, grey_image_at_full_depth
-from vision.corners.whole_image_marker_reader import ReadMarkers
+from vision.corners.marker_detection_and_corner_fit import (
+    Detection,
+    ReadMarkers,
+    fit_read_markers,
+    grey_image_at_full_depth,
+)
 from vision.predict import MarkerMap
 from vision.reading.parallel_image_map_and_marker_rendering import map_images_in_processes
 from vision.reading.recording_corners import Collected, corners_from_detections, group_corners_by_image

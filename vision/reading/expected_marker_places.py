@@ -15,9 +15,9 @@ from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners
 from vision.corner_observations import observations_from_corners
 from vision.pose.body_pose import FINEST
-from vision.pose.frame_and_camera_poses import Views, locate_frames
+from vision.pose.frame_and_camera_poses import UndistortedCorners, locate_frames
 from vision.predict import MarkerMap, State, predict_corners
-from vision.reading.marker_identity_mistakes_found_against_rig_toml import find_suspicious_markers
+from vision.reading.marker_identity_mistakes import find_suspicious_markers
 from vision.recording_adjustment import Measurement, measure_observations
 
 WORTH_FOLLOWING = 3.0  # px, RMS over a frame, within which a command must predict what is seen to be worth following
@@ -43,7 +43,7 @@ class Expectation:
         """T_base_platform of a frame from its Corners alone, or None."""
         observations = observations_from_corners(corners, np.array([frame]), design, self.markers)
         poses = (
-            locate_frames(Views(observations, self.cameras, self.markers, FINEST), self.cameras).poses
+            locate_frames(UndistortedCorners(observations, self.cameras, self.markers, FINEST), self.cameras).poses
             if len(observations)
             else {}
         )

@@ -31,7 +31,7 @@ from vision.corners.marker_detection_and_corner_fit import (
     grey_image_at_full_depth,
 )
 from vision.pose.body_pose import FINEST
-from vision.pose.frame_and_camera_poses import Views, locate_fixed_cameras, locate_frames
+from vision.pose.frame_and_camera_poses import UndistortedCorners, locate_fixed_cameras, locate_frames
 from vision.predict import State, marker_map, markers_expected_in_image, predict_corners
 from vision.reading.corner_refit_with_adjusted_lenses import ROUNDS, SETTLED, largest_lens_difference
 from vision.reading.recording_corners import corners_from_detections, learn_camera_edge_spread
@@ -249,8 +249,8 @@ class Live:
         if not len(observed):
             return nothing
         cameras = self.cameras if self._measurement is not None else self._resected(corners)
-        views = Views(observed, cameras, self.markers, FINEST)
-        found = locate_frames(views, cameras)
+        undistorted_corners = UndistortedCorners(observed, cameras, self.markers, FINEST)
+        found = locate_frames(undistorted_corners, cameras)
         if 0 not in found.poses:
             return replace(nothing, reason=found.unsolved[0])
         T = RigidTransform.from_matrix(found.poses[0])
@@ -262,7 +262,7 @@ class Live:
                 for i, camera in enumerate(cameras)
             ]
         )
-        located = views.locate(on, T_camera_base)
+        located = undistorted_corners.locate(on, T_camera_base)
         inliers = np.ones(len(observed), bool)
         inliers[on] = located.inliers if located else True
         residuals = observed.uv - predict_corners(observed, state)[0]
@@ -280,7 +280,9 @@ class Live:
         """Cameras where their own images of the base's markers put them, before they are adjusted."""
         every, correlation = corners_from_detections(self._rows)
         observed = observations_from_corners(every, np.unique(every.frame), self.design, self.markers, correlation)
-        found = locate_fixed_cameras(Views(observed, self.design.cameras, self.markers, FINEST), self.design.cameras)
+        found = locate_fixed_cameras(
+            UndistortedCorners(observed, self.design.cameras, self.markers, FINEST), self.design.cameras
+        )
         return tuple(replace(camera, pose=found.get(i, camera.pose)) for i, camera in enumerate(self.design.cameras))
 
     def _ought(self, cameras: tuple[Camera, ...], name: str, T: RigidTransform) -> tuple[int, ...]:

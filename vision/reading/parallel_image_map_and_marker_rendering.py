@@ -14,12 +14,11 @@ from rig.array_and_json_types import Pixels
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.compute.worker_processes import executor_map, worker_count
 from rig.driving.cameras import CameraError
-from rig.driving.cameras.camera_interface_and_grabbing import CLIPPED
+from rig.driving.cameras.camera_interface_and_synchronised_grabbing import CLIPPED
 from rig.errors import RigError
 from rig.formats.output_files import write_bytes
 from rig.model.design import Camera
-from vision.corners.marker_detection_and_corner_fit import grey_images_for_reader_and_fit
-from vision.corners.whole_image_marker_reader import read_markers
+from vision.corners.marker_detection_and_corner_fit import grey_images_for_reader_and_fit, read_markers
 from vision.predict import MarkerMap, marker_cells, markers_expected_in_image
 
 EACH = 2  # images for each process, below which it is not worth starting any

@@ -20,12 +20,13 @@ from vision.corner_observations import correlations_of_whitened_marker_corners
 from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread, empty_residual_profile, learn_edge_spread
 from vision.corners.marker_detection_and_corner_fit import (
     Detection,
+    ReadMarkers,
     detect_markers,
     fit_read_markers,
     grey_image_at_full_depth,
     grey_images_for_reader_and_fit,
+    read_markers,
 )
-from vision.corners.whole_image_marker_reader import ReadMarkers, read_markers
 from vision.predict import MarkerMap, markers_expected_in_image
 from vision.reading import expected_marker_places
 from vision.reading.parallel_image_map_and_marker_rendering import map_images_in_processes, map_images_in_threads

@@ -142,6 +142,7 @@ class SelectionPolicy:
     alternative_alpha : chance above which an alternative explains nothing by itself; what searching for it costs is in
         its odds already
     refitted : alternatives that are fitted with all that is free in a finding's place; 0 where the score is exact
+    members : of an alternative's law that are fitted so, where the likeliest does worse than its score said
     takes_over : minus twice the logarithm of odds by which an alternative must lead to take a finding's place, inf for
         never
     smooth_beyond : times a name's delta BIC, from which a smooth function without one explains so much more that no
@@ -154,7 +155,7 @@ class SelectionPolicy:
     alpha: float = 1e-3
     delta_bic: float = 10.0
     hidden: float = 1.0
-    most: int = 12
+    most: int = 24
     tried: int = 3
     companions: float = float("inf")
     forward_gain: float | None = 0.5
@@ -167,6 +168,7 @@ class SelectionPolicy:
     cover_left: float = 0.5
     alternative_alpha: float = 1e-2
     refitted: int = 4
+    members: int = 2
     takes_over: float = 1.0
     smooth_beyond: float = 2.0
     smooth_anywhere: bool = True

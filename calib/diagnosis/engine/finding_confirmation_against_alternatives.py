@@ -120,24 +120,35 @@ def refit_alternatives(
 ) -> list[Refit[Fit, C]]:
     """Refit the first alternatives that a scan cannot separate from a finding.
 
-    A scan takes for scatter what is not admitted yet, and so tells of a strong term far less than it could.
+    A scan takes for scatter what is not admitted yet, and so tells of a strong term far less than it could. Where an
+    alternative does worse than the scan said, the other members of its law are refitted too.
     hidden : whether the finding convinces by its fit alone, as they then may
     """
     close = [a for a in alternatives if is_indistinguishable(a, problem.policy)][: problem.policy.refitted]
     if not close:
         return []
     size, bare, out = problem.size(fit), problem.remove_term(fit, number), []
+    residual = problem.residual(bare)
+
+    def behind(score: Score[C], new: Fit) -> float:
+        return problem.likelihood_ratio(new, fit) + score.complexity(size) - finding_score.complexity(size)
+
     for a in close:
-        new = problem.add_term(bare, a.score)
-        behind = problem.likelihood_ratio(new, fit) + a.score.complexity(size) - finding_score.complexity(size)
+        chosen, new = a.score, problem.add_term(bare, a.score)
+        if behind(chosen, new) > a.behind + problem.policy.alike:
+            members = [
+                (s, problem.add_term(bare, s))
+                for s in _scores_of_other_members(problem, residual, a.score.candidate)[: problem.policy.members]
+            ]
+            chosen, new = min([(chosen, new), *members], key=lambda one: behind(*one))
         score = (
             score_raised_to_likelihood_ratio(
-                a.score, problem.likelihood_ratio(bare, new), problem.linear(problem.residual(bare)).frames
+                chosen, problem.likelihood_ratio(bare, new), problem.linear(residual).frames
             )
             if hidden
-            else a.score
+            else chosen
         )
-        out.append(Refit(a, replace(a, score=score, behind=behind), new))
+        out.append(Refit(a, replace(a, score=score, behind=behind(chosen, new)), new))
     return out
 
 
@@ -261,9 +272,9 @@ def _smooth_functions(problem: Problem[Fit, Model, C], model: Model, place: Plac
     return [u for u in problem.lack_of_fit(model) if u.dispersion and (anywhere or problem.within(u, place))]
 
 
-def _other_members(problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int) -> list[Score[C]]:
+def _scores_of_other_members(problem: Problem[Fit, Model, C], model: Model, term: C) -> list[Score[C]]:
     """Scores of the other members of a term's law at its place, on a model without it, the likeliest first."""
-    term, size = problem.terms(fit)[number], problem.linear(model).size
+    size = problem.linear(model).size
     others = [c for c in problem.candidates if (c.name, c.place) == (term.name, term.place) and c is not term]
     return sorted(problem.search(model, others, -np.inf, None), key=lambda s: -s.evidence(size)) if others else []
 
@@ -279,7 +290,8 @@ def _likelier_member(
     policy, size = problem.policy, problem.linear(model).size
     if not np.isfinite(policy.takes_over):
         return None
-    others = [s for s in _other_members(problem, model, fit, number) if not any(s.candidate is c for c in but)]
+    term = problem.terms(fit)[number]
+    others = [s for s in _scores_of_other_members(problem, model, term) if not any(s.candidate is c for c in but)]
     for score in others[: policy.refitted]:
         if score.evidence(size) < scanned.evidence(size) - policy.alike:
             break
@@ -299,7 +311,7 @@ def refit_with_other_member_of_law(
     but : members that are not tried
     """
     site, size = problem.terms(fit)[number].site, problem.linear(model).size
-    for score in _other_members(problem, model, fit, number):
+    for score in _scores_of_other_members(problem, model, problem.terms(fit)[number]):
         if any(score.candidate is c for c in but):
             continue
         if is_significant(score, len(problem.candidates), size, problem.policy):

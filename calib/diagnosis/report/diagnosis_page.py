@@ -31,8 +31,8 @@ DOTS = (
 )
 
 
-class View(Protocol):
-    """What one kind of machine draws of its diagnosis."""
+class MachineFigures(Protocol):
+    """Figures that one kind of machine draws of its diagnosis."""
 
     def where(self, places: list[str]) -> str:
         """The machine with the places of its findings marked, in their order."""
@@ -50,26 +50,28 @@ class View(Protocol):
         """[(what, value)] of how it was measured."""
 
 
-def arm_or_platform_page_view(diagnosis: Diagnosis, recording: Recording, report: Report) -> View:
-    """Page view of a Diagnosis: ArmView or PlatformView, by what was measured. report : its Report"""
+def figures_of_arm_or_platform(diagnosis: Diagnosis, recording: Recording, report: Report) -> MachineFigures:
+    """MachineFigures of a Diagnosis, by what was measured. report : its Report"""
     first = len(diagnosis.measured_findings)
     entries = report.findings[first : first + len(diagnosis.findings)]
     if diagnosis.evidence.family == "joints":
-        from calib.diagnosis.report.platform_and_arm_page_figures import ArmView
+        from calib.diagnosis.report.platform_and_arm_page_figures import ArmFigures
 
-        return ArmView(diagnosis, entries)
-    from calib.diagnosis.report.platform_and_arm_page_figures import PlatformView
+        return ArmFigures(diagnosis, entries)
+    from calib.diagnosis.report.platform_and_arm_page_figures import PlatformFigures
 
-    return PlatformView(diagnosis, entries, recording)
+    return PlatformFigures(diagnosis, entries, recording)
 
 
-def write_diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link] = ()) -> None:
+def write_diagnosis_page(
+    path: Path, report: Report, machine_figures: MachineFigures, links: Sequence[Link] = ()
+) -> None:
     """Write the diagnosis page of a Report: one offline HTML file."""
     parts: list[str] = []
     main = report.mattering or report.named
     slight = [f for f in report.named if not any(f is m for m in main)]
     if report.findings:
-        parts += [heading_html("Where"), view.where([f.place for f in (*main, *report.unknown, *slight)])]
+        parts += [heading_html("Where"), machine_figures.where([f.place for f in (*main, *report.unknown, *slight)])]
     parts.append(paragraph_html(report_sentences.held_out_sentence(report.fit, bool(report.named))))
     for number, finding in enumerate(main):
         title = (
@@ -77,7 +79,7 @@ def write_diagnosis_page(path: Path, report: Report, view: View, links: Sequence
             + report_sentences.finding_size_text(finding)
             + report_sentences.stated_beforehand_text(finding)
         )
-        parts += [heading_html(f"{number + 1}. {title}"), *_finding(finding, view)]
+        parts += [heading_html(f"{number + 1}. {title}"), *_finding(finding, machine_figures)]
     if slight:
         parts += [
             heading_html("Significant but negligible"),
@@ -86,9 +88,9 @@ def write_diagnosis_page(path: Path, report: Report, view: View, links: Sequence
     for finding in slight:
         title = report_sentences.finding_title(finding) + report_sentences.finding_size_text(finding)
         parts += [heading_html(title + report_sentences.stated_beforehand_text(finding), 3), *_slight(finding)]
-    shown = view.in_space()
+    shown = machine_figures.in_space()
     parts += [heading_html("In three dimensions"), *shown] if shown else []
-    parts += [heading_html("What remains"), *_remaining(report, view)]
+    parts += [heading_html("What remains"), *_remaining(report, machine_figures)]
     parts += _suggestions(report)
     if report.covariates:
         parts += [
@@ -114,7 +116,7 @@ def write_diagnosis_page(path: Path, report: Report, view: View, links: Sequence
         heading_html("Hypotheses tested"),
         *_asked(report),
         heading_html("The measurement"),
-        table_html(("what", "value"), _measurement(report, view)),
+        table_html(("what", "value"), _measurement(report, machine_figures)),
     ]
     verdict = diagnosis_verdict(report)
     write_page(
@@ -131,8 +133,8 @@ def write_diagnosis_page(path: Path, report: Report, view: View, links: Sequence
     )
 
 
-def _finding(finding: FindingEntry, view: View) -> list[str]:
-    plot, sure = view.plot(finding), report_sentences.evidence_sentence(finding)
+def _finding(finding: FindingEntry, machine_figures: MachineFigures) -> list[str]:
+    plot, sure = machine_figures.plot(finding), report_sentences.evidence_sentence(finding)
     parts = [] if plot is None else [captioned_html(plot, DOTS)]
     parts.append(table_html(("parameter", "value", "95 % interval"), report_sentences.parameter_rows(finding)))
     parts += [paragraph_html(sure)] if sure else []
@@ -175,8 +177,8 @@ def _alternatives(finding: FindingEntry) -> list[str]:
     )
 
 
-def _remaining(report: Report, view: View) -> list[str]:
-    levels, *pictures = view.remaining(report.unknown)
+def _remaining(report: Report, machine_figures: MachineFigures) -> list[str]:
+    levels, *pictures = machine_figures.remaining(report.unknown)
     if not report.unknown:
         return [
             levels,
@@ -255,7 +257,7 @@ def _asked(report: Report) -> list[str]:
     return [*asked, folding_section_html(f"{len(rows)} could not be", table_html(("effect", "why"), rows))]
 
 
-def _measurement(report: Report, view: View) -> list[tuple[str, object]]:
+def _measurement(report: Report, machine_figures: MachineFigures) -> list[tuple[str, object]]:
     units = {
         "corner_px": ("corner, per axis", "px"),
         "pose_m": ("pose, position", "m"),
@@ -271,4 +273,4 @@ def _measurement(report: Report, view: View) -> list[tuple[str, object]]:
         (f"that noise over what is stated, in {kind}", report_sentences.noise_factor_text(factor))
         for kind, factor in report.noise_times.items()
     ]
-    return view.measurement() + rows
+    return machine_figures.measurement() + rows

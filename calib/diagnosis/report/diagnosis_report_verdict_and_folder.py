@@ -21,7 +21,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     WeighedPoses,
 )
 from calib.diagnosis.recording_diagnosis import Diagnosis
-from calib.diagnosis.report import report_sentences, residual_figures_and_finding_contributions_to_poses
+from calib.diagnosis.report import report_sentences, residual_figures_and_finding_contributions
 from calib.diagnosis.report.diagnosis_json_entries import (
     SCHEMA,
     UNKNOWN,
@@ -53,7 +53,7 @@ from calib.diagnosis.report.report_sentences import (
     stated_beforehand_text,
     value_text,
 )
-from calib.diagnosis.report.residual_figures_and_finding_contributions_to_poses import (
+from calib.diagnosis.report.residual_figures_and_finding_contributions import (
     errors_at_and_beyond_fitted_angles,
     position_error_statistics,
 )
@@ -65,7 +65,7 @@ from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.recording.recording_folder import Recording
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations_by_later_recordings import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
 
 ROWS = "Examine the excluded rows below: record those configurations again"
 TAKE_IN = "Include it in the calibration: `rig calibrate REC --diagnosis DIR --out calibration.json`"
@@ -330,7 +330,7 @@ def write_diagnosis_json_and_simulation_files(
     tree = machine_geometry_and_effects_json_file.machine_dict(diagnosis.design, diagnosis.machine_effects)
     write_text(folder / "machine.json", json.dumps(tree) + "\n")
     copy_recording(folder, recording)
-    residual_figures_and_finding_contributions_to_poses.write_finding_contributions_table(
+    residual_figures_and_finding_contributions.write_finding_contributions_table(
         folder / "contributions.csv", diagnosis
     )
 

@@ -9,9 +9,9 @@ from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.recording_diagnosis import Diagnosis
-from calib.diagnosis.report import residual_figures_and_finding_contributions_to_poses
+from calib.diagnosis.report import residual_figures_and_finding_contributions
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
-from calib.diagnosis.report.residual_figures_and_finding_contributions_to_poses import (
+from calib.diagnosis.report.residual_figures_and_finding_contributions import (
     SAME_ANGLE,
     effect_residual_figures,
     mean_residual_figures_over_camera_image,
@@ -22,7 +22,12 @@ from calib.diagnosis.report.residual_figures_and_finding_contributions_to_poses 
     residuals_without_effects,
 )
 from calib.diagnosis.report.rig_and_arm_outline_figures import arm_outline_figures, rig_outline_figure
-from calib.report.pose_and_effect_figures import FACTORS, effect_displacements, mechanism_scene, rig_scene
+from calib.report.pose_and_effect_figures import (
+    FACTORS,
+    mechanism_scene,
+    pose_displacements_by_effect_at_several_sizes,
+    rig_scene,
+)
 from rig.array_and_json_types import Floats
 from rig.model import mechanisms
 from rig.model.effect_places_and_part_tolerances import Place
@@ -43,7 +48,7 @@ ROWS = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ArmView:
+class ArmFigures:
     """diagnosis : Diagnosis of ArmEvidence; entries : its findings as reported, in the diagnosis' order"""
 
     diagnosis: Diagnosis
@@ -152,9 +157,7 @@ class ArmView:
                     "The poses most displaced by all findings, a bar for each finding, the largest first. "
                     "contributions.csv has them for every pose."
                 ),
-                residual_figures_and_finding_contributions_to_poses.worst_pose_contribution_figure(
-                    self.evidence, d.selection
-                ),
+                residual_figures_and_finding_contributions.worst_pose_contribution_figure(self.evidence, d.selection),
             ]
         aside = self.evidence.frames_set_aside(d.selection)
         if len(aside):
@@ -209,7 +212,7 @@ PLAYED = 4  # findings that are shown in three dimensions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlatformView:
+class PlatformFigures:
     """diagnosis : Diagnosis of PlatformEvidence; entries : its findings as reported, in the diagnosis' order;
     recording : Recording
     """
@@ -239,7 +242,7 @@ class PlatformView:
         effects, values = tuple[Shown, ...](), None
         if k.commands is not None and k.design.mechanism.axes:
             tried = [
-                effect_displacements(k.design, k.commands, k.t, k.effects, which, k.sensors)
+                pose_displacements_by_effect_at_several_sizes(k.design, k.commands, k.t, k.effects, which, k.sensors)
                 for which in range(min(len(k.effects), PLAYED))
             ]
             effects, values = tuple(one for one in tried if one is not None), k.motion(()).lengths

@@ -13,12 +13,12 @@ from calib.correction.correction_as_c_source import (
     FIELDS,
     CCall,
     CSource,
+    c_file_opening,
+    c_source_part,
     commands_of_effects,
     controller_terms_of_compensable_effects,
     define_remainder,
-    joined,
-    opening,
-    part,
+    joined_c_parts,
 )
 from calib.correction.correction_fields_as_c_functions import CTables
 from calib.correction.physics_compensation import Physics
@@ -63,19 +63,19 @@ def arm_correction_c_source(correction: ArmCorrection, physics: Physics | None, 
         count = hand_motion_direction_counts(nominal)
         geometry.lines.append(f"enum {{ POSITIONS = {count.position}, ROTATIONS = {count.rotation} }};")
     return CSource(
-        joined(
-            *opening(call, correction, effects, effects.plays, origin),
-            part("arm"),
+        joined_c_parts(
+            *c_file_opening(call, correction, effects, effects.plays, origin),
+            c_source_part("arm"),
             "\n".join([*geometry.lines, *_chain("NOMINAL", nominal), *_chain("FITTED", fitted)]),
-            *(part(name) for name in FIELDS if name in tables.parts),
+            *(c_source_part(name) for name in FIELDS if name in tables.parts),
             "\n".join(tables.lines),
-            part("settle" if settled else "no remainder"),
-            part("rotation vector"),
-            part("arm kinematics"),
-            part("arm of few joints" if few else "arm of six joints or more"),
+            c_source_part("settle" if settled else "no remainder"),
+            c_source_part("rotation vector"),
+            c_source_part("arm kinematics"),
+            c_source_part("arm of few joints" if few else "arm of six joints or more"),
             *commands_of_effects(effects),
-            part("ranges"),
-            part("arm correct"),
+            c_source_part("ranges"),
+            c_source_part("arm correct"),
         ),
         effects.notes,
         effects.channels,

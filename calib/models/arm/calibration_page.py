@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.held_out_errors import Figures, errors_before_and_after_correction
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import CertifiedArm

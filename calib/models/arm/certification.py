@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.held_out_errors import (
     HeldErrors,
     HeldOut,
@@ -33,11 +33,11 @@ from calib.models.arm.identification_and_joint_profiles import (
     require_enough_observations,
 )
 from calib.models.arm.instrument_placement import place_arm
-from calib.models.arm.joint_effects_fit_and_held_out_scatter import (
+from calib.models.arm.joint_effect_fit_and_held_out_scatter import (
     JointFit,
     held_out_geometry_errors,
     identification_with_held_out_scatter,
-    mean_square_held_out_arm_pose_errors_by_parameters,
+    mean_square_arm_errors_caused_by_parameters,
 )
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
@@ -144,7 +144,7 @@ def certify_arm(
         left = held_out_geometry_errors(found, correction, agreed, label[found.inliers])
     else:
         own = (
-            mean_square_held_out_arm_pose_errors_by_parameters(found, correction, agreed, parts[found.inliers])
+            mean_square_arm_errors_caused_by_parameters(found, correction, agreed, parts[found.inliers])
             if whole
             else np.zeros(2)
         )

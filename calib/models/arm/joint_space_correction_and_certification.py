@@ -9,14 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.certification.certification_of_correction_extended_over_configuration_space import (
-    NONE,
-    ExtensionBasis,
-    ExtensionRequest,
-    Tried,
-    certify_interpolation_method,
-    empty_claim_without_held_out_data,
-)
 from calib.certification.error_claim_over_workspace import (
     DRAWS,
     Claim,
@@ -25,6 +17,14 @@ from calib.certification.error_claim_over_workspace import (
     claim_from_machine_draws,
     empty_claim_of_too_few_configurations,
     mean_square_pose_errors_of_extension,
+)
+from calib.certification.extended_correction_certification import (
+    NONE,
+    ExtensionBasis,
+    ExtensionRequest,
+    Tried,
+    certify_interpolation_method,
+    empty_claim_without_held_out_data,
 )
 from calib.certification.held_out_errors import draw_mean_square_common_pose_errors
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
@@ -35,17 +35,17 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     mean_sample_per_configuration,
 )
 from calib.certification.platform_certification import FOLDS, Progress, silent_progress
-from calib.correction.correction_tables_and_pose_space_map_json import CorrectionSummands
+from calib.correction.correction_tables import CorrectionSummands
 from calib.correction.interpolation.field_interface_and_combinations import Field, FieldSamples
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import UNPLACED, CertifiedArm, calibrate_arm, placed_nominal_arm, start_arm_of_fit
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import PLAUSIBLE, Rank, sample_observations
 from calib.models.arm.identification_and_joint_profiles import Identified, identify_arm, independent_arm_parameters
-from calib.models.arm.joint_effects_fit_and_held_out_scatter import (
+from calib.models.arm.joint_effect_fit_and_held_out_scatter import (
     held_out_geometry_errors,
     identification_with_held_out_scatter,
-    mean_square_held_out_arm_pose_errors_by_parameters,
+    mean_square_arm_errors_caused_by_parameters,
 )
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
@@ -179,7 +179,7 @@ def certify_extended_arm(
         else:
             held = replace(
                 held,
-                parameters=mean_square_held_out_arm_pose_errors_by_parameters(
+                parameters=mean_square_arm_errors_caused_by_parameters(
                     found, corrected, agreed, configuration_folds(of_agreed, min(FOLDS, len(agreed)))
                 ),
             )

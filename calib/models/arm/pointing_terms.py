@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
 from rig.array_and_json_types import Floats, Json

@@ -24,7 +24,7 @@ from calib.models.arm.error_model_and_observations import (
     sample_observations,
 )
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
-from calib.models.arm.joint_effects_fit_and_held_out_scatter import unexplained_scatter_sentences
+from calib.models.arm.joint_effect_fit_and_held_out_scatter import unexplained_scatter_sentences
 from calib.samples.pose_samples import Samples
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import FILL, sobol_configurations

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.error_claim_over_workspace import (
     DRAWS,
     PLACES,
@@ -22,7 +22,7 @@ from calib.certification.held_out_errors import (
     compare_errors,
     errors_before_and_after_correction,
     mean_square_held_out_errors_by_configuration,
-    residuals_corrected_for_noise_absorbed_by_fit,
+    residuals_corrected_for_absorbed_noise,
 )
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
@@ -31,9 +31,9 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
 )
 from calib.certification.platform_certification import Progress, held_out_errors_by_fold, silent_progress
 from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
-from calib.models.arm.joint_effects_fit_and_held_out_scatter import unexplained_scatter_sentences
-from calib.models.chain import error_model
-from calib.models.chain.identification import Identified, identify_chain
+from calib.models.arm.joint_effect_fit_and_held_out_scatter import unexplained_scatter_sentences
+from calib.models.chain import error_model_and_identification
+from calib.models.chain.error_model_and_identification import Identified, identify_chain
 from calib.report.platform_and_lens_calibration_pages import evidence_html, view_3d_html, write_page_of_calibration
 from calib.report.pose_and_effect_figures import FITTED, correction_error_figures, pose_coverage_figures
 from calib.samples.pose_samples import Samples
@@ -87,9 +87,9 @@ def certify_chain(
     )
     good = found.inliers
     agreed = samples.take(good)
-    J = error_model.parameter_jacobian(agreed.commanded, found.chain)
+    J = error_model_and_identification.parameter_jacobian(agreed.commanded, found.chain)
     noise = agreed.covariance + np.diag(found.scatter**2)
-    freed = residuals_corrected_for_noise_absorbed_by_fit(
+    freed = residuals_corrected_for_absorbed_noise(
         errors_before_and_after_correction(correction, agreed)[1], J, found.covariance, noise, label[good]
     )
     left = mean_square_held_out_errors_by_configuration(freed, agreed, label[good])
@@ -112,7 +112,7 @@ def _corrected(nominal: Chain, found: Identified) -> AnyCorrection:
 
 def chain_pose_covariance(calibration: Calibration, commands: Floats) -> Floats:
     """Covariance (n, 6, 6) of the corrected chain's pose at commands (n, axes) m or rad."""
-    J = error_model.parameter_jacobian(commands, calibration.correction.fitted)
+    J = error_model_and_identification.parameter_jacobian(commands, calibration.correction.fitted)
     return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(calibration.scatter**2)
 
 
@@ -123,7 +123,7 @@ def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.r
     label = np.unique(certified.label[found.inliers], return_inverse=True)[1]
     each = mean_sample_per_configuration(kept, label, mechanism.jacobian(kept.commanded, nominal))
     words = f"the middle {FILL * 100:.0f} % of every travel, all axes independent"
-    asked = int((error_model.parameter_tolerances(nominal) > 0).sum())
+    asked = int((error_model_and_identification.parameter_tolerances(nominal) > 0).sum())
     told = ConfigurationInformation(
         len(each),
         asked - len(found.undetermined),
@@ -142,7 +142,7 @@ def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.r
         else certified.left.own_draws(0.0, DRAWS, rng)
     )
     workspace = Workspace(
-        error_model.parameter_jacobian(values, found.chain),
+        error_model_and_identification.parameter_jacobian(values, found.chain),
         pose_difference(mechanism.forward(values, nominal), T),
         own,
         words,
@@ -185,7 +185,10 @@ def _chain_parameters(done: CertifiedChain) -> str:
     rows = [
         (name, f"{1e3 * step:+.4f}", f"{2e3 * s:.4f}", "mm" if unit == "m" else "mrad")
         for name, unit, step, s in zip(
-            error_model.parameter_names(nominal), error_model.parameter_units(nominal), found.step, sigma
+            error_model_and_identification.parameter_names(nominal),
+            error_model_and_identification.parameter_units(nominal),
+            found.step,
+            sigma,
         )
         if s > 0
     ]

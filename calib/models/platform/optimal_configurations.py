@@ -22,8 +22,8 @@ from rig.errors import NotConverged, RigError
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod as mechanism
 from rig.planning import configuration_sets
+from rig.planning.balanced_visiting_order_and_approach import time_balanced_order
 from rig.planning.configuration_sets import FILL as WORKSPACE
-from rig.planning.visiting_order_and_approach_decorrelated_from_position import time_balanced_order
 
 CANDIDATES = 2000
 FILL = 0.9  # of the strokes

@@ -339,7 +339,7 @@ def require_share(speed: float) -> float:
 
 def print_held_out_errors(held_out: HeldOut, title: str) -> None:
     """Print held-out errors before and after correction as a table in mm and mrad."""
-    from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import ratio_interval_text
+    from calib.certification.calibration_dataclass_and_claim_sentences import ratio_interval_text
 
     names = ("mean", "RMS", "95 %", "max")
     print(f"{title}, N = {held_out.after.n}, {held_out.configurations} distinct configurations:")

@@ -10,7 +10,7 @@ from rig.model.arm_branches_and_hands import hand_names
 from rig.recording.recording_folder import Recording
 
 if TYPE_CHECKING:
-    from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+    from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 
 
 def add_hand_option(parser: ArgumentParser) -> None:

@@ -18,12 +18,12 @@ from rig.formats.number_parsing_and_rounding import parse_whole_number
 from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable, file_digest
 
 if TYPE_CHECKING:
-    from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-    from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbSource
+    from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+    from calib.online.measuring_limb_poses_checked_by_vision import LimbSource
     from rig.effects.catalogue.effect_list import Plugin
     from rig.effects.texts.effect_text_parsing import Kinds
     from rig.recording.recording_folder import Recording
-    from rig.report.verdict_and_refutations_by_later_recordings import Refutation, State
+    from rig.report.verdict_and_refutations import Refutation, State
 
 
 class EscapedStream:
@@ -308,7 +308,7 @@ def limb_source(arguments: Namespace) -> LimbSource | None:
         raise RigError("--vision-every takes a number of poses, at least 1, and --limbs")
     if arguments.limbs is None:
         return None
-    from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LimbSource
+    from calib.online.measuring_limb_poses_checked_by_vision import LimbSource
 
     return LimbSource(arguments.limbs, arguments.check or CHECK_EVERY)
 
@@ -370,7 +370,7 @@ def read_and_print_refutations(path: Path) -> tuple[Refutation, ...]:
 
     Raises FileError for an invalid list.
     """
-    from rig.report.verdict_and_refutations_by_later_recordings import refutations_of_file
+    from rig.report.verdict_and_refutations import refutations_of_file
 
     found = refutations_of_file(path)
     print_refutations(path, found)
@@ -390,7 +390,7 @@ def write_refutation(
 
     finding : a sentence without its full stop; state : BAD (None), or CHECK where it leaves something out
     """
-    from rig.report.verdict_and_refutations_by_later_recordings import NAME, Refutation, State, add_refutation
+    from rig.report.verdict_and_refutations import NAME, Refutation, State, add_refutation
 
     state = State.BAD if state is None else state
 

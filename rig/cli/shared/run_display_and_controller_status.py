@@ -8,10 +8,10 @@ from typing import Any, TextIO
 import numpy as np
 
 from calib.online.live_run_page import RunPage
-from calib.online.observer_of_run_frames import MeasuredFrame, RunDisplay, RunObserver, View
+from calib.online.observer_of_run_frames import MeasuredFrame, RunDisplay, RunObserver, RunState
 from rig.array_and_json_types import Floats
 from rig.cli.shared.input_options_and_output_display import unescaped_stream
-from rig.driving.controller_status_and_operator_advice import ControllerStatus
+from rig.driving.controller_status_and_limits import ControllerStatus
 from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable
 from rig.model.design import Design
 from rig.model.pose import pose_to_vector
@@ -24,7 +24,7 @@ def lengths_text(lengths: Floats) -> str:
 
 def print_status(status: ControllerStatus, design: Design) -> None:
     """Print a Status, with the pose that its lengths give by the nominal model."""
-    from rig.driving.controller_status_and_operator_advice import operator_advice
+    from rig.driving.controller_status_and_limits import operator_advice
     from rig.errors import NotConverged
     from rig.model import mechanisms
     from rig.model.pose import pose_to_vector
@@ -58,17 +58,17 @@ class PlainLineDisplay:
         self._seen: MeasuredFrame | None = None
         self._last: tuple[Any, ...] = ()
 
-    def show(self, view: View) -> None:
+    def show(self, state: RunState) -> None:
         """A line for a new phase, a new pose, a new alarm."""
-        if view.phase != self._phase and not view.phase.startswith(("settling", "exposed")):
-            left = f", {_minutes_and_seconds(view.left)} left" if np.isfinite(view.left) and view.left > 0 else ""
-            self._print(f"[{view.frame}/{view.frames}] {view.phase}{left}")
-        self._phase = view.phase
-        if view.seen is not None and view.seen is not self._seen:
-            self._seen = view.seen
-            self._print("  " + " | ".join(_pose_lines(view.seen)))
-        fresh = [alarm for alarm in view.alarms if alarm not in self._last]
-        self._last = view.alarms
+        if state.phase != self._phase and not state.phase.startswith(("settling", "exposed")):
+            left = f", {_minutes_and_seconds(state.left)} left" if np.isfinite(state.left) and state.left > 0 else ""
+            self._print(f"[{state.frame}/{state.frames}] {state.phase}{left}")
+        self._phase = state.phase
+        if state.seen is not None and state.seen is not self._seen:
+            self._seen = state.seen
+            self._print("  " + " | ".join(_pose_lines(state.seen)))
+        fresh = [alarm for alarm in state.alarms if alarm not in self._last]
+        self._last = state.alarms
         for alarm in fresh:
             self._print(f"  ! {alarm.kind}: {alarm.text}")
 
@@ -85,9 +85,9 @@ class TerminalBlockDisplay:
     def __init__(self, out: TextIO | None = None) -> None:
         self._out, self._height = unescaped_stream(out or sys.stdout), 0
 
-    def show(self, view: View) -> None:
+    def show(self, state: RunState) -> None:
         """Draw the block anew over the one before."""
-        lines = [escape_unprintable(line).replace("\n", "\\n") for line in run_view_lines(view)]
+        lines = [escape_unprintable(line).replace("\n", "\\n") for line in run_state_lines(state)]
         up = f"\x1b[{self._height}A" if self._height else ""
         self._out.write(up + "".join(f"\x1b[2K{line}\n" for line in lines) + "\x1b[J")
         self._out.flush()
@@ -97,19 +97,19 @@ class TerminalBlockDisplay:
         """Leave the block where it is."""
 
 
-def run_view_lines(view: View) -> list[str]:
-    """Lines of a run's view (RunView) for the terminal: progress, strut bars, latest pose, alarms."""
-    left = f", {_minutes_and_seconds(view.left)} left" if np.isfinite(view.left) and view.left > 0 else ""
-    lines = [f"frame {view.frame} of {view.frames}, step {view.step} of {view.steps}{left}", view.phase]
-    for i, (length, goal, (low, high)) in enumerate(zip(view.lengths, view.goal, view.ranges), 1):
+def run_state_lines(state: RunState) -> list[str]:
+    """Lines of a RunState for the terminal: progress, strut bars, latest pose, alarms."""
+    left = f", {_minutes_and_seconds(state.left)} left" if np.isfinite(state.left) and state.left > 0 else ""
+    lines = [f"frame {state.frame} of {state.frames}, step {state.step} of {state.steps}{left}", state.phase]
+    for i, (length, goal, (low, high)) in enumerate(zip(state.lengths, state.goal, state.ranges), 1):
         at, to = (int(np.clip((value - low) / (high - low), 0, 1) * (WIDTH - 1)) for value in (length, goal))
         bar = "".join("#" if k == at else "+" if k == to else "-" for k in range(WIDTH))
         lines.append(
             f"strut {i} {low * 1e3:8.1f} |{bar}| {high * 1e3:8.1f} mm   {length * 1e3:9.4f} -> {goal * 1e3:9.4f}"
         )
-    if view.seen is not None:
-        lines += _pose_lines(view.seen)
-    return lines + [f"! {alarm.kind}: {alarm.text}" for alarm in view.alarms[-4:]]
+    if state.seen is not None:
+        lines += _pose_lines(state.seen)
+    return lines + [f"! {alarm.kind}: {alarm.text}" for alarm in state.alarms[-4:]]
 
 
 def _pose_lines(seen: MeasuredFrame) -> list[str]:

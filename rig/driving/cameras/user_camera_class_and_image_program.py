@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from rig.array_and_json_types import Pixels
-from rig.driving.cameras.camera_interface_and_grabbing import UNIFORM, CameraError, Frame
+from rig.driving.cameras.camera_interface_and_synchronised_grabbing import UNIFORM, CameraError, Frame
 from rig.driving.clock import Clock
 from rig.driving.user_protocol_camera_and_sensor_classes import fail_at_class, guard_call, load_user_class
 from rig.errors import FileError
@@ -45,7 +45,7 @@ class UserCamera:
 
 
 class UserSource:
-    """See rig.driving.cameras.camera_interface_and_grabbing.Source: a UserCamera, its images checked and timed."""
+    """A Source (camera interface) made of a UserCamera, its images checked and timed."""
 
     def __init__(self, camera: Camera, clock: Clock) -> None:
         """Raises FileError or RigError where its program cannot be used."""

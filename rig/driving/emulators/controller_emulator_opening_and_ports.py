@@ -26,10 +26,10 @@ from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
 from rig.formats.rig_toml import design_file
-from rig.model.controller_protocol_list_and_port_name_check import is_user_program
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod, require_struts
+from rig.model.protocol_and_port_names import is_user_program
 
 ACCELERATION = 0.1  # m/s^2, where the rig.toml states none
 

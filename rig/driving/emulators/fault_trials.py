@@ -99,7 +99,7 @@ def emulated_bench(
     return Driver(design, clock, lambda: TrialPort(emulator, clock)), emulator, clock
 
 
-def count_moves(
+def move_counts_with_faults(
     design: Design, protocol: str, orders: Sequence[str], moves: int, seed: int, **controller: object
 ) -> MoveCounts:
     """MoveCounts of moves to places that are all different, with an operator who homes, unlocks and switches off and on

@@ -11,7 +11,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats
-from rig.driving.controller_limits import ControllerLimits
+from rig.driving.controller_address_and_urgent_stop import STOPS
+from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface import (
     POLL,
     REST,
@@ -26,7 +27,6 @@ from rig.driving.protocols.protocol_interface import (
     pause_dialogue,
     query_dialogue,
 )
-from rig.driving.urgent_stop import STOPS
 from rig.errors import ControllerFault, NoAnswer
 
 UNITS = {"M": 1.0, "MM": 1e3, "UM": 1e6, "µM": 1e6}  # of a metre

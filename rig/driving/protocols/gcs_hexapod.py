@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
-from rig.driving.controller_limits import ControllerLimits
+from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.driving.protocols.gcs import GCS
 from rig.driving.protocols.protocol_interface import Dialogue, Segment, Verdict
 from rig.errors import ControllerFault

@@ -13,7 +13,8 @@ from typing import cast
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving.controller_limits import ControllerLimits
+from rig.driving.controller_address_and_urgent_stop import STOPS
+from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface import (
     POLL,
     Dialogue,
@@ -25,7 +26,6 @@ from rig.driving.protocols.protocol_interface import (
     pause_dialogue,
     query_dialogue,
 )
-from rig.driving.urgent_stop import STOPS
 from rig.errors import ControllerFault, NoAnswer
 
 MM = 1e3

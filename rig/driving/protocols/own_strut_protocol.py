@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.driving.controller_limits import ControllerLimits
+from rig.driving.controller_address_and_urgent_stop import STOPS
+from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface import (
     TRIES,
     Dialogue,
@@ -18,7 +19,6 @@ from rig.driving.protocols.protocol_interface import (
     await_homed,
     await_stopped,
 )
-from rig.driving.urgent_stop import STOPS
 from rig.errors import ControllerFault, NoAnswer
 
 NM = 1e9

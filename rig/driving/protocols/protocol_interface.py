@@ -8,7 +8,7 @@ from typing import TypeVar
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
-from rig.driving.controller_limits import ControllerLimits
+from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.errors import NoAnswer
 
 T = TypeVar("T")

@@ -21,10 +21,10 @@ from rig.driving.user_protocol_camera_and_sensor_classes import (
 )
 from rig.errors import ControllerFault, FileError
 from rig.formats.user_python_file import class_literal, read_user_text
-from rig.model.controller_protocol_list_and_port_name_check import is_user_program
 from rig.model.design import Controller
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts as StrutMechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
+from rig.model.protocol_and_port_names import is_user_program
 
 P = ParamSpec("P")
 GROUP = "rig.protocols"  # of entry points

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rig.driving.controller_limits import ControllerLimits
+from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface import (
     ACTIVITIES,
     TRIES,

@@ -5,8 +5,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Candidate, Effect
+from rig.array_and_json_types import Integers
+from rig.effects.framework.effect import Candidate
 from rig.effects.framework.effect_parameters_and_covariates import (
     Context,
     ControllerTerm,
@@ -17,21 +17,26 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     travel_covariate,
 )
 from rig.effects.framework.machine_motion_and_play import Motion
+from rig.effects.framework.scale_with_curvature import CURVATURE, ScaleWithCurvature
 
 
 @dataclass(frozen=True, slots=True)
-class AxisCoupling(Effect):
-    """Deviation scale * q of axis number `other` (from 1), q its commanded value less that at home."""
+class AxisCoupling(ScaleWithCurvature):
+    """Deviation scale * q * (1 + curvature * q / half) of axis number `other` (from 1), q its commanded value less that
+    at home, half half of its travel.
+    """
 
     place: str
     scale: float = 0.0
     other: float = 1.0
+    curvature: float = 0.0
     name: ClassVar = "axis_coupling"
     stage: ClassVar = "struts"
     places: ClassVar = ("axis",)
     parameters: ClassVar = (
         Parameter("scale", "", (-0.1, 0.1), (1e-5, 1e-2), signed=True),
         Parameter("other", "", (1, 100), (1, 6), role="choice"),
+        CURVATURE,
     )
     experiment: ClassVar = "move the other axis alone, over its whole travel"
     action: ClassVar = (
@@ -48,17 +53,11 @@ class AxisCoupling(Effect):
             else None
         )
 
-    def deviation(self, motion: Motion) -> Floats:
-        return self.axes(motion.places) * self.scale * motion.stroke[:, [int(self.other) - 1]]
+    def source(self, motion: Motion) -> Integers:
+        return np.full(len(motion.places), int(self.other) - 1)
 
     def in_controller(self, motion: Motion) -> ControllerTerm:
-        other = int(self.other) - 1
-        return ControllerTerm(
-            tuple(
-                f"d[{i}] += {self.scale!r} * (c[{other}] - {motion.home[other].item()!r});"
-                for i in np.flatnonzero(self.axes(motion.places)).tolist()
-            )
-        )
+        return ControllerTerm(self.controller_lines(motion))
 
     def covariate(self, motion: Motion) -> Covariate:
         other = int(self.other) - 1
@@ -74,7 +73,7 @@ class AxisCoupling(Effect):
         return cls(place, draw_number(cls.parameters[0], drawing, rng), float(rng.choice(others)))
 
     @classmethod
-    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+    def straight_candidates(cls, place: str, context: Context) -> list[Candidate]:
         places = context.moved().places
         nodes = [{"other": float(i + 1)} for i, other in enumerate(places) if other != place]
         return [Candidate(cls, place, nodes, cls.linear(place), extra=1)] if nodes else []

@@ -20,7 +20,7 @@ class MissedSteps(Effect):
     time: float = 0.0
     name: ClassVar = "missed_steps"
     stage: ClassVar = "struts"
-    places: ClassVar = ("axis",)
+    places: ClassVar = ("rig", "axis")
     lasting: ClassVar = False
     parameters: ClassVar = (
         Parameter("jump", "m", (-5e-3, 5e-3), (5e-6, 1.2e-4), signed=True, joint=((-0.2, 0.2), (2e-5, 2e-3))),

@@ -7,7 +7,7 @@ import numpy as np
 
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter, travel_covariate
-from rig.effects.framework.machine_motion_and_play import Motion, Path, lagged_path
+from rig.effects.framework.machine_motion_and_play import STEADY, Motion, Path, lagged_path
 
 AFTER = np.array([0.25, 0.5, 1, 2, 4, 8])  # time constants after a change of speed at which the path gets a knot
 
@@ -32,7 +32,9 @@ class ServoLag(Effect):
     def follow(self, path: Path, places: tuple[str, ...]) -> Path:
         if self.time_constant <= 0:
             return path
-        path = path.with_knots((path.t[:, None] + AFTER * self.time_constant).ravel())
+        own = self.axes(places) > 0
+        turned = np.abs(np.diff(path.speeds[:, own], axis=0)).max(axis=1) > STEADY * np.abs(path.speeds).max()
+        path = path.with_knots((path.t[:-1][turned, None] + AFTER * self.time_constant).ravel())
         return replace(
             path, lengths=np.where(self.axes(places) > 0, lagged_path(path, self.time_constant), path.lengths)
         )

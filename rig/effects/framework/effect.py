@@ -62,11 +62,6 @@ class Candidate:
     tied: int = 0
     spacing: float = 0.0
 
-    @property
-    def plane(self) -> str:
-        """Plane "struts" for what moves the platform, "view" for what changes only what is seen."""
-        return "view" if self.kind.stage in ("targets", "view") else "struts"
-
     def effect(self, node: Node, coefficients: Floats) -> "Effect":
         """The effect of a node with coefficients (q,) of its linear parameters."""
         return self.kind.composed(self, node, coefficients)

@@ -10,10 +10,8 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.framework.effect_parameters_and_covariates import Drawing, Parameter
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
-    check_effect_place_and_parameter_bounds,
-)
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
 from rig.formats.json_toml_and_yaml_loading import toml_entries

@@ -6,9 +6,7 @@ from dataclasses import replace
 
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
-    check_effect_place_and_parameter_bounds,
-)
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.errors import RigError
 from rig.formats.checked_entries import NAME, nearest_known_word
 from rig.formats.local_and_remote_input_files import short_repr

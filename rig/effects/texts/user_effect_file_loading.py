@@ -17,10 +17,8 @@ from numpy.typing import ArrayLike
 
 from rig.effects.catalogue.effect_list import BY_NAME, STAGES, Plugin
 from rig.effects.framework.effect import MOTION_STAGES, Effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.framework.effect_parameters_and_covariates import Context, Parameter
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
-    check_effect_place_and_parameter_bounds,
-)
 from rig.errors import FileError, RigError
 from rig.formats.user_python_file import UserModule, line_of_class, line_within, read_user_text, run_user_text
 from rig.model.effect_places_and_part_tolerances import AXES

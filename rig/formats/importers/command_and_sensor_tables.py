@@ -13,7 +13,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.checks.mistake_dataclass_and_clock_mistakes import FASTEST, SLOWEST, USUAL
 from rig.errors import FileError, RigError
 from rig.formats.checked_entries import name_problem
-from rig.formats.importers.csv_dialect import read_header_and_cells_of_foreign_table
+from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import (
     FRAME,
     TIME,
@@ -67,7 +67,7 @@ def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool]) -
     """Read the sensor channels of a foreign table. Raises RigError for unusable ones.
     are_plausible : whether times (n,) s from the first can be so. Raises RigError for what cannot be used
     """
-    cells = read_header_and_cells_of_foreign_table(table, "sensors")
+    cells = read_foreign_table_header_and_cells(table, "sensors")
     stated = {header: ours for ours, header in table.columns if ours != "t"}
     found = find_columns(cells, "sensors", TIME, ("t",))
     read_times = cells.times(found["t"], "sensors", table, are_plausible)
@@ -136,7 +136,7 @@ def read_commands(table: ForeignTable, design: Design) -> ImportedCommands:
     axes = design.mechanism.axes
     if not axes:
         raise RigError(f'{table.file}: nothing can be commanded of a mechanism of kind "{design.mechanism.kind}"')
-    cells = read_header_and_cells_of_foreign_table(table, "commands")
+    cells = read_foreign_table_header_and_cells(table, "commands")
     found = find_columns(cells, "commands", {**TIME, **FRAME, **axis_header_names(axes)}, axes)
     values, table, told = _values(
         cells,

@@ -28,7 +28,7 @@ DATE = re.compile(r"\d{4}-?\d\d-?\d\d([T ]\d\d.*)?")
 GROUPED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 
 
-def read_header_and_cells_of_foreign_table(table: ForeignTable, section: str) -> Cells:
+def read_foreign_table_header_and_cells(table: ForeignTable, section: str) -> Cells:
     """Read the header and rows of texts (Cells) of a foreign table of any CSV dialect.
 
     section : of its section in a recipe, as settings call it

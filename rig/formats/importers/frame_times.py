@@ -13,7 +13,7 @@ from rig.errors import FileError, RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.importers import image_file_frames
 from rig.formats.importers.command_and_sensor_tables import ImportedCommands
-from rig.formats.importers.csv_dialect import read_header_and_cells_of_foreign_table
+from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import (
     CAMERA,
     FRAME,
@@ -85,7 +85,7 @@ def _by_table(
     exposed: ImportedExposures, recipe: Recipe, table: ForeignTable, like: Like
 ) -> tuple[ImportedExposures, Recipe]:
     """The exposures with the times that a table gives frames or images."""
-    cells = read_header_and_cells_of_foreign_table(table, "frames")
+    cells = read_foreign_table_header_and_cells(table, "frames")
     found = find_columns(cells, "frames", {**TIME, **FRAME, **IMAGE, **CAMERA}, ("t",))
     if "frame" not in found and "image" not in found:
         found |= find_columns(cells, "frames", IMAGE, ("image",))

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError, RigError
 from rig.formats.checked_entries import LARGEST_RIG, nearest_known_word
-from rig.formats.importers.csv_dialect import read_header_and_cells_of_foreign_table
+from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import (
     FRAME,
     TIME,
@@ -85,7 +85,7 @@ def read_poses(
         known
     are_plausible : whether times (n,) s from the first can be so; of_commands : headers of columns that are commands
     """
-    cells = read_header_and_cells_of_foreign_table(table, "poses")
+    cells = read_foreign_table_header_and_cells(table, "poses")
     if of_commands:
         keep = [k for k, header in enumerate(cells.header) if header not in of_commands]
         rows = [[row[k] for k in keep] for row in cells.rows]

@@ -16,7 +16,7 @@ from rig.array_and_json_types import Floats, Json
 from rig.errors import FileError, MissingLibrary, RigError
 from rig.formats.checked_entries import name_problem
 from rig.formats.importers.import_recipe import FROM_BAG, TABLES, Bag, ForeignTable, Images, Recipe
-from rig.formats.importers.ros_messages_to_image_files_and_table_rows import (
+from rig.formats.importers.ros_messages_to_images_and_rows import (
     IMAGES,
     JOINTS,
     POSES,

@@ -117,7 +117,7 @@ def read_pointing_data(path: str | Path) -> PointingData:
     if height.min() < LOWEST:
         low = f"a star stands {np.degrees(height.min()):.1f} degrees high, where the bending by the air is uncertain"
         raise FileError(path, low, records[int(height.argmin())][0])
-    star = refracted(star, latitude, weather)
+    star = refracted_hour_angle_and_declination(star, latitude, weather)
     assumed = (
         "right ascensions and declinations of stars are apparent ones, of the date and as without air; how it bends "
         f"light was added for {weather.temperature:g} C and {weather.pressure:g} hPa",
@@ -211,7 +211,7 @@ def zenith_distances(places: Floats, latitude: float) -> Floats:
     return np.asarray(np.arccos(np.clip(up, -1, 1)))
 
 
-def refracted(places: Floats, latitude: float, weather: Weather) -> Floats:
+def refracted_hour_angle_and_declination(places: Floats, latitude: float, weather: Weather) -> Floats:
     """Hour angle and declination (n, 2) rad of stars as observed through the air, of those without it.
 
     By the first two terms of refraction in the tangent of the zenith distance, which hold to an arc second above some

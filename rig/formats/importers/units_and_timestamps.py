@@ -147,10 +147,6 @@ class Times:
     zone: str | None
     said: tuple[str, ...]
 
-    def floats(self) -> Floats:
-        """(n,) s from the first."""
-        return np.array([float(DIGITS.subtract(t, self.seconds[0])) for t in self.seconds])
-
 
 def read_times(
     cells: list[str],

@@ -264,7 +264,7 @@ def load_manifest(folder: Path) -> FolderManifest:
     try:
         tree = json.loads(
             (
-                local_and_remote_input_files.read(path)
+                local_and_remote_input_files.read_remote_bytes(path)
                 if local_and_remote_input_files.is_remote(path)
                 else path.read_bytes()
             ).decode("utf-8")
@@ -308,7 +308,7 @@ def file_digest(path: Path) -> str:
     whole = sha256()
     try:
         if local_and_remote_input_files.is_remote(path):
-            return sha256(local_and_remote_input_files.read(path)).hexdigest()
+            return sha256(local_and_remote_input_files.read_remote_bytes(path)).hexdigest()
         with open(path, "rb") as file:
             while block := file.read(1 << 20):
                 whole.update(block)

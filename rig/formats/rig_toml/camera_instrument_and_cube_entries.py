@@ -11,7 +11,6 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.formats.checked_entries import Entries
 from rig.formats.length_and_angle_units import SI, LengthAndAngleUnits, stated_units
-from rig.model.controller_protocol_list_and_port_name_check import USER_PROGRAMS, is_user_program
 from rig.model.design import (
     DISTORTION_TERMS,
     PERMITTED,
@@ -26,6 +25,7 @@ from rig.model.design import (
 from rig.model.design_comparison_and_cube_turning_instructions import find_cube, parse_cube_turn_permission
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 from rig.model.pose import pose_to_vector
+from rig.model.protocol_and_port_names import USER_PROGRAMS, is_user_program
 
 LARGEST_IMAGE = 100_000  # px along a side
 NETWORK = ("http", "https", "rtsp")  # of cameras that a URL names

@@ -17,7 +17,6 @@ from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_o
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_table
 from rig.model.base_tilt import ANGLE_UNITS, BaseTilt, TiltSensor
 from rig.model.calibration_board import parse_board
-from rig.model.controller_protocol_list_and_port_name_check import is_user_program, port_problem
 from rig.model.design import (
     DICTIONARIES,
     FACES,
@@ -40,6 +39,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     is_hexapod,
     target_bodies,
 )
+from rig.model.protocol_and_port_names import is_user_program, port_problem
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)

@@ -32,7 +32,7 @@ from rig.array_and_json_types import Floats, Json
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms.closed_form_and_numerical_arm_inverse import SixJointArm, frame_at_first_axes_crossing
-from rig.model.mechanisms.six_joint_arm_angle_kernels import FREE
+from rig.model.mechanisms.closed_form_six_joint_inverse_kernels import FREE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,8 +161,7 @@ def hand_points_after_moving_each_joint(q: Floats, arm: Arm) -> list[KinematicsS
 def inverse_steps(T_base_platform: RigidTransform, six_arm: SixJointArm, q: Floats) -> list[KinematicsStep]:
     """Steps of the closed-form inverse of a pose for a solution q (6,) rad, from joint 1 to 6.
 
-    q : of rig.model.mechanisms.closed_form_and_numerical_arm_inverse.inverse: of two readings the one near it is
-        taken, and what a singular pose leaves free
+    q : of closed_form_inverse: of two readings the one near it is taken, and what a singular pose leaves free
     """
     way = _PathToZero(six_arm, np.asarray(q, float), T_base_platform)
     way.back(0, way.shoulder())
@@ -191,9 +190,7 @@ def inverse_steps(T_base_platform: RigidTransform, six_arm: SixJointArm, q: Floa
     return way.steps
 
 
-def joint_by_joint_steps_of_numerical_inverse(
-    T_base_platform: RigidTransform, arm: Arm, q: Floats
-) -> list[KinematicsStep]:
+def joint_by_joint_inverse_steps(T_base_platform: RigidTransform, arm: Arm, q: Floats) -> list[KinematicsStep]:
     """Steps of the inverse of a pose () for a numerical solution q (n,), from joint 1 to n.
 
     The last leaves A, B, C where they are at zero, but for what the solution leaves of the pose.

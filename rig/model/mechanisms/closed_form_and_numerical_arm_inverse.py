@@ -20,24 +20,29 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.errors import RigError, Unreachable
+from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import closed_form_six_joint_inverse_kernels, six_joint_arm_angle_kernels
+from rig.model.mechanisms import closed_form_six_joint_inverse_kernels
+from rig.model.mechanisms.closed_form_six_joint_inverse_kernels import (
+    ELBOW,
+    OFF_AXIS,
+    SHOULDER,
+    TOO_FAR,
+    TOO_NEAR,
+    TURNED_AWAY,
+    WRIST,
+)
 from rig.model.pose import pose_difference
 
 EXACT = 1e-9  # m and rad; by so much axes may miss what the closed form takes for granted
 REASONS = {
-    six_joint_arm_angle_kernels.OFF_AXIS: "the wrist would be nearer to axis 1 than the arm's offset allows, by",
-    six_joint_arm_angle_kernels.TOO_FAR: "too far, by",
-    six_joint_arm_angle_kernels.TOO_NEAR: "too near the shoulder, by",
-    six_joint_arm_angle_kernels.TURNED_AWAY: "the wrist cannot point there, by",
+    OFF_AXIS: "the wrist would be nearer to axis 1 than the arm's offset allows, by",
+    TOO_FAR: "too far, by",
+    TOO_NEAR: "too near the shoulder, by",
+    TURNED_AWAY: "the wrist cannot point there, by",
 }
-SINGULAR = {
-    six_joint_arm_angle_kernels.SHOULDER: "shoulder",
-    six_joint_arm_angle_kernels.ELBOW: "elbow",
-    six_joint_arm_angle_kernels.WRIST: "wrist",
-}
+SINGULAR = {SHOULDER: "shoulder", ELBOW: "elbow", WRIST: "wrist"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,22 +154,6 @@ def _hand(matrix: Floats, six: SixJointArm) -> Floats:
     return np.stack([a, a + R[..., 2], a + R[..., 1]], axis=-2)
 
 
-def forward_by_hand_points(q: Floats, six_arm: SixJointArm) -> RigidTransform:
-    """Forward kinematics: T_base_platform (...) of joint angles q (..., 6) rad, by the hand's points."""
-    q = np.asarray(q, float)
-    abc = six_joint_arm_angle_kernels.forward_hand_points(
-        np.ascontiguousarray(q.reshape(-1, 6)), six_arm.points, six_arm.axes, six_arm.hand
-    )
-    y, z = abc[:, 2] - abc[:, 0], abc[:, 1] - abc[:, 0]
-    turn = np.stack([np.cross(y, z), y, z], axis=-1)
-    F, start = six_arm.frame.as_matrix(), mechanism.link_frames(np.zeros(6), six_arm.arm)[-1]
-    out = np.zeros((len(abc), 4, 4))
-    out[:, :3, :3] = F[:3, :3] @ turn @ F[:3, :3].T @ start[:3, :3]
-    out[:, :3, 3] = abc[:, 0] @ F[:3, :3].T + F[:3, 3]
-    out[:, 3, 3] = 1
-    return RigidTransform.from_matrix(out.reshape(*q.shape[:-1], 4, 4))
-
-
 def closed_form_inverse(
     T_base_platform: RigidTransform, six_arm: SixJointArm, free_joint_values: Floats | None = None
 ) -> InverseBranches:
@@ -196,26 +185,6 @@ def closed_form_inverse(
         reason.reshape(shape),
         gap.reshape(shape),
     )
-
-
-def nearest_closed_form_solution(T_base_platform: RigidTransform, six_arm: SixJointArm, guess: Floats) -> Floats:
-    """Nearest inverse solution (..., 6) rad to a guess, of all branches and turns within the limits.
-
-    Raises Unreachable with the index of poses out of reach, or whose solutions all leave the limits
-    """
-    found = closed_form_inverse(T_base_platform, six_arm)
-    guess = np.broadcast_to(guess, found.q.shape[:-2] + (6,))
-    q = mechanism.nearest_equivalent_angles(found.q, six_arm.arm, guess[..., None, :])
-    allowed = found.there & (mechanism.signed_limit_excess(q, six_arm.arm) == 0).all(axis=-1)
-    far = np.where(allowed, np.abs(q - guess[..., None, :]).max(axis=-1), np.inf)
-    failed = np.flatnonzero(np.isinf(far.min(axis=-1)))
-    if len(failed):
-        lines = [
-            f"pose {i}: {found.why(i) if found.reason.ravel()[i] else 'every solution leaves the joint limits'}"
-            for i in failed.tolist()
-        ]
-        raise Unreachable(f"{len(failed)} of {far[..., 0].size} poses cannot be reached:", failed, lines)
-    return np.take_along_axis(q, np.argmin(far, axis=-1)[..., None, None], axis=-2)[..., 0, :]
 
 
 WHOLE = 6  # joints that reach all directions

@@ -13,8 +13,8 @@ from urllib.parse import quote
 
 from rig.errors import RigError
 from rig.formats.output_files import CommandOutputs, write_text
-from rig.report import verdict_and_refutations_by_later_recordings
-from rig.report.verdict_and_refutations_by_later_recordings import WORST, State, Verdict, worst_state
+from rig.report import verdict_and_refutations
+from rig.report.verdict_and_refutations import WORST, State, Verdict, worst_state
 
 NARROW = {
     **dict.fromkeys(".,: ", 0.32), "-": 0.37, "i": 0.28, "l": 0.28, "t": 0.4, "r": 0.42, "f": 0.36, "(": 0.4, ")": 0.4,
@@ -327,7 +327,7 @@ def read_page_summary(path: Path) -> PageSummary | None:
         return None
     if said is None or said[2] not in list(State):
         return None
-    later = verdict_and_refutations_by_later_recordings.refutations_of_file(path.with_suffix(".json"))
+    later = verdict_and_refutations.refutations_of_file(path.with_suffix(".json"))
     state, why = (
         worst_state([State(said[2]), *(one.state for one in later)]),
         "; ".join([*(one.line for one in later), html.unescape(said[3])]),

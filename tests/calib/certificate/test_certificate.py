@@ -17,7 +17,6 @@ import jsonschema
 import numpy as np
 import pytest
 
-from calib.certificate import certificate_json_and_digital_si_xml
 from calib.certificate.certificate_computation_verdict_and_provenance import combined_held_out_poses
 from calib.certification.pose_error_promise_and_conformity import OPEN, pose_error_promise
 from calib.certification.uncertainty_budget import rms_position_and_rotation_uncertainty, thermometer_covariance
@@ -26,7 +25,7 @@ from calib.correction.physics_compensation import Physics
 from calib.files import calibration_file
 from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose_difference
@@ -35,6 +34,7 @@ from rig.recording import recording_folder, recording_table_loading_and_writing
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_table_loading_and_writing import Poses
 from synthetic import secret_machine_and_truth_file
+from tests.conftest import ROOT
 
 GAP = 40e-6
 OWN = np.array([6e-6, 6e-6, 6e-6, 4e-5, 4e-5, 4e-5])  # m, rad
@@ -96,7 +96,7 @@ def held(tmp_path_factory, design, rig_text):
 
 
 def test_the_certificate_keeps_its_published_schema(held):
-    schema = certificate_json_and_digital_si_xml.certificate_schema()
+    schema = json.loads((ROOT / "calib/certificate/certificate.schema.json").read_text())
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(held.tree, schema)
     for key, value in (("machine", "lathe"), ("promise", {}), ("more", 1)):
@@ -136,7 +136,7 @@ def test_the_claim_is_compared_with_the_held_out_recording(held):
         ok=False,
     )
     made = json.loads((held.folder / "small" / "made.json").read_text())
-    jsonschema.validate(made, certificate_json_and_digital_si_xml.certificate_schema())
+    jsonschema.validate(made, json.loads((ROOT / "calib/certificate/certificate.schema.json").read_text()))
     assert (
         "The calibration's claim is NOT kept by other" in out
         and made["claim"]["kept"] is False

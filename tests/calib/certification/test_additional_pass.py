@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from calib.api.correction_over_configuration_or_pose_space import CorrectionPass, certify_additional_pass
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.certification_of_correction_extended_over_configuration_space import claim_without_geometry
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.certification.extended_correction_certification import claim_without_geometry
 from calib.certification.platform_certification import platform_pose_covariance
 from calib.correction import interpolation_methods_and_correction_summand_fields
 from calib.correction.correction import Correction
@@ -19,7 +19,7 @@ from calib.correction.interpolation.field_interface_and_combinations import (
     SpacePart,
     SummedPasses,
 )
-from calib.files import calibration_file, calibration_provenance_and_used_frames
+from calib.files import calibration_file
 from calib.samples.pose_samples import Samples
 from rig.errors import FileError, NotEnoughData
 from rig.model.mechanisms import hexapod
@@ -144,7 +144,7 @@ def test_maps_of_both_spaces_are_kept_and_read_again(machine, tmp_path):
     done, _, _ = certify_additional_pass(
         samples, before, CorrectionPass("polynomial", "both", poses=SpacePart(low, high)), np.random.default_rng(0)
     )
-    source = calibration_provenance_and_used_frames.additional_pass_provenance(
+    source = calibration_file.additional_pass_provenance(
         {"recording": "b", "data": ["2"]}, before, {"number": 2, "space": "both"}
     )
     calibration_file.save(

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import claim_status_text
+from calib.certification.calibration_dataclass_and_claim_sentences import claim_status_text
 from calib.certification.claim_verification import Part, Verification, verify_claim
 from calib.certification.error_claim_over_workspace import Claim
 from calib.samples.pose_samples import Samples

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from calib.api.correction_over_configuration_or_pose_space import CorrectionPass, certify_additional_pass
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.certification_of_correction_extended_over_configuration_space import (
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.certification.extended_correction_certification import (
     ExtensionRequest,
     certify_extended_correction,
     claim_without_geometry,
 )
 from calib.certification.platform_certification import platform_pose_covariance, platform_workspace_claim
 from calib.correction.interpolation_methods_and_correction_summand_fields import single_step_command_errors
-from calib.files import calibration_file, calibration_provenance_and_used_frames
+from calib.files import calibration_file
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
@@ -213,7 +213,7 @@ def test_a_second_pass_takes_what_the_first_one_left(gridded, design, tmp_path):
     np.testing.assert_allclose(
         calibration_file.load(tmp_path / "c.json").correction.rho(inner), second.correction.rho(inner), atol=1e-18
     )
-    source = calibration_provenance_and_used_frames.additional_pass_provenance(
+    source = calibration_file.additional_pass_provenance(
         {"recording": "b", "data": ["2"]},
         replace(kept, provenance={"recording": "a", "data": ["1"], "created": "then"}),
         {"number": 2},

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from calib.api.correction_over_configuration_or_pose_space import CorrectionPass, certify_additional_pass
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.certification_of_correction_extended_over_configuration_space import (
-    ExtensionRequest,
-    certify_extended_correction,
-    claim_without_geometry,
-)
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.error_claim_over_workspace import (
     PLACES,
     ConfigurationInformation,
     claim_from_mean_square_errors,
+)
+from calib.certification.extended_correction_certification import (
+    ExtensionRequest,
+    certify_extended_correction,
+    claim_without_geometry,
 )
 from calib.certification.held_out_errors import HeldErrors
 from calib.correction.correction import Correction, solvable_commands_and_poses

@@ -25,7 +25,7 @@ from calib.certification.strut_deviation_sizes_and_possible_machines import (
     Closures,
     draw_strut_deviation_component_sizes,
 )
-from calib.files.calibration_provenance_and_used_frames import calibration_with_provenance
+from calib.files.calibration_file import calibration_with_provenance
 from calib.samples.pose_samples import sample_recording
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import verification_line
+from calib.certification.calibration_dataclass_and_claim_sentences import verification_line
 from calib.certification.held_out_errors import compare_errors, error_statistics
 from calib.certification.platform_certification import certify_platform
 from calib.identify.least_squares_and_robust_fit import time_block_folds

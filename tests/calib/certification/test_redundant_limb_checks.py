@@ -8,12 +8,9 @@ import re
 import numpy as np
 import pytest
 
-from calib.certification import (
-    measuring_limb_identification_and_agreement_with_vision,
-    redundant_measuring_limb_checks_by_loop_closure,
-)
-from calib.online import measuring_limbs_file, platform_poses_from_measuring_limbs_checked_by_vision
-from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LiveLimbPoses
+from calib.certification import measuring_limb_identification_and_agreement, redundant_limb_checks
+from calib.online import measuring_limb_poses_checked_by_vision, measuring_limbs_file
+from calib.online.measuring_limb_poses_checked_by_vision import LiveLimbPoses
 from rig.cli import command_line
 from rig.errors import RigError
 from rig.formats.json_toml_and_yaml_loading import toml_entries
@@ -46,32 +43,32 @@ def machine(tmp_path_factory):
 def limbs(machine):
     """Limbs of which six are known as vision would have them, and the checks fitted to their poses."""
     design, true, read, T = machine
-    chosen = redundant_measuring_limb_checks_by_loop_closure.best_six_limbs(design.insitu, design.mechanism.home, T)
-    six = measuring_limb_identification_and_agreement_with_vision.Limbs(
-        measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(true, chosen),
+    chosen = redundant_limb_checks.best_six_limbs(design.insitu, design.mechanism.home, T)
+    six = measuring_limb_identification_and_agreement.Limbs(
+        measuring_limb_identification_and_agreement.hexapod_of_six_limbs(true, chosen),
         1e-14 * np.eye(42),
         np.full(6, 1e-6),
         chosen,
     )
-    return measuring_limb_identification_and_agreement_with_vision.Limbs(
+    return measuring_limb_identification_and_agreement.Limbs(
         six.hexapod,
         six.covariance,
         six.sigma,
         chosen,
-        redundant_measuring_limb_checks_by_loop_closure.fit_redundant_limb_checks(six, design.insitu, read),
+        redundant_limb_checks.fit_redundant_limb_checks(six, design.insitu, read),
     )
 
 
 def test_checks_close_on_stretches_left_out_by_as_much_as_is_said(machine, limbs):
     design, _, read, _ = machine
-    error, sigma = redundant_measuring_limb_checks_by_loop_closure.held_out_check_errors(limbs, design.insitu, read)
+    error, sigma = redundant_limb_checks.held_out_check_errors(limbs, design.insitu, read)
     assert (
         error.shape == (60, EIGHT - 6) and len(set(limbs.chosen.tolist()) | set(limbs.checks.limbs.tolist())) == EIGHT
     )
     assert 0.7 < np.sqrt((error**2 / sigma**2).mean()) < 1.3 and (sigma < 2e-5).all()
-    stated = redundant_measuring_limb_checks_by_loop_closure._closures(
+    stated = redundant_limb_checks._closures(
         limbs,
-        redundant_measuring_limb_checks_by_loop_closure.Checks(
+        redundant_limb_checks.Checks(
             limbs.checks.limbs,
             design.insitu.base_joints[limbs.checks.limbs],
             design.insitu.platform_joints[limbs.checks.limbs],
@@ -89,23 +86,23 @@ def test_of_six_limbs_none_is_over_to_be_checked(machine):
     stated = design_file.design_of_entries(
         toml_entries(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6), "rig.toml")
     ).insitu
-    six = measuring_limb_identification_and_agreement_with_vision.Limbs(
-        measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(true, np.arange(6)),
+    six = measuring_limb_identification_and_agreement.Limbs(
+        measuring_limb_identification_and_agreement.hexapod_of_six_limbs(true, np.arange(6)),
         1e-14 * np.eye(42),
         np.full(6, 1e-6),
         np.arange(6),
     )
-    error, sigma = redundant_measuring_limb_checks_by_loop_closure.held_out_check_errors(six, stated, read[:, :6])
+    error, sigma = redundant_limb_checks.held_out_check_errors(six, stated, read[:, :6])
     assert error.shape == sigma.shape == (60, 0)
 
 
 @pytest.mark.parametrize("which", ["chosen", "check"])
 def test_a_limb_that_slips_is_named_by_the_others_within_five_poses(machine, limbs, which):
     _, _, read, _ = machine
-    assert redundant_measuring_limb_checks_by_loop_closure.first_unclosed_limb(limbs, read) is None
+    assert redundant_limb_checks.first_unclosed_limb(limbs, read) is None
     limb = int(limbs.chosen[2] if which == "chosen" else limbs.checks.limbs[0])
     slipped = read - 3e-5 * (np.arange(60)[:, None] >= 40) * np.eye(EIGHT)[limb]
-    found = redundant_measuring_limb_checks_by_loop_closure.first_unclosed_limb(limbs, slipped)
+    found = redundant_limb_checks.first_unclosed_limb(limbs, slipped)
     assert 40 <= found.at < 45 and found.limb in (None, limb + 1)
     assert which == "chosen" or found.limb is not None
     assert found.limb is None or abs(found.size - 3e-5) < 1e-5
@@ -121,8 +118,8 @@ def test_fewer_limbs_than_freedoms_are_refused_with_the_reason(tmp_path):
         RigError,
         match="has 4 measuring limbs in .insitu., and a platform has six freedoms: fewer than six lengths tell no",
     ):
-        measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(design)
-    assert not redundant_measuring_limb_checks_by_loop_closure.has_six_measuring_limbs(design)
+        measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design)
+    assert not redundant_limb_checks.has_six_measuring_limbs(design)
 
 
 @pytest.mark.slow
@@ -188,7 +185,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     assert "six different limbs of m1 .. m8" in capsys.readouterr().err
     with pytest.raises(RigError, match="of other limbs than rig.toml states in .insitu.: of 8, not of 6"):
         measuring_limbs_file.accepted_limbs(tmp_path / "first.json", _with_limbs(tmp_path, 6))
-    assert platform_poses_from_measuring_limbs_checked_by_vision.limb_poses(
+    assert measuring_limb_poses_checked_by_vision.limb_poses(
         read, measuring_limbs_file.load_limbs(tmp_path / "first.json")
     ).lengths.shape == (60, EIGHT)
 

@@ -5,7 +5,7 @@ claim.
 import numpy as np
 import pytest
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import claim_lines, verification_line
+from calib.certification.calibration_dataclass_and_claim_sentences import claim_lines, verification_line
 from calib.certification.claim_verification import verify_claim
 from calib.certification.held_out_errors import compare_errors, errors_before_and_after_correction
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (

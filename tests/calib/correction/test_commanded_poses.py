@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.correction.corrected_pose_commands_for_pose_taking_controllers import poses_to_command
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.files.calibration_file import save
+from calib.models.wanted_pose_commands import poses_to_command
 from rig.cli.command_line import main
 from rig.driving.clock import SimulatedClock
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from calib.api.correct import CorrectOptions, correct
-from calib.api.export import export
-from calib.correction.command_timing_and_error_map_in_pose_space import untimed_route
+from calib.api.export_to_other_programs import export
+from calib.correction.command_timing_and_pose_error_map import untimed_route
 from calib.correction.correction import Correction
 from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
 from calib.correction.interpolation_methods_and_correction_summand_fields import (

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
 from calib.api.correct import CorrectOptions, correct
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
 from calib.correction.interpolation_methods_and_correction_summand_fields import fit_field
 from calib.correction.physics_compensation import Physics
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.identification_and_joint_profiles import Profile
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import RigError
 from rig.model.mechanisms import arm as mechanism

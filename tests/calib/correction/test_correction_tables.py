@@ -7,7 +7,7 @@ import pytest
 
 from calib.correction import interpolation_methods_and_correction_summand_fields
 from calib.correction.correction import Correction
-from calib.correction.correction_tables_and_pose_space_map_json import (
+from calib.correction.correction_tables import (
     axis_correction_tables,
     correction_summand_column_names,
     correction_summand_table_rows,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.api.correct import CorrectOptions, correct
-from calib.api.export import ExportOptions, export
+from calib.api.export_to_other_programs import ExportOptions, export
 from calib.correction.linuxcnc_kinematics_source import linuxcnc_kinematics_source
 from calib.files import calibration_file
 from rig.cli.command_line import main

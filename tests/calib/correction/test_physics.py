@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.correction.command_timing_and_error_map_in_pose_space import HOLDING, TURNING, Pace, timed_route
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.correction.command_timing_and_pose_error_map import HOLDING, TURNING, Pace, timed_route
 from calib.correction.correction import Correction, calibrate_correction
 from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
 from calib.correction.interpolation_methods_and_correction_summand_fields import (
@@ -31,7 +31,7 @@ from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats.rig_toml import design_file

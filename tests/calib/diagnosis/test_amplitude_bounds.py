@@ -8,9 +8,7 @@ from rig.effects.catalogue.cyclic_error import CyclicError
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.catalogue.vibration import Vibration
 from rig.effects.framework.effect import QUADRATURE, Candidate, Linear
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
-    check_effect_place_and_parameter_bounds,
-)
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 
 
 @pytest.mark.parametrize("kind", [Vibration, CyclicError])

@@ -13,7 +13,7 @@ from calib.diagnosis.problems.platform import platform_recording_evidence as pla
 from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import repeatability_of_pairs
 from calib.diagnosis.report.diagnosis_json_entries import AlternativeEntry, NotAskedEntry
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report, repeatability_entry
-from calib.diagnosis.report.residual_figures_and_finding_contributions_to_poses import (
+from calib.diagnosis.report.residual_figures_and_finding_contributions import (
     effect_residual_figures,
     model_residuals,
     residuals_without_effects,

@@ -50,6 +50,31 @@ def test_struts_that_give_alike_are_one_finding_of_the_rig_and_not_six(tmp_path,
     assert sites(found) == [("compliance", "rig")] and not found.left
 
 
+@pytest.mark.parametrize("effect", ["scale_error", pytest.param("axis_coupling", marks=pytest.mark.slow)])
+def test_a_scale_that_grows_along_the_travel_keeps_its_name(tmp_path, effect):
+    case = hexapod(effect, 4, 1)
+    assert case.laws[0].bow
+    law = replace(case.laws[0], axes=AXIS, bow=1.5 * case.laws[0].bow)
+    (finding,) = diagnosis_report(diagnosed(tmp_path, case, laws=(law,))).findings
+    assert (finding.effect, finding.place) == (effect, "strut 3")
+    half = float(np.ptp(case.owner.ranges, axis=1).mean() / 2)
+    low, high = finding.parameters["curvature"].ci95
+    assert low - 0.05 <= law.bow * half / law.share <= high + 0.05  # half of the real travel, and not of the stated
+
+
+@pytest.mark.parametrize("waves", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_a_profile_is_no_scale_that_grows(tmp_path, waves):
+    case = hexapod("transmission_error", 6, waves)
+    found = diagnosed(tmp_path, case, laws=at_strut_3(case))
+    assert "transmission_error" in dict(sites(found)) and "scale_error" not in dict(sites(found))
+
+
+def test_steps_that_all_struts_miss_at_once_are_missed_steps_of_the_rig(tmp_path):
+    case = hexapod("missed_steps", 3, 0)
+    found = diagnosed(tmp_path, case, laws=(replace(case.laws[0], axes=np.ones(6)),))
+    assert sites(found) == [("missed_steps", "rig")] and not found.left
+
+
 @pytest.mark.parametrize(
     "effect, sites",
     [

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.platform_certification import certify_platform
 from calib.diagnosis.engine.cross_validation_and_chance import scan_p_value
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects

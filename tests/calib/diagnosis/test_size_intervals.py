@@ -24,10 +24,10 @@ from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of
 )
 from calib.diagnosis.report import report_sentences
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model.effect_places_and_part_tolerances import SIDES
-from synthetic import blind_image_settings
+from synthetic import blind_cases
 from tests.calib.recordings_with_effects import recorded
 
 ROUTE, SCALE, SIDE = "sobol:24", "print_scale:markers:scale=2e-3", 1e-4
@@ -44,7 +44,7 @@ def fitted(folder, design, printed):
 
 def larger(k, place, by):
     """The OperatingPoint with one marker's corners seen where they are on a larger one."""
-    one = blind_image_settings.Printing(
+    one = blind_cases.Printing(
         "markers",
         (0.0,) * (2 * len(k.observed.markers.id)),
         tuple(by * (k.observed.markers.id == int(place.split()[1]))),
@@ -59,7 +59,7 @@ def test_sides_of_single_markers_make_the_side_of_all_less_sure(tmp_path, design
     """A marker's side moves the scale of all as a fit to corners so moved finds it; they vary as much as the recording
     shows, not as is tolerated.
     """
-    prints = blind_image_settings.draw_printing_errors(design, np.random.default_rng(3), 3e-6, SIDE)
+    prints = blind_cases.draw_printing_errors(design, np.random.default_rng(3), 3e-6, SIDE)
     refined, sensitivities = fitted(tmp_path, design, [prints])
     found = marker_and_thermometer_tolerance_columns.tolerance_model(refined.marginalised, sensitivities)
     sigma = tolerance_sigmas_from_residuals(found.projected(refined.marginalised), found)

@@ -25,7 +25,7 @@ from calib.diagnosis.problems.platform.scores_of_all_candidates import (
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from rig.effects.catalogue import effect_list
 from rig.model.effect_places_and_part_tolerances import PLACES, SIDES, Place
-from synthetic import blind_image_settings
+from synthetic import blind_cases
 from tests.calib.diagnose_recording import diagnosis_of, page_text
 from tests.calib.recordings_with_effects import recorded
 
@@ -36,7 +36,7 @@ ROUTE, PRINTED = (
 
 
 def printed(design, place, side, seed=1):
-    return blind_image_settings.draw_printing_errors(design, np.random.default_rng(seed), place, side)
+    return blind_cases.draw_printing_errors(design, np.random.default_rng(seed), place, side)
 
 
 @pytest.mark.parametrize(

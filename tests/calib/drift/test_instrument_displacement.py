@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.api.recording_check_combination_and_instrument_displacement_correction import remove_instrument_displacement
+from calib.api.recording_check_and_combination import remove_instrument_displacement
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model.design import Instrument
 from rig.model.pose import exp

@@ -75,7 +75,7 @@ def test_what_names_foretell_differs_as_the_machine_does(found):
     assert sum(h.odds for h in question.hypotheses) == pytest.approx(1)
     route = plan.build_plan(read.design, "zigzag:16", 1)
     told = question.predict_outcomes(route)
-    each = question.predict_outcomes_of_two_likeliest_by_frame(route)
+    each = question.predicted_outcomes_of_two_likeliest_hypotheses(route)
     first, other = (next(k for k, h in enumerate(question.named) if h is one) for one in question.likeliest)
     assert each.of.sum() == pytest.approx(np.sum((told.means[other] - told.means[first]) ** 2), rel=1e-6)
 

@@ -14,7 +14,7 @@ from calib.experiment.experiment_questions_and_information import (
     choose_exposures,
     discriminating_configurations,
 )
-from calib.experiment.platform_questions import PlatformQuestion, predict_outcomes_of_two_likeliest_by_frame
+from calib.experiment.platform_questions import PlatformQuestion, predicted_outcomes_of_two_likeliest_hypotheses
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.planning.plan import build_plan
 from tests.calib.recordings_with_effects import recorded
@@ -83,7 +83,7 @@ def test_configurations_are_chosen_by_the_images_and_the_cameras_that_see_it_are
     seen = camera_information_shares(asked, plan)
     assert next(iter(seen)) == "cam1" and seen["cam1"] > 0.5 and sum(seen.values()) == pytest.approx(1)
     anywhere = [
-        told(predict_outcomes_of_two_likeliest_by_frame(asked[0], build_plan(design, "sobol:8", seed)))
+        told(predicted_outcomes_of_two_likeliest_hypotheses(asked[0], build_plan(design, "sobol:8", seed)))
         for seed in range(3)
     ]
-    assert told(predict_outcomes_of_two_likeliest_by_frame(asked[0], plan)) > 1.2 * max(anywhere)
+    assert told(predicted_outcomes_of_two_likeliest_hypotheses(asked[0], plan)) > 1.2 * max(anywhere)

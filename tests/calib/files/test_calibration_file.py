@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.platform_certification import certify_platform, platform_workspace_claim
 from calib.files import calibration_file
 from calib.models import machine_models

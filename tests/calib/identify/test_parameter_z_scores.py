@@ -14,8 +14,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from calib.models.arm.certification import calibrate_arm
-from calib.models.chain import error_model as chains
-from calib.models.chain.identification import identify_chain as identify_chain
+from calib.models.chain import error_model_and_identification as chains
+from calib.models.chain.error_model_and_identification import identify_chain as identify_chain
 from calib.models.platform.identification import identify_platform
 from calib.samples.pose_samples import sample_recording
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters

@@ -9,14 +9,14 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 import calib
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.correction.physics_compensation import Physics
 from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
-from calib.models.chain import error_model as chains
+from calib.models.chain import error_model_and_identification as chains
 from calib.models.machine_models import corrected_pose_covariance
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_and_parquet_tables_and_time_origin

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calib.certification import measuring_limb_identification_and_agreement_with_vision
-from calib.certification.redundant_measuring_limb_checks_by_loop_closure import Limbs
+from calib.certification import measuring_limb_identification_and_agreement
+from calib.certification.redundant_limb_checks import Limbs
 from calib.models.platform.identification import pose_parameter_jacobian
-from calib.online import measuring_limbs_file, platform_poses_from_measuring_limbs_checked_by_vision
+from calib.online import measuring_limb_poses_checked_by_vision, measuring_limbs_file
 from calib.online.information_filter import Online
-from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import IN_A_ROW, LimbCheck, LiveLimbPoses
+from calib.online.measuring_limb_poses_checked_by_vision import IN_A_ROW, LimbCheck, LiveLimbPoses
 from calib.samples.pose_samples import sample_recording
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
@@ -32,19 +32,17 @@ def by_vision(limbed):
 def accepted(limbed, by_vision):
     """Accepted limbs of the first recording."""
     design, read, _ = limbed
-    frames, lengths = measuring_limb_identification_and_agreement_with_vision.limb_readings(read)
+    frames, lengths = measuring_limb_identification_and_agreement.limb_readings(read)
     samples, nominal = (
-        measuring_limb_identification_and_agreement_with_vision.samples_with_limb_readings_as_commands(
-            by_vision, frames, lengths
-        ),
-        measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(design),
+        measuring_limb_identification_and_agreement.samples_with_limb_readings_as_commands(by_vision, frames, lengths),
+        measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design),
     )
-    T, expected = measuring_limb_identification_and_agreement_with_vision.held_out_limb_poses(samples, nominal, 1e-6)
-    found = measuring_limb_identification_and_agreement_with_vision.limb_agreement(
+    T, expected = measuring_limb_identification_and_agreement.held_out_limb_poses(samples, nominal, 1e-6)
+    found = measuring_limb_identification_and_agreement.limb_agreement(
         samples.T_base_platform, T, expected, (5e-5, 3e-4)
     )
     return measuring_limbs_file.Accepted(
-        measuring_limb_identification_and_agreement_with_vision.calibrate_limbs(samples, nominal, 1e-6)[0],
+        measuring_limb_identification_and_agreement.calibrate_limbs(samples, nominal, 1e-6)[0],
         nominal,
         found,
         None,
@@ -140,8 +138,8 @@ def test_limbs_of_another_rig_do_not_stand_for_vision(accepted, limbed, tmp_path
 @pytest.mark.slow
 def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(accepted, again, limbed):
     nominal = limbed[0].mechanism
-    by_limbs = platform_poses_from_measuring_limbs_checked_by_vision.samples_of_limb_poses(
-        again, platform_poses_from_measuring_limbs_checked_by_vision.limb_poses(again, accepted)
+    by_limbs = measuring_limb_poses_checked_by_vision.samples_of_limb_poses(
+        again, measuring_limb_poses_checked_by_vision.limb_poses(again, accepted)
     ).samples
     learners = [Online(nominal, samples.common.shape[2]) for samples in (by_limbs, sample_recording(again).samples)]
     for learner, samples in zip(learners, (by_limbs, sample_recording(again).samples)):
@@ -164,8 +162,8 @@ def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(acce
 def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, again, limb, every):
     at = 22
     read = slipped(again, limb, 3e-5, at)
-    found = platform_poses_from_measuring_limbs_checked_by_vision.check_limb_poses_by_redundancy_and_vision(
-        read, accepted, platform_poses_from_measuring_limbs_checked_by_vision.limb_poses(read, accepted), every
+    found = measuring_limb_poses_checked_by_vision.check_limb_poses_by_redundancy_and_vision(
+        read, accepted, measuring_limb_poses_checked_by_vision.limb_poses(read, accepted), every
     )
     assert found.disagreement is not None and found.disagreement.limb == limb and at <= found.frame < at + 5
     assert abs(float(found.disagreement.reason.split("by ")[1].split(" ")[0]) - 30) < 10
@@ -176,14 +174,13 @@ def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, again, l
 def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(limbed, by_vision, limb, at):
     design, read, _ = limbed
     for by in (0.0, 3e-5):
-        samples = measuring_limb_identification_and_agreement_with_vision.samples_with_limb_readings_as_commands(
-            by_vision,
-            *measuring_limb_identification_and_agreement_with_vision.limb_readings(slipped(read, limb, by, at)),
+        samples = measuring_limb_identification_and_agreement.samples_with_limb_readings_as_commands(
+            by_vision, *measuring_limb_identification_and_agreement.limb_readings(slipped(read, limb, by, at))
         )
-        limbs, _ = measuring_limb_identification_and_agreement_with_vision.calibrate_limbs(
-            samples, measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(design), 1e-6
+        limbs, _ = measuring_limb_identification_and_agreement.calibrate_limbs(
+            samples, measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design), 1e-6
         )
-        found = measuring_limb_identification_and_agreement_with_vision.detect_limb_slip(samples, limbs, 1e-6)
+        found = measuring_limb_identification_and_agreement.detect_limb_slip(samples, limbs, 1e-6)
         assert (found is None) == (by == 0)
         assert found is None or (
             found.limb == limb and abs(found.frame - at) <= 2 and abs(found.size - by) < 4 * found.sigma < 2e-5
@@ -191,14 +188,14 @@ def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(lim
 
 
 def test_limbs_that_stay_agree_and_few_poses_are_looked_at(accepted, again):
-    found = platform_poses_from_measuring_limbs_checked_by_vision.check_limb_poses_by_redundancy_and_vision(
-        again, accepted, platform_poses_from_measuring_limbs_checked_by_vision.limb_poses(again, accepted), 5
+    found = measuring_limb_poses_checked_by_vision.check_limb_poses_by_redundancy_and_vision(
+        again, accepted, measuring_limb_poses_checked_by_vision.limb_poses(again, accepted), 5
     )
-    assert found == platform_poses_from_measuring_limbs_checked_by_vision.Checked(8, None, None)
+    assert found == measuring_limb_poses_checked_by_vision.Checked(8, None, None)
     unseen = replace(again, corners=None)
     assert (
-        platform_poses_from_measuring_limbs_checked_by_vision.check_limb_poses_by_redundancy_and_vision(
-            unseen, accepted, platform_poses_from_measuring_limbs_checked_by_vision.limb_poses(again, accepted), 5
+        measuring_limb_poses_checked_by_vision.check_limb_poses_by_redundancy_and_vision(
+            unseen, accepted, measuring_limb_poses_checked_by_vision.limb_poses(again, accepted), 5
         ).count
         == 0
     )

@@ -5,9 +5,9 @@ go astray too.
 import numpy as np
 import pytest
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
-from calib.online.live_learner_and_limb_agreement_with_vision import Learner, LimbWatch
+from calib.online.live_learner_and_limb_agreement import Learner, LimbWatch
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms
 from rig.model.pose import exp, transform_points

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.platform_certification import platform_pose_covariance
 from calib.correction.correction import Correction, calibrate_correction
 from calib.files import calibration_file

@@ -20,7 +20,7 @@ from calib.drift import visit_history
 from calib.experiment import investigation_folder_and_report
 from calib.files import calibration_file
 from calib.online import filter_state, measuring_limbs_file
-from calib.online import forgetting_kalman_and_gradient_parameter_learners as learners
+from calib.online import forgetting_kalman_and_gradient_learners as learners
 from rig.cli.command_line import main
 from rig.effects.texts.effect_file_from_formula import load_suggested_formula
 from rig.errors import FileError
@@ -30,7 +30,7 @@ from rig.formats.output_files import MANIFEST, atomic_file_and_manifest
 from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
 from rig.recording import recording_folder
-from rig.report import verdict_and_refutations_by_later_recordings
+from rig.report import verdict_and_refutations
 from tests.conftest import ROOT
 from tests.source_trees import nodes
 
@@ -73,9 +73,7 @@ def suggesting(path: Path) -> None:
 
 def refuted(path: Path) -> None:
     """What was refuted in a folder whose list this is."""
-    verdict_and_refutations_by_later_recordings.load_refutations(
-        path.rename(path.with_name(verdict_and_refutations_by_later_recordings.NAME)).parent
-    )
+    verdict_and_refutations.load_refutations(path.rename(path.with_name(verdict_and_refutations.NAME)).parent)
 
 
 READERS = {  # schema: what reads such files

@@ -8,12 +8,16 @@ import re
 import numpy as np
 import pytest
 
-from calib.report.pose_and_effect_figures import FACTORS, effect_displacements, effect_with_size_scaled
+from calib.report.pose_and_effect_figures import (
+    FACTORS,
+    effect_with_size_scaled,
+    pose_displacements_by_effect_at_several_sizes,
+)
 from rig.cli.command_line import main
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.planning import plan
 from rig.report.pages.page_templates_and_elements import Page, list_pages_below_folder, read_page_summary, write_page
-from rig.report.verdict_and_refutations_by_later_recordings import State, Verdict
+from rig.report.verdict_and_refutations import State, Verdict
 from tests.conftest import ROOT
 
 BENCH = ROOT / "tests" / "data" / "bench"
@@ -95,7 +99,7 @@ def test_a_recording_is_shown_in_three_dimensions_with_what_an_effect_does(tmp_p
 def test_an_effect_played_is_its_own_model_at_its_sizes(design):
     done = plan.build_plan(design, "sobol:6", 1)
     effect = parse_effect("scale_error:strut2:scale=1e-3")
-    shown = effect_displacements(design, done.commands, done.t, (effect,), 0)
+    shown = pose_displacements_by_effect_at_several_sizes(design, done.commands, done.t, (effect,), 0)
     assert np.allclose(shown.shifts[3], 2 * shown.shifts[2], rtol=0.01, atol=1e-9) and len(shown.sizes) == len(FACTORS)
     assert effect_with_size_scaled(parse_effect("compliance:rig:stiffness=3e6"), 2.0).stiffness == pytest.approx(
         1.5e6

@@ -9,15 +9,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.certification import measuring_limb_identification_and_agreement_with_vision
-from calib.online.live_learner_and_limb_agreement_with_vision import Learner
+from calib.certification import measuring_limb_identification_and_agreement
+from calib.online.live_learner_and_limb_agreement import Learner
 from calib.online.live_run_page import RunPage, run_verdict
+from calib.online.measuring_limb_poses_checked_by_vision import LiveLimbPoses
 from calib.online.measuring_limbs_file import Accepted
 from calib.online.observer_of_run_frames import RunObserver, RunStop
-from calib.online.platform_poses_from_measuring_limbs_checked_by_vision import LiveLimbPoses
 from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run
-from rig.cli.shared.run_display_and_controller_status import PlainLineDisplay, TerminalBlockDisplay, run_view_lines
-from rig.driving.cameras.camera_interface_and_grabbing import Frame
+from rig.cli.shared.run_display_and_controller_status import PlainLineDisplay, TerminalBlockDisplay, run_state_lines
+from rig.driving.cameras.camera_interface_and_synchronised_grabbing import Frame
 from rig.driving.clock import SimulatedClock
 from rig.driving.move_and_record_loop import RecordedFrame
 from rig.driving.run_journal_and_recording import Departure, Ended, Exposed, Readings
@@ -67,8 +67,8 @@ class Shown:
     def __init__(self):
         self.views, self.closed = [], False
 
-    def show(self, view):
-        self.views.append(view)
+    def show(self, state):
+        self.views.append(state)
 
     def close(self):
         self.closed = True
@@ -112,18 +112,18 @@ def test_a_moved_camera_is_said_noted_and_stops_where_that_was_asked_for(design,
     shown = Shown()
     looking, halts, notes = looked(design, frozenset(["camera"] if stops else ["jump"]), [shown])
     assert (
-        [alarm.kind for alarm in looking.view.alarms] == ["camera"]
+        [alarm.kind for alarm in looking.state.alarms] == ["camera"]
         and "camera 'cam1' has moved" in notes[0]
         and len(notes) == 1
     )
     assert bool(looking.stop()) == stops and len(halts) == stops
-    assert shown.closed and {view.seen.sight.frame for view in shown.views if view.seen} == set(range(6))
-    assert shown.views[-1].frame == 6 and 0 < max(view.left for view in shown.views if view.left == view.left) < 60
+    assert shown.closed and {state.seen.sight.frame for state in shown.views if state.seen} == set(range(6))
+    assert shown.views[-1].frame == 6 and 0 < max(state.left for state in shown.views if state.left == state.left) < 60
 
 
 class Failing(Shown):
-    def show(self, view):
-        super().show(view)
+    def show(self, state):
+        super().show(state)
         raise RuntimeError("too many open files")
 
 
@@ -166,18 +166,18 @@ def by_limbs(folder, slip, at):
     design = design_file.load_design(folder / "rig.toml")
     true, nominal, rng = (
         design.mechanism,
-        measuring_limb_identification_and_agreement_with_vision.hexapod_of_six_limbs(design),
+        measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design),
         np.random.default_rng(5),
     )
     commands = sobol_configurations(true.strut_range, 60, 0.6)
     poses = hexapod.forward(commands, true)
     live = Told(poses * exp(np.r_[np.full(3, 4e-6), np.full(3, 2e-5)] * rng.normal(size=(60, 6))))
     clock, withdrawn, planned = SimulatedClock(), [], steps_of_plan(build_plan(design, "sobol:6"))
-    agreement = measuring_limb_identification_and_agreement_with_vision.limb_agreement(
+    agreement = measuring_limb_identification_and_agreement.limb_agreement(
         poses, poses, np.zeros((60, 6, 6)), (1e-4, 1e-3)
     )
     accepted = Accepted(
-        measuring_limb_identification_and_agreement_with_vision.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)),
+        measuring_limb_identification_and_agreement.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)),
         nominal,
         agreement,
         None,
@@ -204,14 +204,14 @@ def test_a_run_by_limbs_looks_at_few_poses_and_goes_on_by_vision_once_one_slips(
         not withdrawn
         and len(live.looked) < 20
         and {0, 10, 20, 30, 40, 50} <= set(live.looked)
-        and not looking.view.alarms
+        and not looking.state.alarms
     )
     looking, live, withdrawn = by_limbs(tmp_path, 3e-5, 33)
     ((frame, reason),) = withdrawn
     assert 33 <= frame < 38 and "limb 5 is longer by +" in reason
-    assert [alarm.kind for alarm in looking.view.alarms] == ["limbs"], "and no strut is said to have jumped"
+    assert [alarm.kind for alarm in looking.state.alarms] == ["limbs"], "and no strut is said to have jumped"
     assert set(range(frame, 60)) <= set(live.looked), "from there on vision measures"
-    assert looking.view.seen.learnt.innovation < 3
+    assert looking.state.seen.learnt.innovation < 3
 
 
 def test_a_mistake_of_ours_stops_the_run_and_is_raised(design, monkeypatch):
@@ -245,7 +245,7 @@ def test_a_terminal_says_what_happened(design):
         and "[6/6] ended: stopped from the page" in text
     )
     assert "frame 5: 0.000 0.000 450.000 mm" in text and "\x1b" not in text
-    lines = run_view_lines(looking.view)
+    lines = run_state_lines(looking.state)
     assert (
         lines[0].startswith("frame 6 of 6, step 7 of 13")
         and sum(line.startswith("strut") for line in lines) == 6
@@ -288,7 +288,7 @@ def test_the_button_on_the_page_stops_the_run_and_its_event_is_whole(design):
 def test_a_pose_far_off_what_was_expected_is_no_good_run():
     """However unsure the learner still is: 67 um at +-2.1 um is to be looked at."""
     measured = SimpleNamespace(covariance=np.eye(6) * 2.1e-6**2)
-    view = SimpleNamespace(
+    state = SimpleNamespace(
         phase="exposed",
         ended=None,
         alarms=(),
@@ -296,9 +296,9 @@ def test_a_pose_far_off_what_was_expected_is_no_good_run():
             sight=measured, learnt=SimpleNamespace(error=np.array([0, 0, 67e-6, 0, 0, 0]), innovation=0.17)
         ),
     )
-    verdict = run_verdict(view)
+    verdict = run_verdict(state)
     assert verdict.state == "check" and "13 times its own uncertainty" in verdict.why
-    view.seen.learnt.error = np.array([0, 0, 2e-6, 0, 0, 0])
-    assert run_verdict(view).state == "good"
-    view.ended = "position lost"
-    assert run_verdict(view).state == "bad"
+    state.seen.learnt.error = np.array([0, 0, 2e-6, 0, 0, 0])
+    assert run_verdict(state).state == "good"
+    state.ended = "position lost"
+    assert run_verdict(state).state == "bad"

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
+from rig.driving.controller_address_and_urgent_stop import STOPS, controller_address_in_rig_toml
 from rig.driving.protocols import protocol_of_controller
-from rig.driving.urgent_stop import STOPS, controller_address_in_rig_toml
 from rig.formats.rig_toml import design_file
 from rig.model.design import PROTOCOLS
 from rig.planning.layout import hexapod_layout_and_camera_placement

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from calib.certification.claim_verification import Part, Verification
-from calib.drift.change_evidence import ALARM, SOMETHING, Suspect, Verdict
+from calib.drift.change_evidence_and_sentences import ALARM, SOMETHING, Suspect, Verdict
 from calib.files import calibration_file
 from calib.report.verification_and_repeated_visit_pages import Visit, last_visit_verdict
 from rig.cli.command_line import main
 from rig.formats import csv_and_parquet_tables_and_time_origin
-from rig.report.verdict_and_refutations_by_later_recordings import REFUTED as CHANGED
-from rig.report.verdict_and_refutations_by_later_recordings import Evidence
+from rig.report.verdict_and_refutations import REFUTED as CHANGED
+from rig.report.verdict_and_refutations import Evidence
 from tests.calib.daily_visits import changed, rig
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import calib
 from calib.api.why import _repeats
-from calib.api.why_options_and_import_of_data_as_recording import recording_of_data
+from calib.api.why_options_and_data_import import recording_of_data
 from rig.errors import RigError
 from rig.formats.exporters.urdf_and_sdf import arm_urdf
 from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions

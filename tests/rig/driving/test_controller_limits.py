@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.driving.controller_limits import limits_of_linuxcnc_ini, require_goals_within_limits
+from rig.driving.controller_status_and_limits import limits_of_linuxcnc_ini, require_goals_within_limits
 from rig.driving.emulators.fault_trials import emulated_bench
 from rig.errors import FileError, Unreachable
 from tests.emulated_run import RigInThread

@@ -12,16 +12,16 @@ import threading
 
 import pytest
 
-from rig.driving import controller_lock_sockets as sockets
+from rig.driving import controller_lock
 from rig.driving import serial_port as ports
 from rig.driving.clock import SystemClock
 from rig.driving.controller_lock import ControllerLock, lock_names, stop_lock_holder
 from rig.driving.serial_port import SerialPort
 from rig.errors import LinkLost, RigError
-from rig.model.controller_protocol_list_and_port_name_check import port_problem
+from rig.model.protocol_and_port_names import port_problem
 from tests.conftest import ROOT
 
-TCP = "import rig.driving.controller_lock_sockets as sockets\nsockets.ABSTRACT = False\n"  # as off Linux
+TCP = "import rig.driving.controller_lock as lock\nlock.ABSTRACT = False\n"  # as off Linux
 HOLD = (
     "import sys, signal\nfrom rig.driving.controller_lock import ControllerLock\nfrom rig.errors import RigError\n"
     "def end(*_): raise KeyboardInterrupt\nsignal.signal(signal.SIGTERM, end)\n"
@@ -55,7 +55,7 @@ def device():
 @pytest.fixture(params=["abstract", "tcp"])
 def before_all(request, monkeypatch):
     """What a process runs first, so that locks are those of Linux, or those of other systems."""
-    monkeypatch.setattr(sockets, "ABSTRACT", request.param == "abstract")
+    monkeypatch.setattr(controller_lock, "ABSTRACT", request.param == "abstract")
     return "" if request.param == "abstract" else TCP
 
 
@@ -151,8 +151,8 @@ def answer(listening):
 
 
 def test_a_port_of_another_program_is_no_lock(device, monkeypatch):
-    monkeypatch.setattr(sockets, "ABSTRACT", False)
-    with socket.create_server(sockets._address(lock_names(device)[0])) as other:
+    monkeypatch.setattr(controller_lock, "ABSTRACT", False)
+    with socket.create_server(controller_lock._address(lock_names(device)[0])) as other:
         thread = threading.Thread(target=answer, args=(other,))
         thread.start()
         with pytest.raises(RigError, match="in use by another program"):

@@ -10,7 +10,7 @@ import pytest
 from rig.driving.clock import SimulatedClock
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.driving.emulators.controller_faults import ALWAYS, KINDS
-from rig.driving.emulators.fault_trials import count_moves, emulated_bench
+from rig.driving.emulators.fault_trials import emulated_bench, move_counts_with_faults
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, MotionError, PositionLost, RigError, Stalled, Unreachable
 from tests.rig.driver_steps import STEP, order, truly
@@ -204,7 +204,7 @@ def test_a_rig_without_a_controller_cannot_be_driven(design):
 
 
 def test_many_moves_with_every_fault_among_them(driven_design, protocol):
-    verdicts = count_moves(driven_design, protocol, ["all:0.6"], 40, seed=3)
+    verdicts = move_counts_with_faults(driven_design, protocol, ["all:0.6"], 40, seed=3)
     assert len(verdicts.struck) >= 10 and verdicts.done > 15
     assert (verdicts.twice, verdicts.unacknowledged, verdicts.hangs, verdicts.reasonless, verdicts.unsafe) == (
         0,
@@ -221,7 +221,7 @@ def test_ten_thousand_moves_with_faults_at_one_in_twenty(driven_design, protocol
     seldom = (
         {"homes-on:0.05", "stale-alarm:0.3"} if protocol == "grblhal" else {"homes-on:0.05"}
     )  # homing and resets are far fewer than moves
-    verdicts = count_moves(
+    verdicts = move_counts_with_faults(
         driven_design,
         protocol,
         ["all:0.05", *sorted(seldom), *buffer],

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from rig.cli.command_line import main
+from rig.driving.controller_address_and_urgent_stop import controller_address_in_rig_toml
 from rig.driving.driver_opening_and_settled_status import design_with_controller_port
-from rig.driving.urgent_stop import controller_address_in_rig_toml
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_layout_and_camera_placement

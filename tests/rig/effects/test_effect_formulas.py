@@ -40,6 +40,14 @@ def test_scale_error_by_hand(design, home):
     np.testing.assert_allclose(found[0], [0, 0, 1e-5, 0, 0, 0], atol=1e-15)
 
 
+def test_a_scale_that_grows_along_the_travel_by_hand(design, home):
+    half = float(np.ptp(design.mechanism.strut_range[2])) / 2
+    values, own = out_and_back(home, 0.01), parse_effect("scale_error:strut3:scale=1e-3,curvature=0.2")
+    np.testing.assert_allclose(moved(design, values, [1], own)[0, 2], 1e-5 * (1 + 0.2 * 0.01 / half), rtol=1e-12)
+    other = parse_effect("axis_coupling:strut5:scale=1e-3,other=3,curvature=0.2")
+    np.testing.assert_allclose(moved(design, values, [1], other)[0, 4], 1e-5 * (1 + 0.2 * 0.01 / half), rtol=1e-12)
+
+
 def test_cyclic_error_by_hand(design, home):
     lead = design.actuator.screw_lead
     quarter = (np.floor(home[2] / lead) + 1.25) * lead - home[2]
@@ -86,6 +94,14 @@ def test_servo_lag_by_hand(design, home):
     )
     assert motion.lengths[0, 2] - home[2] == pytest.approx(0.005 - 0.01 * 0.02, rel=1e-9)
     assert motion.lengths[0, 1] == home[1]
+
+
+def test_knots_of_a_path_grow_with_the_lags_and_not_with_their_product(design, home):
+    rng, count = np.random.default_rng(1), 20
+    commands = Commands(np.arange(count, dtype=float), home + rng.uniform(-1e-3, 1e-3, (count, 6)))
+    lags = [parse_effect(f"servo_lag:strut{i + 1}:time_constant=0.0{i + 1}") for i in range(6)]
+    path = motion_simulation.motion_of_commands(design, commands, np.array([10.5]), lags).path
+    assert len(path.t) < 40 * count
 
 
 def test_creep_by_hand(design, home):

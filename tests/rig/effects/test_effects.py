@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
-    check_effect_place_and_parameter_bounds,
-)
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import RigError
 from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict, effect_to_dict

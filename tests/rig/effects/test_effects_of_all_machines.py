@@ -10,10 +10,8 @@ import pytest
 from calib.diagnosis.problems.platform.vibration_frequency import rank_one_direction_and_phase_fit
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Context
+from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.framework.effect_parameters_and_covariates import Drawing
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
-    check_effect_place_and_parameter_bounds,
-)
 from rig.effects.framework.machine_motion_and_play import Path
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import RigError

@@ -7,11 +7,11 @@ from rig.effects.catalogue.creep import Creep
 from rig.effects.catalogue.hysteresis import PLAYS, Hysteresis
 from rig.effects.catalogue.warm_up import WarmUp
 from rig.effects.framework.effect import COUNT, Candidate
-from rig.effects.framework.effect_parameters_and_covariates import Linear
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
+from rig.effects.framework.effect_checks_and_fit_coordinates import (
     check_effect_place_and_parameter_bounds,
     coordinates_of_effects,
 )
+from rig.effects.framework.effect_parameters_and_covariates import Linear
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model import motion_simulation
 from rig.recording.recording_folder import Commands, Sensors

@@ -8,7 +8,7 @@ import pytest
 
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Context
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
+from rig.effects.framework.effect_checks_and_fit_coordinates import (
     check_effect_place_and_parameter_bounds,
     coordinates_of_effects,
 )

@@ -53,8 +53,10 @@ def test_images_are_fetched_one_by_one_when_they_are_read(kept, monkeypatch):
     address, fetched = kept(BENCH / "check"), []
     monkeypatch.setattr(
         local_and_remote_input_files,
-        "read",
-        lambda path, most=None, real=local_and_remote_input_files.read: fetched.append(path.name) or real(path, most),
+        "read_remote_bytes",
+        lambda path, most=None, real=local_and_remote_input_files.read_remote_bytes: (
+            fetched.append(path.name) or real(path, most)
+        ),
     )
     found = recording.load_recording(address)
     assert found.has_images and not [name for name in fetched if name.endswith(".png")]

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.certification.measuring_limb_identification_and_agreement_with_vision import Agreement
+from calib.certification.measuring_limb_identification_and_agreement import Agreement
 from calib.experiment.investigation_folder_and_report import Hypothesis, InvestigationRound, write_investigation_page
 from calib.report.online_learning_and_measuring_limb_pages import write_measuring_limbs_page
 from docs.make import pictures, project

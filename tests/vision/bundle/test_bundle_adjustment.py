@@ -13,7 +13,7 @@ from rig.model.pose import exp, log, pose_difference
 from tests.vision.drawn_observations import known, scene
 from vision.bundle.adjustment_validation_and_determinacy import determined_combinations
 from vision.bundle.bundle_adjustment import adjust_bundle
-from vision.bundle.normal_equations_and_corner_jacobians import linearise
+from vision.bundle.normal_equations_and_corner_jacobians import whitened_residuals_and_derivatives
 from vision.bundle.unknown_priors import TERM_PRIOR, adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import (
     UnknownName,
@@ -68,7 +68,7 @@ def test_jacobian_agrees_with_differences(setting, moving, correlated, free):
     estimate = update_estimate(
         estimate, u, 1e-3 * rng.normal(size=u.shared), np.zeros((6, u.local))
     )  # not where moves are still zero
-    _, found = linearise(observations, estimate, u, whitener_of_observations(observations))
+    _, found = whitened_residuals_and_derivatives(observations, estimate, u, whitener_of_observations(observations))
     shared, local = rng.normal(size=u.shared), rng.normal(size=(6, u.local))
     h = 1e-5
     up, down = (

@@ -12,7 +12,7 @@ from rig.model.pose import exp, pose_difference
 from tests.numerical_derivatives import jacobian
 from tests.vision.drawn_observations import nees, scene, standing
 from tests.vision.test_recording_adjustment import joint_chi2
-from vision.bundle.normal_equations_and_corner_jacobians import linearise
+from vision.bundle.normal_equations_and_corner_jacobians import whitened_residuals_and_derivatives
 from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import Printing, offset_from_stated, update_estimate
 from vision.corner_observations import whitener_of_observations
@@ -50,7 +50,7 @@ def test_derivatives_of_prints_agree_with_differences(design):
         observations, state, replace(state, markers=marker_map(stated)), FREE, printing=Printing(1.0, 0.5, 1.0, 1.0)
     )
     W, rng = whitener_of_observations(observations), np.random.default_rng(2)
-    _, found = linearise(observations, estimate, u, W)
+    _, found = whitened_residuals_and_derivatives(observations, estimate, u, W)
     shared, local, h = rng.normal(size=u.shared), np.zeros((3, u.local)), 1e-3
     up, down = (
         W(observations.uv - predict_corners(observations, update_estimate(estimate, u, s * h * shared, local).state)[0])

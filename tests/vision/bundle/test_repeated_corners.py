@@ -7,7 +7,7 @@ import pytest
 
 from tests.vision.drawn_observations import known, scene
 from vision.bundle import bundle_adjustment as adjusting
-from vision.bundle.normal_equations_and_corner_jacobians import linearise, normal_equations
+from vision.bundle.normal_equations_and_corner_jacobians import normal_equations, whitened_residuals_and_derivatives
 from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated
 from vision.corner_observations import (
@@ -37,7 +37,7 @@ def test_cost_and_normal_equations_are_the_same(setting):
     u, estimate = adjustment_unknowns(observations, state, state, ("poses", "lenses"))
     both = []
     for o, rest in ((observations, 0.0), (few, spare)):
-        residual, derivatives = linearise(o, estimate, u, whitener_of_observations(o))
+        residual, derivatives = whitened_residuals_and_derivatives(o, estimate, u, whitener_of_observations(o))
         both.append(
             (
                 normal_equations(o, derivatives, u, offset_from_stated(estimate, state, u)),

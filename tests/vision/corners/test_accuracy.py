@@ -8,8 +8,7 @@ from scipy.ndimage import map_coordinates
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.exact_pictures import SIZE, camera, picture, quad
 from vision import lens
-from vision.corners.marker_detection_and_corner_fit import detect_markers, fit_read_markers
-from vision.corners.whole_image_marker_reader import ReadMarkers
+from vision.corners.marker_detection_and_corner_fit import ReadMarkers, detect_markers, fit_read_markers
 
 
 def test_noise_free_corners_are_exact(design):

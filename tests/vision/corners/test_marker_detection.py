@@ -10,8 +10,7 @@ from rig.model.design import DICTIONARIES, Marker, Target
 from rig.model.pose import pose
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.exact_pictures import SIZE, camera, picture, quad
-from vision.corners.marker_detection_and_corner_fit import detect_markers, fit_read_markers
-from vision.corners.whole_image_marker_reader import ReadMarkers
+from vision.corners.marker_detection_and_corner_fit import ReadMarkers, detect_markers, fit_read_markers
 from vision.predict import marker_map, markers_expected_in_image
 
 

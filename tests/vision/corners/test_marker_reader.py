@@ -8,7 +8,7 @@ import pytest
 
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.exact_pictures import quad
-from vision.corners.whole_image_marker_reader import read_markers
+from vision.corners.marker_detection_and_corner_fit import read_markers
 from vision.predict import marker_cells
 
 FINE = 12  # texture pixels to a cell

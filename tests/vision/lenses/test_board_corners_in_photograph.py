@@ -15,7 +15,7 @@ from rig.model.design import Camera
 from rig.model.pose import pose, transform_points
 from tests.numerical_derivatives import jacobian
 from vision import lens
-from vision.lenses import chessboard_corner
+from vision.lenses import board_corners_in_photograph
 from vision.lenses.board_corners_in_photograph import find_board_corners
 
 TEXT = "charuco:5x7:0.036:0.018:DICT_6X6_250"
@@ -91,17 +91,21 @@ def test_share_is_the_bivariate_normals():
     h, k = rng.uniform(-3, 3, (2, 20))
     for rho in (-0.7, 0.0, 0.4):
         normal = multivariate_normal([0, 0], [[1, rho], [rho, 1]])
-        value, dh, dk, dr = chessboard_corner.crossing_white_share(h, k, rho)
+        value, dh, dk, dr = board_corners_in_photograph.crossing_white_share(h, k, rho)
         expected = [normal.cdf([a, b]) + normal.cdf([-a, -b]) for a, b in zip(h, k)]
         np.testing.assert_allclose(value, expected, atol=1e-6)
         np.testing.assert_allclose(
-            np.diagonal(jacobian(lambda x, r=rho: chessboard_corner.crossing_white_share(x, k, r)[0], h)), dh, atol=1e-6
+            np.diagonal(jacobian(lambda x, r=rho: board_corners_in_photograph.crossing_white_share(x, k, r)[0], h)),
+            dh,
+            atol=1e-6,
         )
         np.testing.assert_allclose(
-            np.diagonal(jacobian(lambda x, r=rho: chessboard_corner.crossing_white_share(h, x, r)[0], k)), dk, atol=1e-6
+            np.diagonal(jacobian(lambda x, r=rho: board_corners_in_photograph.crossing_white_share(h, x, r)[0], k)),
+            dk,
+            atol=1e-6,
         )
         np.testing.assert_allclose(
-            jacobian(lambda r: chessboard_corner.crossing_white_share(h, k, r[0])[0], np.array([rho]))[:, 0],
+            jacobian(lambda r: board_corners_in_photograph.crossing_white_share(h, k, r[0])[0], np.array([rho]))[:, 0],
             dr,
             atol=1e-6,
         )

@@ -9,7 +9,7 @@ from rig.model.design import Marker, Target
 from rig.model.pose import pose, pose_difference
 from tests.vision import tumbling_block
 from tests.vision.drawn_observations import known, nees, scene
-from vision.pose.body_pose import View, locate_body, undistort_corners
+from vision.pose.body_pose import BodyCorners, body_pose_from_corners, undistort_corners
 from vision.predict import marker_map
 
 
@@ -24,7 +24,7 @@ def view_of(observations, design, frame, keep=None):
     normals = markers.T_body_marker.rotation.as_matrix()[:, :, 2][observations.marker[rows]]
     focal = np.array([camera.matrix[0, 0] for camera in design.cameras])
     T = np.array([camera.pose.inv().as_matrix() for camera in design.cameras])
-    return View(
+    return BodyCorners(
         observations.points[rows],
         normals,
         ideal,
@@ -47,7 +47,7 @@ def test_poses_and_covariances_are_true(setting):
     observations, design, T = setting
     errors, covariances = [], []
     for f in range(200):
-        found = locate_body(*view_of(observations, design, f))
+        found = body_pose_from_corners(*view_of(observations, design, f))
         assert found
         errors.append(pose_difference(found.T_world_body, T[f]))
         covariances.append(found.covariance)
@@ -70,7 +70,7 @@ def test_exchanged_identities_flips_and_outliers_are_cast_out(setting):
             ideal[where[a]] += 0.05  # somewhere else altogether
         single = where[next(s for s in sightings if s not in (a, b, turned))][0]
         ideal[single] += [0.004, -0.003]  # one corner, a few pixels off
-        found = locate_body(replace(view, ideal=ideal), markers)
+        found = body_pose_from_corners(replace(view, ideal=ideal), markers)
         assert found
         gone = np.concatenate([where[turned], where[a], [single]])
         assert not found.inliers[gone].any()
@@ -79,7 +79,7 @@ def test_exchanged_identities_flips_and_outliers_are_cast_out(setting):
 
 def test_one_sighting_is_not_believed(setting):
     observations, design, _ = setting
-    found = locate_body(
+    found = body_pose_from_corners(
         *view_of(
             observations,
             design,
@@ -93,7 +93,7 @@ def test_one_sighting_is_not_believed(setting):
 
 def test_nothing_seen_is_said(setting):
     observations, design, _ = setting
-    found = locate_body(*view_of(observations, design, 0, lambda o, rows: np.zeros(len(rows), bool)))
+    found = body_pose_from_corners(*view_of(observations, design, 0, lambda o, rows: np.zeros(len(rows), bool)))
     assert not found and "no marker" in found.reason
 
 
@@ -104,14 +104,14 @@ def test_contradicting_markers_are_said(setting):
     ideal = view.ideal.copy()
     for camera, marker in {(c, m) for c, m in zip(view.camera.tolist(), view.marker.tolist())}:
         ideal[(view.camera == camera) & (view.marker == marker)] += rng.uniform(-0.1, 0.1, 2)
-    found = locate_body(replace(view, ideal=ideal), markers)
+    found = body_pose_from_corners(replace(view, ideal=ideal), markers)
     assert not found and ("contradict" in found.reason or "no common pose" in found.reason)
 
 
 def test_a_mirrored_image_has_no_pose(setting):
     observations, design, _ = setting
     view, markers = view_of(observations, design, 3)
-    found = locate_body(replace(view, ideal=view.ideal * [-1, 1]), markers)
+    found = body_pose_from_corners(replace(view, ideal=view.ideal * [-1, 1]), markers)
     assert not found
 
 
@@ -123,7 +123,7 @@ def test_poisoned_outliers_leave_no_trace(setting):
     for rubbish in (0.3, -0.2):
         ideal = view.ideal.copy()
         ideal[rows] += rubbish
-        poses.append(locate_body(replace(view, ideal=ideal), markers).T_world_body)
+        poses.append(body_pose_from_corners(replace(view, ideal=ideal), markers).T_world_body)
     np.testing.assert_allclose(pose_difference(*poses), 0, atol=1e-9)
 
 
@@ -141,8 +141,8 @@ def test_a_flip_that_the_image_cannot_exclude_is_said(distance):
     said = []
     for seed in range(40):
         ideal = ahead[:, :2] / ahead[:, 2:] + 1e-4 * np.random.default_rng(seed).normal(size=(8, 2))
-        found = locate_body(
-            View(
+        found = body_pose_from_corners(
+            BodyCorners(
                 points,
                 np.tile([0.0, 0, 1], (8, 1)),
                 ideal,

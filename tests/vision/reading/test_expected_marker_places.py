@@ -17,7 +17,7 @@ from vision.corners import marker_detection_and_corner_fit
 from vision.predict import marker_map
 from vision.reading import expected_marker_places
 from vision.reading import recording_corners as collecting
-from vision.reading.marker_identity_mistakes_found_against_rig_toml import find_suspicious_markers
+from vision.reading.marker_identity_mistakes import find_suspicious_markers
 from vision.reading.recording_corners import LEARN_FROM, collect_corners
 from vision.recording_measurement import measure_recording
 

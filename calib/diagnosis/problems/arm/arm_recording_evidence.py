@@ -7,7 +7,7 @@ from functools import lru_cache, partial
 import numpy as np
 from scipy.special import chdtri
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import (
     NO_STATED_TERMS,
@@ -66,7 +66,7 @@ from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_rep
     time_cosines,
 )
 from calib.identify.least_squares_and_robust_fit import MOST, isolated_outlier_rows, robust_fit
-from calib.models.arm.joint_effects_fit_and_held_out_scatter import UNSTATED, JointFit
+from calib.models.arm.joint_effect_fit_and_held_out_scatter import UNSTATED, JointFit
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect

@@ -7,12 +7,12 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import Me
 from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import smooth_temperatures
 from calib.models.arm.certification import UNPLACED, start_arm_of_fit
 from calib.models.arm.error_model_and_observations import sample_observations
-from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, JointFit, fit_geometry_and_effects
+from calib.models.arm.joint_effect_fit_and_held_out_scatter import History, JointFit, fit_geometry_and_effects
 from calib.models.arm.pointing_terms import tube_flexure
 from calib.samples.pose_samples import Sampled
 from rig.effects.catalogue.effect_list import lean_under_link_weight
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.model.motion_simulation import motion_of_commands

@@ -19,8 +19,8 @@ from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import calibrate_arm
 from calib.models.arm.error_model_and_observations import KINDS, observation_jacobian, sample_observations
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
-from calib.models.chain import error_model as chains
-from calib.models.chain.identification import identify_chain
+from calib.models.chain import error_model_and_identification as chains
+from calib.models.chain.error_model_and_identification import identify_chain
 from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers

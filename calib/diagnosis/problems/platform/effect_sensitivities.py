@@ -13,11 +13,8 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import Oper
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
 from rig.effects.framework.effect_parameters_and_covariates import COUNT, Linear
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
-    Coordinate,
-    coordinates_of_effects,
-)
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.model.effect_places_and_part_tolerances import Place
 

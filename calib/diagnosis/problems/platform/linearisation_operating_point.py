@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import smooth_temperatures
 from calib.samples.pose_samples import Sampled, sample_recording

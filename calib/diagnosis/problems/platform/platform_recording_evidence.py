@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import NotAsked, Outliers, StatedTerms
 from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding

@@ -34,7 +34,7 @@ from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate
 from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import (
+from rig.effects.framework.effect_checks_and_fit_coordinates import (
     Coordinate,
     check_effect_place_and_parameter_bounds,
     conserved_coordinate_sums,

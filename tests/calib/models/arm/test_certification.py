@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.files import calibration_file
 from calib.models.arm import certification as certifying
 from calib.models.arm import error_model_and_observations

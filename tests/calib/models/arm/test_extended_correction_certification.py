@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.certification.certification_of_correction_extended_over_configuration_space import ExtensionRequest
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.certification.extended_correction_certification import ExtensionRequest
 from calib.correction.interpolation_methods_and_correction_summand_fields import field_from_entries, field_to_dict
 from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.calibration_dataclass_and_accuracy_claim_sentences import Calibration
-from calib.correction.command_timing_and_error_map_in_pose_space import Pace
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.correction.command_timing_and_pose_error_map import Pace
 from calib.correction.physics_compensation import Physics
 from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import start_arm_of_fit
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import sample_observations
-from calib.models.arm.joint_effects_fit_and_held_out_scatter import History, Prior, fit_geometry_and_effects
+from calib.models.arm.joint_effect_fit_and_held_out_scatter import History, Prior, fit_geometry_and_effects
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
-from rig.effects.framework.effect_place_and_parameter_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation

@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.errors import RigError
-from rig.formats.importers.ros_messages_to_image_files_and_table_rows import encode_image_message
+from rig.formats.importers.ros_messages_to_images_and_rows import encode_image_message
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import said

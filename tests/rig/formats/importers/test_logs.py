@@ -119,7 +119,7 @@ def test_samples_lost_that_nothing_counts_are_refused(good, tmp_path):
 def test_names_that_columns_lack_are_asked_for(header, says, tmp_path):
     (tmp_path / "log").write_text("0 0.41 0.42\n1 0.43 0.44\n2 0.45 0.46\n")
     with pytest.raises(FileError) as refused:
-        csv_dialect.read_header_and_cells_of_foreign_table(ForeignTable(tmp_path / "log", header=header), "commands")
+        csv_dialect.read_foreign_table_header_and_cells(ForeignTable(tmp_path / "log", header=header), "commands")
     assert says in str(refused.value)
 
 

@@ -9,7 +9,7 @@ from decimal import Decimal
 import numpy as np
 import pytest
 
-from rig.formats.importers.csv_dialect import read_header_and_cells_of_foreign_table
+from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import TIME, axis_header_names, find_columns
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.units_and_timestamps import UnclearInput
@@ -103,7 +103,7 @@ def test_the_first_attempt_names_everything_and_the_second_is_right(tmp_path):
 def test_columns_are_known_in_four_more_languages(tmp_path, time, limb):
     path = tmp_path / "log.csv"
     path.write_text(";".join([time, *(limb.format(i) for i in range(1, 7))]) + "\n" + "1;2;3;4;5;6;7\n2;3;4;5;6;7;8\n")
-    cells = read_header_and_cells_of_foreign_table(ForeignTable(path, decimal="point"), "commands")
+    cells = read_foreign_table_header_and_cells(ForeignTable(path, decimal="point"), "commands")
     axes = [f"l{i}" for i in range(1, 7)]
     found = find_columns(cells, "commands", {**TIME, **axis_header_names(axes)}, axes)
     assert found == {"t": 0, **{name: i for i, name in enumerate(axes, 1)}}
@@ -112,7 +112,7 @@ def test_columns_are_known_in_four_more_languages(tmp_path, time, limb):
 def test_a_misspelt_header_is_supposed_and_one_without_resemblance_is_left_open(tmp_path):
     path = tmp_path / "times.csv"
     path.write_text("Zeitpnkt;Foo\n1.5;a\n1.25;b\n")
-    cells = read_header_and_cells_of_foreign_table(ForeignTable(path), "frames")
+    cells = read_foreign_table_header_and_cells(ForeignTable(path), "frames")
     with pytest.raises(UnclearInput, match="t: likely 'Zeitpnkt'") as error:
         find_columns(cells, "frames", TIME, ("t",))
     assert error.value.settings == ("frames.columns.t=Zeitpnkt",) and error.value.is_decided

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from calib.files.mechanism_and_physics_entries_of_calibration_json import mechanism_dict, mechanism_from_entries
+from calib.files.mechanism_and_physics_entries import mechanism_dict, mechanism_from_entries
 from rig.errors import FileError
 from rig.formats.checked_entries import Entries
 from rig.formats.rig_toml import design_file

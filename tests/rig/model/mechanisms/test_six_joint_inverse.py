@@ -7,12 +7,11 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from rig.errors import RigError, Unreachable
+from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import closed_form_and_numerical_arm_inverse
-from rig.model.pose import pose_difference
 from tests.rig.arms import HALF, SEVEN, UR10, random_arm
 
 PUMA = design_file.load_design(files("rig") / "arms" / "puma560.toml").mechanism
@@ -66,21 +65,6 @@ def check(six, q):
     )
     sine = np.minimum(1, np.abs(np.sin(q[:, 4])))
     return closure, ~(np.nanmin(np.where(found.there, apart, 9), axis=1) * sine < 1e-8), found
-
-
-@pytest.mark.parametrize("name", ARMS)
-def test_forward_is_the_chain_of_denavit_and_hartenberg(name):
-    q = np.random.default_rng(0).uniform(-3, 3, (500, 6))
-    np.testing.assert_allclose(
-        pose_difference(
-            closed_form_and_numerical_arm_inverse.forward_by_hand_points(
-                q, closed_form_and_numerical_arm_inverse.six_joint_arm(ARMS[name])
-            ),
-            mechanism.forward(q, ARMS[name]),
-        ),
-        0,
-        atol=1e-13,
-    )
 
 
 def test_the_frame_stands_at_the_crossing_of_the_first_axes():
@@ -158,21 +142,6 @@ def test_poses_out_of_reach_say_why(position, reason):
         T, closed_form_and_numerical_arm_inverse.six_joint_arm(bare)
     )
     assert not found.there.any() and reason in found.why(0)
-    with pytest.raises(Unreachable, match="pose 0: out of reach"):
-        closed_form_and_numerical_arm_inverse.nearest_closed_form_solution(
-            T, closed_form_and_numerical_arm_inverse.six_joint_arm(bare), np.zeros(6)
-        )
-
-
-@pytest.mark.parametrize("shape", [(), (3,), (2, 3)])
-def test_nearest_branch_within_the_limits(shape):
-    rng = np.random.default_rng(4)
-    low, high = PUMA.limits.T
-    q = rng.uniform(low, high, (*shape, 6))
-    found = closed_form_and_numerical_arm_inverse.nearest_closed_form_solution(
-        mechanism.forward(q, PUMA), closed_form_and_numerical_arm_inverse.six_joint_arm(PUMA), q + 1e-4
-    )
-    np.testing.assert_allclose(found, q, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from rig.report.pages.page_templates_and_elements import (
     wrap_text,
 )
 from rig.report.pages.plots import MOST, RIGHT, Series, axis_scale_of_values, bar_chart_svg, plot_panel_svg
-from rig.report.verdict_and_refutations_by_later_recordings import State, Verdict
+from rig.report.verdict_and_refutations import State, Verdict
 
 
 def test_a_page_says_its_verdict_first_and_needs_no_network():

@@ -1,0 +1,369 @@
+"""Export of a calibrated geometry, corrections, lookup tables, lenses or a recording to formats of other programs."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from hashlib import sha256
+from importlib import metadata
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from calib.api.correct import CorrectOptions, correct
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.correction.correction_as_c_source import correction_c_source
+from calib.correction.correction_tables import axis_correction_tables, grid_correction_table
+from calib.correction.linuxcnc_kinematics_source import linuxcnc_kinematics_source
+from calib.files import calibration_file
+from calib.models.arm.arm_correction_as_c_source import arm_correction_c_source
+from calib.models.arm.correction import ArmCorrection
+from rig.array_and_json_types import Floats
+from rig.errors import RigError
+from rig.formats.exporters import geometry_and_camera_files, recording_as_rerun_tum_parquet, urdf_and_sdf
+from rig.formats.number_parsing_and_rounding import quantity_text
+from rig.formats.output_files import write_bytes, write_text
+from rig.formats.rig_toml import design_file
+from rig.model import mechanisms
+from rig.model.arm_branches_and_hands import require_one_hand
+from rig.model.mechanism_geometry_classes import Arm, Hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_arm, require_hexapod
+from rig.recording.recording_folder import Sensors, WantedPoses, load_recording, load_wanted_poses
+from rig.recording.recording_table_loading_and_writing import COVARIANCE_COLUMNS, POSE_COLUMNS
+
+LARGEST = 100_000  # rows
+Point = tuple[float, ...]  # a value of each channel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LookupTable:
+    """channels : {name: (k,) values}, a row for each combination and wanted pose; columns : names of the table's
+    columns; rows : (n, columns): channels, frame, wanted pose (m, rad), commands (m, rad), upper triangle of the
+    covariance of the pose that comes of them (m, rad, on the right)
+    interpolation_error : m or rad, greatest of the commands in the middle between rows, interpolated linearly
+    uncertainty : (m, rad) standard uncertainty of the poses, RMS; unit : of the commands
+    """
+
+    channels: dict[str, Floats]
+    columns: tuple[str, ...]
+    rows: Floats
+    interpolation_error: float
+    uncertainty: tuple[float, float]
+    unit: str
+
+    @property
+    def csv(self) -> str:
+        """The table as CSV."""
+        frame = self.columns.index("frame")
+        lines = [
+            ",".join(str(int(value)) if k == frame else f"{value:.12g}" for k, value in enumerate(row))
+            for row in self.rows.tolist()
+        ]
+        return "\n".join([",".join(self.columns), *lines, ""])
+
+    def __str__(self) -> str:
+        counts = " x ".join(str(len(values)) for values in self.channels.values())
+        return (
+            f"{len(self.rows)} rows ({counts} of {', '.join(self.channels)}); linear interpolation errs by "
+            f"up to {quantity_text(self.interpolation_error, self.unit)} of a command, beside a standard uncertainty "
+            f"of the poses of {quantity_text(self.uncertainty[0], 'm')} and {quantity_text(self.uncertainty[1], 'rad')}"
+        )
+
+
+def correction_lookup_table(
+    calibration: Calibration, wanted: WantedPoses, channels: Mapping[str, Sequence[float]]
+) -> LookupTable:
+    """LookupTable of a calibration for wanted poses, at every combination of values of sensor channels.
+
+    channels : {name: (k,) values in the channel's unit, ascending}; others stand as when calibrated, and their spread
+        is in the covariance
+    Every pose is held until all has come to rest. Where axes remember their way, a pose is not approached from one
+    side: what that leaves is in the covariance.
+    Raises RigError for a channel on which nothing depends, Unreachable for poses that no command reaches
+    """
+    if wanted.t is not None or wanted.directions:
+        raise RigError(
+            "a lookup table takes whole poses without times: leave out the column t"
+            if wanted.t is not None
+            else "a lookup table takes whole poses, not directions"
+        )
+    values = {name: np.asarray(own, float) for name, own in channels.items()}
+    _require_known(calibration, values)
+    count = len(wanted.poses.frame) * int(np.prod([len(own) for own in values.values()]))
+    if count > LARGEST:
+        raise RigError(f"the table would have {count} rows; at most {LARGEST}")
+    T = wanted.poses.T_base_platform
+
+    def commands(point: Point) -> tuple[Floats, Floats]:
+        log = Sensors(np.zeros(1), {name: np.array([value]) for name, value in zip(values, point)})
+        done = correct(calibration, T, CorrectOptions(sensors=log, approach="never"))
+        assert done.covariance is not None
+        return done.values, done.covariance
+
+    found = {point: commands(point) for point in product(*(own.tolist() for own in values.values()))}
+    upper = np.triu_indices(6)
+    poses = np.column_stack([T.translation, T.rotation.as_rotvec()])
+    rows = np.concatenate(
+        [
+            np.column_stack(
+                [np.tile(point, (len(T), 1)), wanted.poses.frame, poses, q, covariance[:, upper[0], upper[1]]]
+            )
+            for point, (q, covariance) in found.items()
+        ]
+    )
+    square = np.mean([np.einsum("nii->ni", covariance) for _, covariance in found.values()], axis=(0, 1))
+    nominal = calibration.correction.nominal
+    return LookupTable(
+        values,
+        (*values, "frame", *POSE_COLUMNS, *nominal.axes, *COVARIANCE_COLUMNS),
+        rows,
+        _interpolation_error(values, {point: q for point, (q, _) in found.items()}, lambda point: commands(point)[0]),
+        (float(np.sqrt(square[:3].sum())), float(np.sqrt(square[3:].sum()))),
+        mechanisms.travel_unit(nominal),
+    )
+
+
+def _require_known(calibration: Calibration, channels: Mapping[str, Floats]) -> None:
+    """Raise RigError for channels on which nothing in the calibration depends, or whose values do not ascend."""
+    physics = calibration.physics
+    known = [] if physics is None else [*physics.channels, *(tilt.channel for tilt in physics.tilts)]
+    if not channels:
+        raise RigError("a lookup table takes at least one sensor channel and its values")
+    for name, values in channels.items():
+        if name not in known:
+            raise RigError(
+                f"the calibration was not learnt with a channel {name!r}; it has "
+                f"{', '.join(dict.fromkeys(known)) or 'none: calibrate with --diagnosis or --find'}"
+            )
+        if values.ndim != 1 or not len(values) or not np.isfinite(values).all() or (np.diff(values) <= 0).any():
+            raise RigError(f"the values of {name} must ascend, got {values.tolist()}")
+
+
+def _interpolation_error(
+    channels: Mapping[str, Floats], rows: Mapping[Point, Floats], commands: Callable[[Point], Floats]
+) -> float:
+    """m or rad, greatest difference in the middle of cells between commands and the mean of those at the corners."""
+    sides = [
+        list(zip(own[:-1], own[1:])) if len(own) > 1 else [(own[0],)]
+        for own in (values.tolist() for values in channels.values())
+    ]
+    worst = 0.0
+    for cell in product(*sides):
+        middle = tuple(float(np.mean(side)) for side in cell)
+        if middle in rows:
+            continue  # a table of one value
+        mean = np.mean([rows[corner] for corner in product(*cell)], axis=0)
+        worst = max(worst, float(np.abs(commands(middle) - mean).max()))
+    return worst
+
+
+TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry
+C_SOURCES = ("c", "linuxcnc-kins")  # all of a correction, for a controller
+LOOKUP = "lut"  # of commands over sensor channels
+CAMERAS = ("camera-info", "opencv")  # of a rig.toml, a file each
+RECORDINGS = ("tum", "parquet")
+GEOMETRIES = {
+    "genhexkins": ("hexapod",),
+    "urdf": ("hexapod", "arm"),
+    "sdf": ("hexapod",),
+    "json": ("hexapod", "arm"),
+    "csv": ("hexapod", "arm"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """units : "mm" or "m", machine units of LinuxCNC's formats; coupling : of genhexkins, the share of the
+    cardans' twist that turns the screws; lead : of the screws, m per revolution, None for what a rig.toml states; parts
+    : of linuxcnc-comp and grid, parts of each actuator's interval, None for 64, and 3; poses : of lut, the table of
+    wanted poses; over : of lut, {sensor channel: its values, ascending}
+    """
+
+    units: str = "mm"
+    coupling: float = 0.0
+    lead: float | None = None
+    parts: int | None = None
+    poses: Path | None = None
+    over: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExportResult:
+    """Files for another program. files : text or bytes by name, "" where there is one alone; summary : of what they
+    hold, "" where there is nothing to say; left_out : what of a calibration they do not hold, in words
+    """
+
+    files: Mapping[str, str | bytes]
+    summary: str = ""
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str | None:
+        """The text of the one file, None where there are several."""
+        found = self.files.get("")
+        return found if isinstance(found, str) else None
+
+    def __str__(self) -> str:
+        return self.summary or ", ".join(filter(None, self.files)) or "exported"
+
+    def write(self, place: Path) -> None:
+        """Write the one file there, or the files into that folder."""
+        for name, data in self.files.items():
+            path = place / name if name else place
+            write_text(path, data) if isinstance(data, str) else write_bytes(path, data)
+
+
+def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -> ExportResult:
+    """ExportResult (files for another program) of a calibration.json, a rig.toml or a recording.
+
+    A recording for tum and parquet; as `rig export` makes it.
+
+    kind : one of TABLES, C_SOURCES, LOOKUP, CAMERAS, RECORDINGS and GEOMETRIES
+    Raises RigError for a machine that this format cannot state, and for options out of range
+    """
+    if kind in TABLES:
+        return _correction_tables(machine, kind, options)
+    if kind in C_SOURCES:
+        origin = f"rig {metadata.version('rig')} of {machine.name}, SHA-256 {sha256(machine.read_bytes()).hexdigest()}"
+        calibration = calibration_file.load(machine)
+        correction, physics = calibration.correction, calibration.physics
+        if kind == "linuxcnc-kins":
+            source = linuxcnc_kinematics_source(correction, physics, origin, options.units)
+        elif isinstance(correction, ArmCorrection):
+            source = arm_correction_c_source(correction, physics, origin)
+        else:
+            source = correction_c_source(correction, physics, origin)
+        return ExportResult({"": source.text}, "; ".join(source.notes))
+    if kind == LOOKUP:
+        if options.poses is None:
+            raise RigError("lut takes the wanted poses, as --poses FILE")
+        table = correction_lookup_table(calibration_file.load(machine), load_wanted_poses(options.poses), options.over)
+        return ExportResult({"": table.csv}, str(table))
+    if kind in CAMERAS:
+        return _cameras(machine, kind)
+    if kind in RECORDINGS:
+        return _recording(machine, kind)
+    return _geometry(machine, kind, options)
+
+
+def _geometry(path: Path, kind: str, options: ExportOptions) -> ExportResult:
+    """The geometry of a calibration.json or a rig.toml."""
+    mechanism, left_out, lead = _machine(path)
+    lead = lead if options.lead is None else options.lead
+    _require_plausible_coupling(path, options.coupling, lead)
+    kinds = GEOMETRIES[kind]
+    if mechanism.kind not in kinds:
+        raise RigError(
+            f"{kind} takes a mechanism of kind {' or '.join(kinds)}; {path} has one of kind {mechanism.kind!r}"
+        )
+    text = {
+        "genhexkins": lambda: geometry_and_camera_files.genhexkins_settings(
+            require_hexapod(mechanism), options.units, lead, options.coupling
+        ),
+        "urdf": lambda: (
+            urdf_and_sdf.arm_urdf(require_arm(mechanism), path.stem)
+            if mechanism.link_rows is not None
+            else urdf_and_sdf.hexapod_urdf(require_hexapod(mechanism), path.stem)
+        ),
+        "sdf": lambda: urdf_and_sdf.hexapod_sdf(require_hexapod(mechanism), path.stem),
+        "json": lambda: geometry_and_camera_files.geometry_json(_exported(mechanism)),
+        "csv": lambda: geometry_and_camera_files.geometry_csv(_exported(mechanism)),
+    }[kind]()
+    return ExportResult({"": text}, left_out=tuple(left_out))
+
+
+def _require_plausible_coupling(path: Path, coupling: float, lead: float | None) -> None:
+    """Raise RigError for a coupling without the screws' lead (m), and for either out of range."""
+    if coupling and lead is None:
+        raise RigError(
+            f"--coupling takes the screws' lead, m per revolution: give --lead, since {path} "
+            "does not state it"
+            + (" ([actuator] screw_lead)" if path.suffix == ".toml" else " (a rig.toml may, as [actuator] screw_lead)")
+        )
+    if not -10 <= coupling <= 10 or (lead is not None and not 0 < lead <= 1):
+        raise RigError(
+            "--coupling is a share between -10 and 10 and --lead is in metres, above 0 and at most 1, not "
+            f"{coupling:g} and {lead:g}"
+            if lead is not None
+            else f"--coupling is a share between -10 and 10, not {coupling:g}"
+        )
+
+
+def _correction_tables(path: Path, kind: str, options: ExportOptions) -> ExportResult:
+    """Corrections as tables, and what they leave out."""
+    correction = calibration_file.load(path).correction
+    mechanism = correction.nominal
+    if mechanism.link_rows is not None:
+        raise RigError(f"{kind} takes a hexapod's calibration; an arm's is corrected by `rig correct`")
+    parts = options.parts if options.parts is not None else 3 if kind == "grid" else 64
+    most = 9 if kind == "grid" else geometry_and_camera_files.MOST - 1
+    if not 1 <= parts <= most:
+        raise RigError(f"--intervals is 1 to {most} for {kind}, not {parts}")
+    if kind == "grid":
+        text = geometry_and_camera_files.correction_grid_csv(
+            *grid_correction_table(correction, parts), mechanism.axes, mechanisms.kinematics_of(mechanism).UNIT
+        )
+        rows = (parts + 1) ** len(mechanism.axes)
+        return ExportResult({"": text}, f"{rows} rows; command = x + k, x as the nominal model has it")
+    found = axis_correction_tables(correction, parts + 1)
+    files = {
+        f"joint_{i}.comp": geometry_and_camera_files.linuxcnc_compensation_file(
+            levels + correction.fitted.strut_zeros[i], trims, options.units
+        )
+        for i, (levels, trims) in enumerate(zip(found.levels, found.trims))
+    }
+    return ExportResult(
+        files,
+        f"COMP_FILE_TYPE = 0, units {options.units}, on top of genhexkins with the calibration's geometry; "
+        f"a table for each joint alone leaves {np.sqrt((found.left**2).mean()) * 1e6:.3f} um RMS of the correction",
+    )
+
+
+def _cameras(path: Path, kind: str) -> ExportResult:
+    """The lenses of a rig.toml, a file for each camera."""
+    found = design_file.load_design(path).cameras
+    if not found:
+        raise RigError(f"{path} has no cameras")
+    written = (
+        geometry_and_camera_files.ros_camera_info
+        if kind == "camera-info"
+        else geometry_and_camera_files.opencv_camera_yaml
+    )
+    return ExportResult({f"{camera.name}.yaml": written(camera) for camera in found})
+
+
+def _recording(path: Path, kind: str) -> ExportResult:
+    """The poses or the tables of a recording."""
+    found = load_recording(path)
+    if kind == "tum":
+        text = recording_as_rerun_tum_parquet.tum_trajectory(found)
+        return ExportResult({"": text}, f"{len(text.splitlines()) - 1} poses")
+    tables = recording_as_rerun_tum_parquet.parquet_tables(path)
+    return ExportResult({f"{name}.parquet": data for name, data in tables.items()})
+
+
+def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
+    """(mechanism, what corrects beyond it, in lines, the screws' lead in m or None) of a calibration.json or a
+    rig.toml.
+    """
+    if path.suffix == ".toml":
+        design = design_file.load_design(path)
+        return design.mechanism, [], design.actuator.screw_lead
+
+    calibration = calibration_file.load(path, several_hands=True)
+    correction, left_out = calibration.correction, []
+    if calibration.physics is not None and calibration.physics.compensable_effects():
+        names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.compensable_effects())
+        left_out.append(f"the calibration compensates {names} besides the geometry, which this format does not contain")
+    if correction.posed:
+        left_out.append(f"maps in pose space ({len(correction.posed)}) are not in this format")
+    every = correction.extension is not None
+    axes = [str(i + 1) for i, part in enumerate(correction.remainder) if part is not None or every]
+    if axes:
+        left_out.append(f"the calibration corrects axes {', '.join(axes)} beyond any geometry")
+    return correction.fitted, left_out, None
+
+
+def _exported(mechanism: Mechanism) -> Hexapod | Arm:
+    """The mechanism, which has a geometry that can be written."""
+    require_one_hand(mechanism, "geometry is exported")
+    return require_arm(mechanism) if mechanism.link_rows is not None else require_hexapod(mechanism)

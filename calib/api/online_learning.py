@@ -1,0 +1,193 @@
+"""Learning of parameters from a recording, pose by pose: the current estimate, and sudden changes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from calib.api.recording_check_and_combination import refuse_unfit_recording
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.certification.calibration_evidence_verdict_and_claim_check import (
+    OfCalibrations,
+    calibration_evidence_verdict_and_claim_check,
+)
+from calib.diagnosis.calibration_left_out_physics import unexplained_findings_and_refutations
+from calib.online.forgetting_kalman_and_gradient_learners import save_learner
+from calib.online.information_filter import Online
+from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
+from calib.online.recording_learning import (
+    FILTER,
+    Learning,
+    learn_by_filter,
+    learn_by_simple_learner,
+    resume_or_start_learner,
+)
+from calib.report.online_learning_and_measuring_limb_pages import OnlineResult, online_verdict, write_online_page
+from calib.samples.confounded_conditions import confounds_of_recordings
+from calib.samples.pose_samples import Sampled, sample_recording
+from rig.array_and_json_types import Json
+from rig.errors import RigError
+from rig.formats.local_and_remote_input_files import list_json_files_in_same_folders
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
+from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
+from rig.recording.recording_folder import Recording
+from rig.report.pages.page_templates_and_elements import Link
+from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
+from rig.report.verdict_and_refutations import Refutation, Verdict
+from vision.api import Progress
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LearnOptions:
+    """state : file of a state to go on from, where it is there, or None; calibration : to start from, None for
+    rig.toml; calibration_name : of its file, for messages; refutations : what later recordings found against it
+    learner : "filter", which names what jumped, or one of
+        calib.online.forgetting_kalman_and_gradient_learners; setting : of such a one, None for its
+    default
+    limbs : measuring limbs as the source of poses, None for vision or poses.csv; anyway : whether to go on though a
+    mistake makes results meaningless
+    """
+
+    state: Path | None = None
+    calibration: Calibration | None = None
+    calibration_name: str = "the calibration"
+    refutations: Sequence[Refutation] = ()
+    learner: str = FILTER
+    setting: float | None = None
+    limbs: LimbSource | None = None
+    anyway: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class LearningResult(OneLineRepr):
+    """What a recording's poses taught. recording; found : Learning; online : the same with what it rests on."""
+
+    recording: Recording
+    found: Learning
+    online: OnlineResult
+
+    @property
+    def learner(self) -> object:
+        """The learner as it is after the last pose."""
+        return self.found.learner
+
+    @property
+    def sampled(self) -> Sampled:
+        """The poses that were learnt."""
+        return self.found.sampled
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict on what was learnt."""
+        return online_verdict(self.online)
+
+    @property
+    def confounds_line(self) -> str:
+        """What the recording confounds, in words."""
+        return "" if self.online.confounds is None else self.online.confounds.line()
+
+    def __str__(self) -> str:
+        return self.verdict.line
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        return result_html(str(self), self.found.lines)
+
+    def tree(self) -> Json:
+        """What `rig calibrate online --json` prints."""
+        confounds = self.online.confounds
+        return {
+            **self.found.figures,
+            "verdict": self.verdict.tree(),
+            "confounds": None if confounds is None else confounds.tree(),
+        }
+
+    def save(self, path: Path) -> None:
+        """Save the learner's state, to go on from."""
+        learner = self.found.learner
+        if isinstance(learner, Online):
+            learner.save(path)
+        else:
+            save_learner(path, learner)
+
+    def write_page(self, path: Path, links: Sequence[Link] = ()) -> None:
+        """Write the page of it."""
+        write_online_page(path, self.recording.name, self.online, links)
+
+
+def learn(
+    recording: Recording,
+    options: LearnOptions = LearnOptions(),
+    progress: Progress = lambda *_: None,
+    notice: Notice = ignore_notice,
+) -> LearningResult:
+    """LearningResult of a recording's poses, learnt one at a time, as `rig calibrate online` makes it.
+
+    Poses that have been learnt before are left out.
+    progress : called with (label, done, of); notice : with what is found on the way, in words
+    Raises RigError for other mechanisms than hexapods, for a state of another learner, and where no pose is left
+    """
+    look = refuse_unfit_recording(recording, options.anyway, notice)
+    mechanism = require_hexapod(
+        recording.design.mechanism, "on-line learning is for hexapods, not for a mechanism of kind {kind!r}"
+    )
+    calibration = options.calibration
+    if calibration is not None:
+        _refuse_unsuited(calibration, mechanism.kind, options.calibration_name)
+    sampler = (
+        partial(sample_recording, recording, progress=progress, on_corners=look)
+        if options.limbs is None
+        else partial(sample_by_limbs, recording, options.limbs, progress, notice)
+    )
+    recording.commanded()  # a recording that nobody commanded is refused
+    evidence = _calibration_evidence(recording, calibration, options.refutations)
+    if options.learner == FILTER:
+        known = Online.load(options.state) if options.state is not None and options.state.exists() else None
+        found = learn_by_filter(recording, sampler, known, calibration, progress, notice)
+    else:
+        learner = resume_or_start_learner(options.learner, options.setting, options.state, mechanism, calibration)
+        found = learn_by_simple_learner(recording, sampler, learner, options.learner, calibration, progress, notice)
+    online = replace(found.online, confounds=confounds_of_recordings([recording]), calibrations=evidence)
+    return LearningResult(recording, found, online)
+
+
+def learn_from_samples(
+    recording: Recording,
+    sampled: Sampled,
+    state: Path | None = None,
+    progress: Progress = lambda *_: None,
+    notice: Notice = ignore_notice,
+) -> LearningResult:
+    """LearningResult of samples measured otherwise, by the filter.
+
+    state : as of LearnOptions; sampled : of recording
+    """
+    known = Online.load(state) if state is not None and state.exists() else None
+    found = learn_by_filter(recording, lambda: sampled, known, None, progress, notice)
+    return LearningResult(recording, found, replace(found.online, confounds=confounds_of_recordings([recording])))
+
+
+def _refuse_unsuited(calibration: Calibration, kind: str, name: str) -> None:
+    """Raise RigError for a calibration of another kind of mechanism, and for one with physics."""
+    if calibration.correction.fitted.kind != kind:
+        raise RigError(
+            f"{name} is a calibration of a mechanism of kind {calibration.correction.fitted.kind!r}, the "
+            f"recording's is {kind!r}"
+        )
+    calibration.refuse_physics("learning on-line")
+
+
+def _calibration_evidence(
+    recording: Recording, calibration: Calibration | None, refutations: Sequence[Refutation]
+) -> OfCalibrations:
+    """OfCalibrations made from a recording that are in its folder's parent; and what the one that learning starts from
+    leaves unexplained.
+    """
+    beside = unexplained_findings_and_refutations(
+        content_hashes_of_frames(recording), list_json_files_in_same_folders(recording.folder), True
+    )
+    if calibration is None:
+        return beside
+    start = calibration_evidence_verdict_and_claim_check(calibration, refutations).unexplained
+    return beside._replace(unexplained=tuple(dict.fromkeys([*beside.unexplained, *start])))

@@ -1,0 +1,288 @@
+"""Recordings checked and refused if unfit, combined, and the instrument's displacement between them removed.
+
+The geometry and, for each further recording, the six numbers of the instrument's place are fitted to all closures at
+once, each strut weighed by its poses' noise and by what it scatters beyond in that recording: what the machine's model
+leaves out differs from plan to plan, and must not be taken for a place. Only a place that chance does not explain, and
+that does more to the struts than all that it leaves there, is taken out.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import scipy
+from scipy.spatial.transform import RigidTransform
+from threadpoolctl import threadpool_limits
+
+from calib.drift.visit_equations_and_reference import base_motion_columns
+from calib.models.base_and_tool_displacement_between_recordings import has_placements, placement_lines
+from calib.models.geometry_and_placement_fit_of_several_recordings import remove_base_and_tool_displacement
+from calib.models.platform.identification import PRIOR
+from calib.samples.pose_samples import Samples, sample_recording
+from rig.api import CheckResult, load_and_check_recording_files
+from rig.array_and_json_types import Floats, Integers
+from rig.checks import command_and_pose_disagreements
+from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
+from rig.model import mechanisms
+from rig.model.arm_branches_and_hands import hand_names
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Parallel,
+    geometric_parameters,
+    loop_closure_parameter_jacobian,
+    mechanism_with_parameters,
+    require_parallel,
+    strut_length_jacobian,
+)
+from rig.model.pose import exp
+from rig.recording.combined_recordings import is_measured_by_instrument
+from rig.recording.frame_selection_and_content_hashes import select_hand
+from rig.recording.recording_folder import Recording
+from rig.recording.recording_table_loading_and_writing import Corners
+from vision.checks import find_corner_mistakes
+from vision.checks.recording_refusal_and_cube_layout_remarks import (
+    Notice,
+    make_spoilt_corner_refusal,
+    recorded_or_sampled_corners,
+    refuse_mistakes,
+    refuse_spoilt_files,
+    uneven_cube_layout_remarks,
+)
+from vision.recording_combination_and_moved_cameras import combine_recordings, require_combinable
+
+ROUNDS = 4  # of linearising anew
+ALIKE = 1e-3  # probability with which an instrument that stands still is taken for moved, which costs little
+CLEAR = 2.0  # times what it leaves of the struts' closures; a place that does less may be what the model leaves out
+SPREAD = 1.4826  # standard deviations in a median of absolute values
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """Where an instrument stood in a recording (its number, from 0), seen from its place in the first. motion : (6,) m,
+    rad, in the base
+    p_value : of so much by chance"""
+
+    recording: int
+    motion: Floats
+    p_value: float
+
+    def line(self, name: str) -> str:
+        """In words; name : of the recording."""
+        far, turned = np.linalg.norm(self.motion[:3]), np.linalg.norm(self.motion[3:])
+        return (
+            f"the instrument has moved, by {far * 1e3:.3g} mm and {turned * 1e3:.3g} mrad, in {name}: its "
+            "poses are transformed to the first recording"
+        )
+
+
+def remove_instrument_displacement(recording: Recording) -> tuple[Recording, list[Place]]:
+    """Recording with its instrument's displacement removed, and the [Place] where it was displaced, of a platform.
+
+    Raises what sampling raises
+    """
+    samples, m = sample_recording(recording).samples, require_parallel(recording.design.mechanism)
+    number = _numbers(recording, samples.frame)
+    motions, scatter, start = (
+        np.zeros((len(recording.parts), 6)),
+        np.zeros((len(recording.parts), len(m.axes))),
+        geometric_parameters(m),
+    )
+    for _ in range(ROUNDS):
+        at = replace(samples, T_base_platform=_back(samples.T_base_platform, motions[number]))
+        step, covariance, scatter = _solved(at, number, m, start, scatter)
+        m = mechanism_with_parameters(m, geometric_parameters(m) + step[: len(start)])
+        motions = motions + np.concatenate([np.zeros((1, 6)), step[len(start) :].reshape(-1, 6)])
+    places = []
+    for k, motion in enumerate(motions[1:]):
+        rows = slice(len(start) + 6 * k, len(start) + 6 * k + 6)
+        p = float(scipy.special.chdtrc(6, motion @ np.linalg.solve(covariance[rows, rows], motion)))
+        if p * (len(motions) - 1) < ALIKE and _clear(samples.take(number == k + 1), motion, m):
+            places.append(Place(k + 1, motion, p))
+    return _recording_in_first_base_frame(recording, places), places
+
+
+def _clear(samples: Samples, motion: Floats, m: Parallel) -> bool:
+    """Whether a place (6,) does CLEAR times as much to the closures of a recording's samples as it leaves, by a
+    mechanism as fitted.
+    """
+    inverse, T = mechanisms.kinematics_of(m).inverse, samples.T_base_platform
+    here = inverse(_back(T, np.tile(motion, (len(samples), 1))), m)
+    return float(np.linalg.norm(inverse(T, m) - here)) > CLEAR * float(np.linalg.norm(here - samples.commanded))
+
+
+def _solved(
+    samples: Samples, number: Integers, m: Parallel, start: Floats, scatter: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """(step (p + 6 later,), its covariance, (parts, axes) m scatter) of geometry and places, linear about a mechanism
+    and places as they are.
+
+    number : (n,) recording of each sample; start : (p,) the stated geometry, to which the prior pulls;
+        scatter : (parts, axes) m, so far
+    """
+    T, p = samples.T_base_platform, len(start)
+    later = int(number.max())
+    A = strut_length_jacobian(T, m)
+    C = A @ samples.covariance @ np.swapaxes(A, 1, 2)
+    W = np.linalg.inv(np.linalg.cholesky(C + np.eye(len(m.axes)) * scatter[number][:, None] ** 2))
+    moved = np.zeros((*A.shape[:2], later, 6))
+    for k in range(later):
+        moved[number == k + 1, :, k] = (A @ base_motion_columns(T))[number == k + 1]
+    J = np.concatenate([loop_closure_parameter_jacobian(T, m), moved.reshape(*A.shape[:2], -1)], axis=2)
+    left = mechanisms.kinematics_of(m).inverse(T, m) - samples.commanded
+    white, away = (
+        (W @ J).reshape(-1, J.shape[2]),
+        np.r_[(start - geometric_parameters(m)) / PRIOR**2, np.zeros(6 * later)],
+    )
+    covariance = np.linalg.inv(white.T @ white + np.diag(np.r_[np.full(p, 1 / PRIOR**2), np.zeros(6 * later)]))
+    step = covariance @ (white.T @ (W @ left[..., None]).ravel() + away)
+    left, own = np.abs(left - J @ step), np.einsum("nii->ni", C)
+    spread = np.stack(
+        [(SPREAD * np.median(left[number == k], axis=0)) ** 2 - own[number == k].mean(axis=0) for k in range(later + 1)]
+    )
+    return step, covariance, np.sqrt(np.maximum(spread, 0.0))
+
+
+def _back(T: RigidTransform, motions: Floats) -> RigidTransform:
+    """Poses (n,) as the instrument would have seen them from its first place; motions : (n, 6) of the base, m and rad,
+    along its axes.
+    """
+    return exp(motions).inv() * T
+
+
+def _recording_in_first_base_frame(recording: Recording, places: list[Place]) -> Recording:
+    poses = recording.poses
+    if not places or poses is None:
+        return recording
+    motions = np.zeros((len(recording.parts), 6))
+    for place in places:
+        motions[place.recording] = place.motion
+    turned = motions[_numbers(recording, poses.frame)]
+    return replace(recording, poses=replace(poses, T_base_platform=_back(poses.T_base_platform, turned)))
+
+
+def _numbers(recording: Recording, frame: Integers) -> Integers:
+    """(n,) which of several recordings together, from 0, frames (n,) are of."""
+    return np.searchsorted([part.frames for part in recording.parts], frame, side="right") - 1
+
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedRecording:
+    """recording : one Recording of all; look : judges its corners once they are read, where that is not done; joined :
+    whether it was made of several
+    """
+
+    recording: Recording
+    look: Callable[[Corners], None]
+    joined: bool
+
+
+def check_and_combine_recordings(
+    recordings: Recording | Sequence[Recording], ignore_mistakes: bool, notice: Notice, progress: Progress | None
+) -> PreparedRecording:
+    """Recordings prepared for use (PreparedRecording): each checked and refused if unfit, several combined.
+
+    ignore_mistakes : whether to go on though a mistake makes results meaningless; notice : called with lines on what is
+    unlikely, on what the recordings share and what is each one's own; progress : called with (label, done, of), or None
+    Raises RigError that names the likeliest mistake first, and for recordings that are not of one rig
+    """
+    every = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    if len(every) == 1:
+        return PreparedRecording(every[0], refuse_unfit_recording(every[0], ignore_mistakes, notice), False)
+    require_combinable(every)
+    for recording in every:
+        look = refuse_unfit_recording(recording, ignore_mistakes, notice)
+        corners = recorded_or_sampled_corners(recording)
+        if corners is not None:
+            look(corners)
+    found = combine_recordings(every, progress)
+    for line in found.lines():
+        notice(line)
+    recording = found.recording
+    if is_measured_by_instrument(recording):
+        measured = "pose" if recording.design.instrument is None else recording.design.instrument.kind
+        several = bool(hand_names(recording.design.mechanism))
+        if recording.design.mechanism.strut_joints is not None:
+            recording, places = remove_instrument_displacement(recording)
+            for place in places:
+                notice(place.line(every[place.recording].name))
+            if not places:
+                notice("the instrument has not moved")
+        elif has_placements(recording.design.mechanism, measured) and not several:
+            recording, placements = remove_base_and_tool_displacement(recording)
+            for line in placement_lines(placements, [one.name for one in every[1:]]):
+                notice(line)
+            if not any(any(one.moved) for one in placements):
+                notice("base and tool stand where they stood")
+        else:
+            notice(
+                "the instrument is assumed not to have moved: this is not checked for a mechanism of kind "
+                f"{recording.design.mechanism.kind!r} {'with several hands' if several else 'seen so'}"
+            )
+    return PreparedRecording(recording, lambda corners: None, True)
+
+
+def refuse_unfit_recording(recording: Recording, anyway: bool, notice: Notice) -> Callable[[Corners], None]:
+    """Refuse a recording with spoilt files or poses; returns the check that refuses its corners once read."""
+    refuse_spoilt_files(recording, anyway, notice)
+    if recording.poses is not None and recording.corners is None and not recording.has_images:
+        refuse_mistakes(pose_mistakes(recording), anyway, notice)
+    return make_spoilt_corner_refusal(recording, anyway, notice)
+
+
+def pose_mistakes(recording: Recording) -> tuple[Mistake, ...]:
+    """Mistakes that poses.csv and commands.csv show of each other."""
+    from calib.models.arm.command_and_pose_mistakes import find_arm_mistakes
+
+    if recording.poses is None or recording.commands is None:
+        return ()
+    mechanism = recording.design.mechanism
+    if hand_names(mechanism):
+        found = [
+            replace(mistake, what=f"hand {name}: {mistake.what}")
+            for name in hand_names(mechanism)
+            for mistake in find_arm_mistakes(select_hand(recording, name))
+        ]
+        return sort_mistakes(found)
+    if mechanism.link_rows is not None:
+        return find_arm_mistakes(recording)
+    if mechanism.plates is None:
+        return ()
+    return sort_mistakes(
+        command_and_pose_disagreements.command_pose_mistakes(
+            command_and_pose_disagreements.commands_and_measured_poses(
+                recording,
+                recording.poses.frame,
+                recording.poses.T_base_platform,
+                command_and_pose_disagreements.pose_columns_of_poses_csv_as_written(recording),
+            )
+        )
+    )
+
+
+def check(path: Path | str, detect: bool = False) -> CheckResult:
+    """CheckResult of a recording's folder, as `rig check` states it.
+
+    detect : whether to read some images even where corners.csv is there, and compare both
+
+    >>> import calib
+    >>> print(calib.check("tests/data/bench/check"))
+    good: nothing wrong or unlikely was found
+    """
+    recording, files = load_and_check_recording_files(Path(path))
+    if recording is None:
+        return files
+    found = [*files.found, *pose_mistakes(recording)]
+    corners = recording.corners
+    if recording.has_images and (corners is None or detect):
+        from vision.checks.image_sample_corners_and_dictionary_mistakes import image_sample_corners_and_mistakes
+
+        seen, more = image_sample_corners_and_mistakes(recording)
+        found += more
+        corners = corners or seen
+    if corners is not None:
+        with threadpool_limits(1):  # threads in products as small as these make it some ten times as long
+            found += find_corner_mistakes(recording, corners, thorough=True)
+    return CheckResult(sort_mistakes(found), uneven_cube_layout_remarks(recording.design))

@@ -1,0 +1,97 @@
+"""Correction tables by sample, axis or grid.
+
+Source: configuration-space patent, [0052], [0061] (data that comprise the correction values), [0130]
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.correction.correction import AnyCorrection
+from calib.samples.pose_samples import Samples
+from rig.array_and_json_types import Floats
+from rig.errors import NotConverged, RigError
+from rig.model import mechanisms
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, strut_length_jacobian
+from rig.planning.configuration_sets import FILL, sobol_configurations
+
+AVERAGED = 256  # configurations over which a table for one joint alone is the mean
+
+
+def correction_summand_column_names(axes: int) -> tuple[str, ...]:
+    """Column names of the table of correction summands (ksf.csv): frame, x, y, k = x - y, covariance."""
+    triangle = tuple(f"c{i}{j}" for i in range(axes) for j in range(i, axes))
+    return ("frame", *(f"{name}{i + 1}" for name in "xyk" for i in range(axes)), *triangle)
+
+
+class CorrectionSummands(NamedTuple):
+    """KSF_PM of n samples: values (n, axes) m or rad; covariance : (n, axes, axes), by that of the measured poses."""
+
+    values: Floats
+    covariance: Floats
+
+
+def strut_correction_summands(samples: Samples, nominal: Parallel) -> CorrectionSummands:
+    """Correction summands of struts at samples: commands less IK of the measured poses by the nominal model."""
+    A = strut_length_jacobian(samples.T_base_platform, nominal)
+    return CorrectionSummands(
+        samples.commanded - mechanisms.kinematics_of(nominal).inverse(samples.T_base_platform, nominal),
+        A @ samples.total_covariance() @ np.swapaxes(A, 1, 2),
+    )
+
+
+def correction_summand_table_rows(samples: Samples, summands: CorrectionSummands) -> Iterator[str]:
+    """Rows of the table of correction summands (ksf.csv), one for each sample."""
+    upper = np.triu_indices(summands.values.shape[1])
+    for frame, x, k, C in zip(samples.frame, samples.commanded, *summands):
+        yield ",".join(
+            [str(frame), *(f"{value:.12f}" for value in (*x, *(x - k), *k)), *(f"{value:.9e}" for value in C[upper])]
+        )
+
+
+class JointTables(NamedTuple):
+    """levels, trims : (axes, count) m or rad: what is to be added to each axis' command at its own levels;
+    left : (axes,) RMS of what a table for each axis alone cannot hold of the whole correction."""
+
+    levels: Floats
+    trims: Floats
+    left: Floats
+
+
+def axis_correction_tables(correction: AnyCorrection, count: int) -> JointTables:
+    """Correction table of each axis alone: the mean of the remainder over the other axes.
+
+    c = x + trim, c the fixed point c = x + rho(c) at the axis' own level x, the other axes all over their strokes
+    """
+    strokes = mechanisms.kinematics_of(correction.nominal).travel_ranges(correction.nominal)
+    others = sobol_configurations(strokes, AVERAGED, FILL)
+    levels = np.linspace(strokes[:, 0], strokes[:, 1], count, axis=1)
+    trims, left = np.empty(levels.shape), np.empty(len(levels))
+    for i, own in enumerate(levels):
+        wanted = np.repeat(others[None], count, axis=0)
+        wanted[..., i] = own[:, None]
+        found = correction.settled(wanted)[..., i] - own[:, None]
+        trims[i] = found.mean(axis=1)
+        left[i] = np.sqrt(((found - trims[i][:, None]) ** 2).mean())
+    return JointTables(levels, trims, left)
+
+
+def grid_correction_table(correction: AnyCorrection, divisions: int, fill: float = FILL) -> tuple[Floats, Floats]:
+    """Correction table on an even grid: (x, k), both (vertices, axes) m or rad.
+
+    x + k is to be commanded for x.
+    Raises RigError where a vertex has no pose
+    """
+    strokes = mechanisms.kinematics_of(correction.nominal).travel_ranges(correction.nominal)
+    levels = strokes.mean(axis=1)[:, None] + fill * np.ptp(strokes, axis=1)[:, None] / 2 * np.linspace(
+        -1, 1, divisions + 1
+    )
+    x = np.stack(np.meshgrid(*levels, indexing="ij"), axis=-1).reshape(-1, len(strokes))
+    try:
+        wanted = mechanisms.kinematics_of(correction.nominal).forward(x, correction.nominal)
+        return x, correction.inverse(wanted) - x
+    except NotConverged as error:
+        raise RigError(
+            f"{len(error.index)} of the grid's {len(x)} vertices close on no pose; use a smaller share of the strokes"
+        ) from None

@@ -1,0 +1,377 @@
+"""Placement of an arm's or chain's base and tool in a further recording, estimated against a reference.
+
+A robot stationed anew or a tracker that was moved displaces all poses of a recording by one rigid motion on the left; a
+probe that was remounted, by one on the right. Six numbers each are estimated by robust least squares, linear about
+where they stand, with the geometry where that is fitted as well. What they take of the noise is given back.
+Source: docs/mathematics.md (6), (21); Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.1
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.models.arm import error_model_and_observations as arms
+from calib.models.chain import error_model_and_identification as chains
+from calib.samples.pose_samples import Samples
+from rig.array_and_json_types import Booleans, Floats, Json
+from rig.model.design import Instrument
+from rig.model.mechanism_geometry_classes import Arm, Chain
+from rig.model.mechanisms import kinematics_of
+from rig.model.pose import adjoint, exp, pose_to_vector, skew
+from rig.recording.recording_folder import Recording
+
+ALIKE = 1e-3  # probability with which an end that stands still is taken for moved, which costs little
+CLEAR = 2.0  # times what it leaves; a displacement that does less may be what the model leaves out
+LOOSE = 1.0  # m, rad; by which an estimate may still be off where it is linearised anew
+HUBER = 3.0  # standard deviations, beyond which a pose counts less
+STEPS, ALTERNATIONS = 30, 20
+SETTLED = 1e-9  # m, rad
+FEWEST = 8  # poses from which a placement is estimated
+ENDS = ("base", "tool")
+NONE = RigidTransform.identity()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placement:
+    """Where base and tool stand, as motions from where they stood in the reference.
+
+    base : RigidTransform, about `origin` (3,) m, where the base stood, in the frame of poses; tool : RigidTransform, in
+    the target's frame as it was
+    covariance : (12, 12) m and rad of both, 0 where an end was not estimated; ends : which were estimated
+    p_values : of so much by chance, 1 of an end that was not estimated
+    """
+
+    base: RigidTransform
+    tool: RigidTransform
+    origin: Floats
+    covariance: Floats
+    ends: tuple[bool, bool]
+    p_values: tuple[float, float] = (1.0, 1.0)
+
+    @property
+    def motion(self) -> RigidTransform:
+        """The base's motion in the frame of poses."""
+        there = RigidTransform.from_translation(self.origin)
+        return there * self.base * there.inv()
+
+    @property
+    def moved(self) -> tuple[bool, bool]:
+        """Whether chance does not explain that base and tool stand elsewhere."""
+        return self.p_values[0] < ALIKE, self.p_values[1] < ALIKE
+
+    def undone(self, T: RigidTransform) -> RigidTransform:
+        """Poses (n,) as they would have been measured in the reference."""
+        return self.motion.inv() * T * self.tool.inv()
+
+    def stepped(self, step: Floats) -> "Placement":
+        """With both motions changed by a step (12,)."""
+        return replace(self, base=self.base * exp(step[:6]), tool=exp(step[6:]) * self.tool)
+
+    def sizes(self, end: int) -> tuple[float, float, float, float]:
+        """(m, rad, U of each (k = 2)) of the displacement of an end, 0 the base and 1 the tool."""
+        T = (self.base, self.tool)[end]
+        own = self.covariance[6 * end : 6 * end + 6, 6 * end : 6 * end + 6]
+        position, rotation = T.translation, T.rotation.as_rotvec()
+        lengths = float(np.linalg.norm(position)), float(np.linalg.norm(rotation))
+        turn = T.rotation.as_matrix() if end == 0 else np.eye(3)  # a step of the base is in the displaced base's axes
+        parts = ((position, turn @ own[:3, :3] @ turn.T), (rotation, own[3:, 3:]))
+        uncertain = [2 * _along(vector, C) for vector, C in parts]
+        return lengths[0], lengths[1], uncertain[0], uncertain[1]
+
+    def entry(self) -> Json:
+        """What JSON holds: of each estimated end, whether it stands elsewhere and by how much, U with k = 2."""
+        out: Json = {}
+        for end, name in enumerate(ENDS):
+            if self.ends[end]:
+                far, turned, *U = self.sizes(end)
+                out[name] = {
+                    "stands_elsewhere": self.moved[end],
+                    "p_value": self.p_values[end],
+                    "position": {"value": far, "U": U[0]},
+                    "rotation": {"value": turned, "U": U[1]},
+                }
+        return out
+
+    def lines(self) -> list[str]:
+        """What is stated of each end that was estimated."""
+        out = []
+        for end, name in enumerate(ENDS):
+            if not self.ends[end]:
+                continue
+            far, turned, *U = self.sizes(end)
+            within = f"{U[0] * 1e3:.2g} mm and {U[1] * 1e3:.2g} mrad (k = 2)"
+            if self.moved[end]:
+                size = f"by {far * 1e3:.4g} mm and {turned * 1e3:.4g} mrad"
+                out.append(f"the {name} stands elsewhere: {size}, +- {within}")
+            else:
+                out.append(f"the {name} stands where it stood, to +- {within}")
+        return out
+
+
+def _along(vector: Floats, covariance: Floats) -> float:
+    """Standard uncertainty of a vector's length; of one that is nearly 0, the greatest of its directions."""
+    size = float(np.linalg.norm(vector))
+    greatest = float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+    return float(np.sqrt(vector @ covariance @ vector)) / size if size > greatest else greatest
+
+
+def placement_columns(predicted: RigidTransform, origin: Floats) -> Floats:
+    """Columns (n, 6, 12): tangents of predicted poses (n,) per step of base and tool, in the predicted frames."""
+    back = np.swapaxes(predicted.rotation.as_matrix(), 1, 2)
+    out = np.zeros((len(back), 6, 12))
+    out[:, :3, :3] = out[:, 3:, 3:6] = back
+    out[:, :3, 3:6] = -back @ skew(predicted.translation - origin)
+    out[:, :, 6:] = np.eye(6)
+    return out
+
+
+def samples_in_reference(samples: Samples, placement: Placement, predicted: RigidTransform) -> Samples:
+    """Samples as they would have been measured in the reference.
+
+    predicted : (n,) poses there, whose rotations stand for those that positions alone do not tell
+    """
+    T = placement.undone(samples.T_base_platform)
+    covariance, common = samples.covariance, samples.common
+    if samples.measured == "position":
+        position = (placement.motion.inv() * samples.T_base_platform).translation
+        T = RigidTransform.from_translation(position - predicted.rotation.apply(placement.tool.translation))
+    elif placement.ends[1]:
+        turned = adjoint(placement.tool)
+        covariance, common = turned @ covariance @ turned.T, turned @ common
+    below = tuple(replace(one, T_base_stage=placement.motion.inv() * one.T_base_stage) for one in samples.below)
+    return replace(samples, T_base_platform=T, covariance=covariance, common=common, below=below)
+
+
+class _White(NamedTuple):
+    """left : (n, k) whitened residuals; columns : (n, k, 12), 0 of what was not asked for; weight : (n,)
+    W : (n, k, k), what whitens
+    """
+
+    left: Floats
+    columns: Floats
+    weight: Floats
+    W: Floats
+
+
+def _white(predicted: RigidTransform, samples: Samples, placement: Placement, scatter: Floats) -> _White:
+    """Whitened residuals and columns of samples about a placement. scatter : (6,) m, rad beyond the poses' noise"""
+    moved = samples_in_reference(samples, placement, predicted)
+    rows = 3 if samples.measured == "position" else 6
+    turned = predicted.inv() * moved.T_base_platform
+    left = pose_to_vector(turned)[:, :rows]
+    covariance = moved.total_covariance()[:, :rows, :rows] + np.diag(scatter[:rows] ** 2)
+    W = np.linalg.inv(np.linalg.cholesky(covariance))
+    columns = placement_columns(predicted, placement.origin)[:, :rows] * asked_numbers(placement.ends, samples.measured)
+    left = (W @ left[..., None])[..., 0]
+    size = np.sqrt((left**2).mean(axis=1))
+    size = size / max(1.0, float(np.median(size)))
+    return _White(left, W @ columns, np.minimum(1.0, HUBER / np.maximum(size, 1e-12)), W)
+
+
+def asked_numbers(ends: tuple[bool, bool], measured: str) -> Booleans:
+    """(12,) bool, the numbers that are estimated of ends; positions tell no rotation of the tool."""
+    return np.repeat([ends[0], ends[0], ends[1], ends[1] and measured == "pose"], 3)
+
+
+def estimate_placement(
+    predicted: RigidTransform, samples: Samples, origin: Floats, scatter: Floats, ends: tuple[bool, bool]
+) -> Placement:
+    """Placement of the ends asked for, by samples (n,) against predicted poses (n,), wherever they stand.
+
+    origin : (3,) m, where the base stood; scatter : (6,) m, rad beyond the poses' noise
+    Its covariance is that of the noise, enlarged where the poses scatter by more
+    """
+    none = Placement(NONE, NONE, origin, np.zeros((12, 12)), ends)
+    starts = [none, *(_aligned(predicted, samples, none, way) for way in ((True, False), (False, True), (True, True)))]
+    starts = [one for one in starts if all(asked or not used for asked, used in zip(ends, one.ends))]
+
+    def far(one: Placement) -> float:
+        T = one.undone(samples.T_base_platform)
+        return float(np.median(np.linalg.norm(T.translation - predicted.translation, axis=1)))
+
+    found = replace(min(starts, key=far), ends=ends)
+    prior = np.eye(12) / LOOSE**2
+    for _ in range(STEPS):
+        white = _white(predicted, samples, found, scatter)
+        A = white.columns * white.weight[:, None, None]
+        H = np.einsum("nka,nkb->ab", A, white.columns) + prior
+        step = np.linalg.solve(H, np.einsum("nka,nk->a", A, white.left))
+        found = found.stepped(step)
+        if np.abs(step).max() < SETTLED:
+            break
+    asked = asked_numbers(ends, samples.measured)
+    freedom = max(white.left.size - int(asked.sum()), 1)
+    excess = max(1.0, float((white.weight[:, None] * white.left**2).sum()) / freedom)
+    return replace(found, covariance=np.linalg.inv(H) * excess * np.outer(asked, asked))
+
+
+def _aligned(predicted: RigidTransform, samples: Samples, none: Placement, ways: tuple[bool, bool]) -> Placement:
+    """Placement by which positions, and of the tool rotations, agree in the mean; the ends in turn."""
+    T, posed = samples.T_base_platform, samples.measured == "pose"
+    base = tool = NONE
+    for _ in range(ALTERNATIONS if all(ways) else 1):
+        if ways[0]:
+            p, q = (predicted * tool).translation, T.translation
+            turn, _ = Rotation.align_vectors(q - q.mean(axis=0), p - p.mean(axis=0))
+            base = RigidTransform.from_components(q.mean(axis=0) - turn.apply(p.mean(axis=0)), turn)
+        if ways[1]:
+            back = predicted.inv() * base.inv() * T
+            turn = back.rotation.mean() if posed else Rotation.identity()
+            tool = RigidTransform.from_components(np.median(back.translation, axis=0) if posed else np.zeros(3), turn)
+    there = RigidTransform.from_translation(none.origin)
+    return replace(none, base=there.inv() * base * there, tool=tool, ends=ways)
+
+
+def tested_placement(placement: Placement, always: tuple[bool, bool], clear: bool) -> Placement:
+    """Placement of both ends, with the ends that stand elsewhere by more than chance, or are always asked for.
+
+    always : whether base and tool are placed anew in each recording, as far as anybody states
+    clear : whether a displacement does CLEAR times as much as it leaves; else only an end of `always` is asked for
+    The ends are to be estimated once more where these are fewer than both
+    """
+    moved, p = np.r_[pose_to_vector(placement.base), pose_to_vector(placement.tool)], [1.0, 1.0]
+    whole = _chance(moved, placement.covariance)
+    alone = [_chance(moved[6:], placement.covariance[6:, 6:]), _chance(moved[:6], placement.covariance[:6, :6])]
+    if whole < ALIKE:
+        p = [alone[1], alone[0]] if max(alone) < ALIKE else [whole, 1.0] if alone[0] >= alone[1] else [1.0, whole]
+    ends = tuple(always[k] or (p[k] < ALIKE and clear) for k in range(2))
+    return replace(placement, ends=(ends[0], ends[1]), p_values=(p[0] if ends[0] else 1.0, p[1] if ends[1] else 1.0))
+
+
+def _chance(moved: Floats, covariance: Floats) -> float:
+    """Probability of a displacement by chance, of its numbers that were estimated."""
+    some = np.diag(covariance) > 0
+    if not some.any():
+        return 1.0
+    square = moved[some] @ np.linalg.solve(covariance[np.ix_(some, some)], moved[some])
+    return float(scipy.special.chdtrc(int(some.sum()), square))
+
+
+def is_clear(predicted: RigidTransform, samples: Samples, placement: Placement, scatter: Floats) -> bool:
+    """Whether a placement does CLEAR times as much to the whitened poses as it leaves.
+
+    predicted : (n,) poses in the reference; scatter : (6,) m, rad beyond the poses' noise
+    """
+    none = replace(placement, base=NONE, tool=NONE)
+    before, after = (_white(predicted, samples, one, scatter) for one in (none, placement))
+    gone = float((before.weight[:, None] * before.left**2).sum())
+    left = float((after.weight[:, None] * after.left**2).sum())
+    return gone - left > CLEAR**2 * left
+
+
+def has_placements(mechanism: object, measured: str) -> bool:
+    """Whether base and tool are estimated of such a machine: of arms and chains by poses, or by positions alone."""
+    return isinstance(mechanism, (Arm, Chain)) and measured in ("pose", "position")
+
+
+def base_origin(mechanism: Arm | Chain) -> Floats:
+    """(3,) m, where the base stands in the frame of poses."""
+    first = mechanism.stages[0] if isinstance(mechanism, Chain) else mechanism
+    return first.base.translation if isinstance(first, Arm) else np.zeros(3)
+
+
+def target_poses(samples: Samples, machine: Arm | Chain) -> RigidTransform:
+    """Poses (n,) that a machine as it is reaches at the effective commands of samples."""
+    return kinematics_of(machine).forward(samples.effective, machine)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedSamples:
+    """samples : in the calibration's frames; placement : Placement that was removed, None where none was
+    lines : what is stated of it; unexpected : ends that stand elsewhere though their place is stated"""
+
+    samples: Samples
+    placement: Placement | None = None
+    lines: tuple[str, ...] = ()
+    unexpected: tuple[str, ...] = ()
+
+
+def samples_without_displacement(calibration: Calibration, recording: Recording, samples: Samples) -> PlacedSamples:
+    """Samples (PlacedSamples) with the place of base and tool removed as far as these are free or stand elsewhere.
+
+    samples : of the recording, as measured; those returned are with the physics that is known
+    What the numbers take of the noise is given back: residuals are enlarged by the share of it, of positions and of
+    rotations apart. The interval of the displacement includes the calibration's own uncertainty
+    """
+    known = calibration.with_physics(recording, samples)
+    placed = _without_displacement(calibration, known, recording.design.instrument)
+    return replace(placed, samples=calibration.with_physics(recording, placed.samples))
+
+
+def _without_displacement(calibration: Calibration, samples: Samples, instrument: Instrument | None) -> PlacedSamples:
+    """The same of samples with the physics that is known. instrument : as rig.toml states it, or None"""
+    fitted = calibration.correction.fitted
+    if not has_placements(fitted, samples.measured):
+        return PlacedSamples(samples)
+    assert isinstance(fitted, (Arm, Chain))
+    always = (
+        instrument is not None and instrument.base == "free",
+        instrument is not None and instrument.tool == "free",
+    )
+    if len(samples) < FEWEST:
+        few = f"the place of base and tool is not estimated from {len(samples)} poses; minimum {FEWEST}"
+        return PlacedSamples(samples, lines=(few,) if any(always) else ())
+    predicted, scatter = calibration.correction.predict(samples.effective), np.resize(calibration.scatter, 6)
+    origin = base_origin(fitted)
+
+    def estimated(ends: tuple[bool, bool]) -> tuple[Placement, Floats]:
+        """(Placement, its (12, 12) covariance by noise alone)."""
+        one = estimate_placement(predicted, samples, origin, scatter, ends)
+        own = one.covariance
+        return replace(one, covariance=own + _by_parameters(calibration, fitted, samples, predicted, one)), own
+
+    both, own = estimated((True, True))
+    tested = tested_placement(both, always, is_clear(predicted, samples, both, scatter))
+    if not any(tested.ends):
+        return PlacedSamples(samples)
+    found = both
+    if not all(tested.ends):
+        found, own = estimated(tested.ends)
+    found = replace(found, ends=tested.ends, p_values=tested.p_values)
+    moved = samples_in_reference(samples, found, predicted)
+    white = _white(predicted, samples, found, scatter)
+    taken = np.einsum("nka,ab,nkb->nk", white.columns, own, white.columns)
+    count = white.left.shape[1]
+    share = np.repeat([taken[:, part].mean() for part in (slice(0, 3), slice(3, 6)) if part.start < count], 3)
+    grown = np.ones(6)
+    grown[:count] = 1 / np.sqrt(1 - np.minimum(share, 0.9))
+    left = pose_to_vector(predicted.inv() * moved.T_base_platform) * grown
+    T = predicted * RigidTransform.from_components(left[:, :3], Rotation.from_rotvec(left[:, 3:]))
+    if samples.measured == "position":
+        T = RigidTransform.from_translation(T.translation)
+    unexpected = tuple(name for name, moved_, free in zip(ENDS, found.moved, always) if moved_ and not free)
+    numbers = int(asked_numbers(found.ends, samples.measured).sum())
+    lines = [
+        *found.lines(),
+        f"the errors are without this: {numbers} numbers were estimated from these {len(samples)} poses, and what they "
+        "took of the noise is given back",
+    ]
+    return PlacedSamples(replace(moved, T_base_platform=T), found, tuple(lines), unexpected)
+
+
+def _by_parameters(
+    calibration: Calibration, fitted: Arm | Chain, samples: Samples, predicted: RigidTransform, found: Placement
+) -> Floats:
+    """(12, 12) covariance of a placement by the uncertainty of the calibration's parameters."""
+    q = samples.effective
+    J = arms.parameter_jacobian(q, fitted) if isinstance(fitted, Arm) else chains.parameter_jacobian(q, fitted)
+    white = _white(predicted, samples, found, np.resize(calibration.scatter, 6))
+    J = white.W @ J[:, : white.left.shape[1]]
+    H = np.einsum("nka,nkb->ab", white.columns, white.columns) + np.eye(12) / LOOSE**2
+    G = np.linalg.solve(H, np.einsum("nka,nkp->ap", white.columns, J))
+    asked = asked_numbers(found.ends, samples.measured)
+    return (G @ calibration.covariance @ G.T) * np.outer(asked, asked)
+
+
+def placement_lines(placements: Sequence[Placement], names: Sequence[str]) -> list[str]:
+    """Lines on where base and tool stand in each further recording, of names (k,)."""
+    out = []
+    for one, name in zip(placements, names):
+        for line in one.lines():
+            out.append(f"{name}: {line}, from where it stood in the first recording; this place is fitted with it")
+    return out

@@ -1,0 +1,186 @@
+"""Camera interface, the offset of its clock, synchronised grabbing of all cameras, and exposure for markers.
+
+Each pair of readings of the host's clock, before and after something that the camera stamped, says that offset = host
+- camera lies between them. Bounds of several meet in a narrower one (Cristian, Distributed Computing 3, 1989); old
+bounds widen with the drift that two clocks may have.
+"""
+
+import math
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Protocol
+
+from rig.array_and_json_types import Pixels
+from rig.driving.clock import Clock
+from rig.errors import RigError
+
+DRIFT = 1e-4  # s per s; two quartz clocks differ by less
+UNIFORM = math.sqrt(12.0)  # width of an even spread over its standard deviation
+
+
+@dataclass(frozen=True, slots=True)
+class ClockOffsetBound:
+    """offset lies in low .. high (s), as known at host time t."""
+
+    t: float
+    low: float
+    high: float
+
+    def at(self, t: float) -> "ClockOffsetBound":
+        """The same at a later time, wider by what the clocks may have drifted."""
+        more = DRIFT * (t - self.t)
+        return ClockOffsetBound(t, self.low - more, self.high + more)
+
+
+class ClockOffset:
+    """The offset host - camera of one camera's clock, learnt from its stamps. `restarts` counts how often its clock was
+    found set anew.
+    """
+
+    def __init__(self) -> None:
+        self.bound: ClockOffsetBound | None = None
+        self.restarts = 0
+
+    def learn(self, before: float, stamp: float, after: float) -> None:
+        """One stamp of the camera's clock (s), taken between two readings of the host's (s). Raises RigError for
+        readings out of order.
+        """
+        if after < before:
+            raise RigError(f"the host's clock ran backwards about a camera's stamp: {before!r} s, then {after!r} s")
+        fresh = ClockOffsetBound(after, before - stamp, after - stamp)
+        if self.bound is not None:
+            old = self.bound.at(after)
+            low, high = max(old.low, fresh.low), min(old.high, fresh.high)
+            if low <= high:
+                self.bound = ClockOffsetBound(after, low, high)
+                return
+            self.restarts += 1  # no offset satisfies both: the camera's clock was set anew
+        self.bound = fresh
+
+    def host(self, stamp: float, now: float) -> tuple[float, float]:
+        """(t, sigma) s: a stamp of the camera on the host's clock, and how well that is known. Raises RigError before
+        any stamp.
+        """
+        if self.bound is None:
+            raise RigError("the offset between the camera's clock and the host's is not known yet")
+        bound = self.bound.at(max(now, self.bound.t))
+        return stamp + (bound.low + bound.high) / 2, (bound.high - bound.low) / UNIFORM
+
+
+class CameraError(RigError):
+    """A camera that gives no image, or one that cannot be used; names the camera and its message."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """image : (height, width) or (height, width, 3), uint8 or uint16; t : s on the host's clock, middle of the exposure
+    t_sigma : s, standard deviation of that."""
+
+    image: Pixels
+    t: float
+    t_sigma: float
+
+
+class Source(Protocol):
+    """A camera that is open. `can_set_exposure` says whether `set_exposure` does anything."""
+
+    name: str
+    can_set_exposure: bool
+
+    def grab(self) -> Frame:
+        """A frame whose exposure began after this call. Raises CameraError where none comes in time."""
+
+    def set_exposure(self, seconds: float) -> float:
+        """Have images exposed for so long from now on; returns what the camera made of it, s."""
+
+    def close(self) -> None:
+        """Let go of the camera."""
+
+
+TRIES = 3
+PAUSE = 0.1  # s before trying again, doubled each time
+
+
+class SynchronisedCameras:
+    """All cameras of a rig. retried : (camera, what it said) of grabs that were tried again."""
+
+    def __init__(self, sources: tuple[Source, ...], clock: Clock, tries: int = TRIES) -> None:
+        if not sources:
+            raise CameraError("there is no camera to take a frame with")
+        self.sources = tuple(sources)
+        self.retried: list[tuple[str, str]] = []
+        self._clock, self._tries = clock, tries
+        self._pool = ThreadPoolExecutor(len(sources))
+
+    def grab(self) -> dict[str, Frame]:
+        """{camera: Frame}, exposed together as nearly as their triggers allow. Raises CameraError for all that gave
+        none.
+        """
+        futures = [self._pool.submit(self._one, source) for source in self.sources]
+        errors = [error for error in (future.exception() for future in futures) if error is not None]
+        for error in errors:
+            if not isinstance(error, CameraError):
+                raise error
+        if errors:
+            raise CameraError("; ".join(map(str, errors)))
+        return {source.name: future.result() for source, future in zip(self.sources, futures)}
+
+    def _one(self, source: Source) -> Frame:
+        for k in range(self._tries):
+            try:
+                return source.grab()
+            except CameraError as error:
+                if k + 1 == self._tries:
+                    raise
+                self.retried.append((source.name, str(error)))
+                self._clock.sleep(PAUSE * 2**k)
+        raise AssertionError("unreachable: the last try returns or raises")
+
+    def close(self) -> None:
+        """Let go of all cameras."""
+        self._pool.shutdown()
+        for source in self.sources:
+            source.close()
+
+
+WHITE = 200.0  # of 255, where the markers' white is brought to
+WHITE_SLACK = 0.1  # share of that which is off without harm
+CLIPPED = 250.0  # of 255; brighter than this may be anything
+CLIPS = 0.005  # share of the markers' pixels that may be brighter
+STEPS = 8  # of setting and looking
+RANGE = (1e-5, 1.0)  # s
+
+
+def set_exposure_for_markers(
+    source: Source, white_level: Callable[[Pixels], tuple[float, float]], start_exposure: float
+) -> tuple[float, float]:
+    """Set a camera's exposure such that markers do not clip; returns (exposure in s, white level of 255).
+
+    white_level : (image) -> (level of the markers' white, of 255; share of their pixels that clip); start_exposure : s
+    Raises CameraError where no exposure does it.
+    """
+    exposure = source.set_exposure(start_exposure)
+    low, high = RANGE
+    for _ in range(STEPS):
+        level, clips = white_level(source.grab().image)
+        bright = clips > CLIPS or level >= CLIPPED
+        if not bright and abs(level - WHITE) <= WHITE_SLACK * WHITE:
+            return exposure, level
+        if bright:
+            high = exposure
+        elif level < WHITE:
+            low = exposure
+        wanted = exposure / 2 if bright else exposure * WHITE / max(level, 1.0)
+        if not low < wanted < high:
+            wanted = (low * high) ** 0.5
+        before, exposure = exposure, source.set_exposure(wanted)
+        if exposure == before:
+            break
+    if not bright and level > WHITE / 4:
+        return exposure, level  # as good as this camera's steps allow
+    raise CameraError(
+        f"camera {source.name!r}: no exposure found at which markers are bright and do not clip; at "
+        f"{exposure * 1e3:.3g} ms white is "
+        f"at {level:.0f} of 255 and {clips:.1%} clip: change the light or the aperture"
+    )

@@ -1,0 +1,106 @@
+"""Controller address as rig.toml states it, and its urgent stop, sent before anything that takes time is imported.
+
+What a rig.toml states of its controller is read here as text alone; whoever goes on reads it whole, and refuses it.
+"""
+
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from rig.driving.clock import Clock
+from rig.driving.controller_lock import ControllerLock
+from rig.driving.serial_port import SerialPort, find_usb_port
+from rig.errors import FileError
+from rig.formats.user_python_file import class_literal, read_user_text
+
+CLIENT = "rig 1.0"  # who greets linuxcncrsh
+STOPS = {"grblhal": b"!", "gcs": b"\x18", "gcs-hexapod": b"\x18", "linuxcnc": b"SET ABORT\r\n", "struts": b"!"}
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerAddress:
+    """Where a controller is, and how it is spoken to. port, usb, baudrate, protocol, password, enable_password : as
+    [controller] states them; stop : its protocol's bytes that stop it
+    """
+
+    protocol: str
+    port: str
+    usb: str
+    baudrate: int
+    password: str
+    enable_password: str
+    stop: bytes
+
+    def urgent_stop(self) -> bytes:
+        """Bytes that stop it though nothing was sent to it before."""
+        stop = self.stop
+        if self.protocol != "linuxcnc":
+            return stop
+        return f"HELLO {self.password} {CLIENT}\r\nSET ENABLE {self.enable_password}\r\n".encode() + stop
+
+
+@dataclass(frozen=True, slots=True)
+class StoppedController:
+    """A controller that was sent its urgent stop. lock, port : held, open; sent : what; t : when, s on the clock"""
+
+    lock: ControllerLock
+    port: SerialPort
+    sent: bytes
+    t: float
+
+
+def controller_address_in_rig_toml(path: Path, port: str | None) -> ControllerAddress | None:
+    """ControllerAddress that a rig.toml states, None where it cannot be read as text alone.
+
+    port : in place of the stated one
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8")).get("controller")
+    except (OSError, ValueError):
+        return None
+    if not isinstance(table, dict):
+        return None
+    words = {"port": "", "usb": "", "password": "EMC", "enable_password": "EMCTOO", **table}
+    words |= {"port": port, "usb": ""} if port else {}
+    baudrate, protocol = table.get("baudrate", 115200), table.get("protocol")
+    texts = [words[name] for name in ("port", "usb", "password", "enable_password")]
+    stop = _stop_bytes(protocol, path) if isinstance(protocol, str) else None
+    if stop is None or not all(isinstance(text, str) for text in texts) or type(baudrate) is not int:
+        return None
+    if not (texts[0] or texts[1]):
+        return None
+    return ControllerAddress(str(protocol), texts[0], texts[1], baudrate, texts[2], texts[3], stop)
+
+
+def _stop_bytes(protocol: str, path: Path) -> bytes | None:
+    """Bytes that stop a controller, None where they cannot be read as text alone. Of a user's file they are a literal
+    that is read; the file is not run. path : of rig.toml
+    """
+    kind, _, place = protocol.partition(":")
+    if kind != "file":
+        return STOPS.get(protocol)
+    try:
+        stop = class_literal(read_user_text(path.parent / place)[0], "urgent_stop")
+    except FileError:
+        return None
+    return stop if isinstance(stop, bytes) else None
+
+
+@contextmanager
+def urgently_stopped_controller(address: ControllerAddress, clock: Clock) -> Iterator[StoppedController]:
+    """Context manager of a StoppedController: its lock held, its urgent stop sent, its port closed at the end.
+
+    Nobody else drives it meanwhile.
+
+    Raises RigError where another process drives it, LinkLost where its port does not open.
+    """
+    with ControllerLock(address.port, address.usb) as lock:
+        port = SerialPort(find_usb_port(address.port, address.usb), address.baudrate, clock)
+        try:
+            data = address.urgent_stop()
+            port.write(data)
+            yield StoppedController(lock, port, data, clock.now())
+        finally:
+            port.close()

@@ -1,0 +1,195 @@
+"""Controller status, advice to the operator, and limits (travel, speed, acceleration) that a controller itself has.
+
+Moves are checked against the limits; a warning says where they are tighter than the rig.toml's.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rig.array_and_json_types import Floats
+from rig.errors import FileError, Unreachable
+from rig.formats.local_and_remote_input_files import read_bytes
+from rig.formats.number_parsing_and_rounding import parse_number
+from rig.model.design import Controller
+from rig.model.mechanism_geometry_classes import Hexapod, Planar2
+
+SLACK = 1e-3  # share by which figures may differ, as controllers print them rounded
+EDGE = 1e-5  # m by which a goal may pass a travel's end, for the same reason
+INI_UNITS = {"mm": 1e-3, "metric": 1e-3, "cm": 1e-2, "inch": 0.0254, "in": 0.0254, "imperial": 0.0254}  # m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControllerLimits:
+    """What a controller allows; NaN where it does not say.
+
+    travel : (n, 2) m as it counts; span : (n,) m, length of the travel, also where its ends are not said; speed : (n,)
+    m/s; acceleration : (n,) m/s^2; travel_name, speed_name, acceleration_name : of its settings, for messages
+    """
+
+    travel: Floats
+    span: Floats
+    speed: Floats
+    acceleration: Floats
+    travel_name: str
+    speed_name: str
+    acceleration_name: str
+
+
+def limit_warnings(limits: ControllerLimits, controller: Controller, mechanism: Hexapod | Planar2) -> list[str]:
+    """A line for each kind of limit of a controller that is tighter than the rig.toml's, with both figures of the strut
+    that it concerns most.
+    """
+    lines, ranges = [], mechanism.strut_range
+    low, high = (limits.travel + controller.zero[:, None]).T
+    short = np.fmax(low - ranges[:, 0], ranges[:, 1] - high)
+    if (short > EDGE).any():
+        i = int(np.nanargmax(short))
+        lines.append(
+            f"strut {i + 1}: the controller goes from {low[i] * 1e3:.3f} to {high[i] * 1e3:.3f} mm "
+            f"({limits.travel_name}), strut_range from {ranges[i, 0] * 1e3:.3f} to {ranges[i, 1] * 1e3:.3f} mm: it "
+            "refuses what lies beyond"
+        )
+    elif ((lacking := np.ptp(ranges, axis=1) - limits.span) > EDGE).any():
+        i = int(np.nanargmax(lacking))
+        lines.append(
+            f"strut {i + 1}: the controller travels {limits.span[i] * 1e3:.3f} mm ({limits.travel_name}), strut_range "
+            f"is {np.ptp(ranges[i]) * 1e3:.3f} mm long: it refuses what lies beyond"
+        )
+    for name, stated, own, setting, unit in (
+        ("max_speed", controller.max_speed, limits.speed, limits.speed_name, "mm/s"),
+        ("max_acceleration", controller.max_acceleration, limits.acceleration, limits.acceleration_name, "mm/s^2"),
+    ):
+        if stated is None or not (stated > own * (1 + SLACK)).any():
+            continue
+        i = int(np.nanargmax(stated / own))
+        lines.append(
+            f"strut {i + 1}: the controller allows {own[i] * 1e3:.6g} {unit} ({setting}), {name} is "
+            f"{stated[i] * 1e3:.6g} {unit}: it lowers what exceeds its own, and moves take longer than stated"
+        )
+    return lines
+
+
+def require_goals_within_limits(limits: ControllerLimits, goals: Floats, zero: Floats) -> None:
+    """Raise Unreachable for goals (k, n) m, lengths, that the controller would refuse; zero : (n,) m, length where it
+    counts 0
+    """
+    low, high = (limits.travel + zero[:, None]).T
+    beyond = np.fmax(low - goals, goals - high)
+    index = np.flatnonzero((beyond > EDGE).any(axis=1))
+    if len(index):
+        worst = [int(np.nanargmax(beyond[k])) for k in index]
+        raise Unreachable(
+            f"{len(index)} of {len(goals)} goals lie beyond the controller's own travel ({limits.travel_name}); "
+            "nothing has moved:",
+            index,
+            [
+                f"goal {k + 1}: strut {i + 1} to {goals[k, i] * 1e3:.3f} mm, the controller goes from "
+                f"{low[i] * 1e3:.3f} to {high[i] * 1e3:.3f} mm"
+                for k, i in zip(index, worst)
+            ],
+        )
+    needed = np.ptp(goals, axis=0)
+    if (needed - limits.span > EDGE).any():
+        i = int(np.nanargmax(needed - limits.span))
+        raise Unreachable(
+            "the goals lie further apart than the controller travels; nothing has moved:",
+            [int(np.argmax(goals[:, i]))],
+            [
+                f"strut {i + 1} needs {needed[i] * 1e3:.3f} mm, the controller travels {limits.span[i] * 1e3:.3f} mm "
+                f"({limits.travel_name})"
+            ],
+        )
+
+
+def limits_of_linuxcnc_ini(path: Path, count: int) -> ControllerLimits:
+    """Limits of the joints 0 .. count - 1 in a LinuxCNC .ini file. Raises FileError for one that cannot be read."""
+    sections: dict[str, dict[str, str]] = {}
+    entries: dict[str, str] = {}
+    for line in read_bytes(path).decode("utf-8", "replace").splitlines():
+        text = line.partition("#")[0].partition(";")[0].strip()
+        if text.startswith("[") and text.endswith("]"):
+            entries = sections.setdefault(text[1:-1].strip().upper(), {})
+        elif "=" in text:
+            name, _, value = text.partition("=")
+            entries.setdefault(name.strip().upper(), value.strip())  # of several, LinuxCNC takes the first
+    word = sections.get("TRAJ", {}).get("LINEAR_UNITS", "mm").lower()
+    if word not in INI_UNITS:
+        raise FileError(path, f"[TRAJ] LINEAR_UNITS = {word!r} is none of {', '.join(INI_UNITS)}")
+    unit = INI_UNITS[word]
+
+    def figures(name: str) -> Floats:
+        found = []
+        for joint in range(count):
+            text = sections.get(f"JOINT_{joint}", {}).get(name)
+            try:
+                found.append(np.nan if text is None else unit * parse_number(text))
+            except ValueError:
+                raise FileError(path, f"[JOINT_{joint}] {name} = {text!r} is no number") from None
+        return np.array(found)
+
+    travel = np.stack([figures("MIN_LIMIT"), figures("MAX_LIMIT")], axis=1)
+    return ControllerLimits(
+        travel,
+        travel[:, 1] - travel[:, 0],
+        figures("MAX_VELOCITY"),
+        figures("MAX_ACCELERATION"),
+        "MIN_LIMIT, MAX_LIMIT of its ini",
+        "MAX_VELOCITY of its ini",
+        "MAX_ACCELERATION of its ini",
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControllerStatus:
+    """activity : as rig.driving.protocols.protocol_interface.State; lengths : (n,) m; known : whether the lengths can
+    be believed; fault, said : text; homing_required : as of a State"""
+
+    activity: str
+    lengths: Floats
+    known: bool
+    fault: str
+    said: str
+    homing_required: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FinishedMove:
+    """A move that is done. lengths : (n,) m, as read back; start_time, ended : s on the clock; note : what went wrong
+    on the way, or "".
+    """
+
+    lengths: Floats
+    start_time: float
+    ended: float
+    note: str
+
+
+TRUST = "home it (rig home), or, where the lengths reported are true, use --trust (rig run: --no-home)"
+ANEW = f"the controller has restarted since the last contact; {TRUST}"
+OUT_OF_RANGE = "is [controller] zero the length, joint centre to joint centre, at which the controller counts 0?"
+CANNOT_HOME = (
+    "[controller] homing = false: this controller cannot home, so nothing was sent; an alarm is cleared with "
+    "rig jog --unlock, "
+    "and its position is trusted with --trust once you have verified it"
+)
+_BY_ACTIVITY = {
+    "alarm": "see what is wrong at the machine, then rig home --unlock",
+    "off": "see that nobody is in the way, then rig home --unlock, which switches it on",
+    "held": "it was put in hold: rig stop drops what is held, then continue",
+    "homing": "wait until it is home, or rig stop",
+    "moving": "wait until it is at rest, or rig stop",
+}
+
+
+def operator_advice(activity: str, can_home: bool) -> str:
+    """Advice to the operator for the controller's activity, as text after "; "; "" where it is ready.
+    can_home : whether the controller can home.
+    """
+    if activity in ("alarm", "off") and not can_home:
+        return (
+            "; see what is wrong at the machine, then rig jog --unlock, with --trust where the position it reads "
+            "is true"
+        )
+    return f"; {_BY_ACTIVITY[activity]}" if activity in _BY_ACTIVITY else ""

@@ -1,0 +1,27 @@
+"""Names of controller protocols, of ports and of user programs, and their checks; imports nothing that takes time."""
+
+PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "linuxcnc", "struts")
+USER_PROGRAMS = ("file", "package")  # KIND:PLACE of a protocol or camera of the user's own
+SHOWN = 80  # characters of a port's name that a message repeats
+SCHEMES = (
+    "socket",
+    "rfc2217",
+    "loop",
+)  # of ports that are no device; pyserial knows others, which write files or search for devices
+
+
+def port_problem(port: str) -> str | None:
+    """Problem with the name of a port, in words; None for a device (/dev/ttyUSB0, COM3) or an accepted URL."""
+    scheme, stroke, _ = port.partition("://")
+    if not port.isprintable():
+        return f"{port[:SHOWN]!r} is not a port: it contains unprintable characters"
+    if stroke and scheme.lower() not in SCHEMES:
+        return f"{port[:SHOWN]!r} is not a port: it is a device (/dev/ttyUSB0, COM3) or " + ", ".join(
+            f"{name}://.." for name in SCHEMES
+        )
+    return None
+
+
+def is_user_program(stated: str) -> bool:
+    """Whether a protocol or camera source is of the user's own: "file:mine.py" or "package:NAME"."""
+    return stated.partition(":")[0] in USER_PROGRAMS
