@@ -23,7 +23,7 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import (
     verify_claim_on_samples,
 )
 from calib.certification.error_claim_over_workspace import Claim
-from calib.certification.held_out_errors import pose_errors
+from calib.certification.held_out_errors import pose_errors, predicted_poses
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.diagnosis.report import report_sentences
@@ -111,7 +111,7 @@ def _widened_claim(calibration: Calibration, samples: Samples) -> Claim:
     claim = calibration.claim
     assert claim is not None and claim.before is not None and claim.after is not None
     errors, covariance = (
-        pose_errors(calibration.correction.predict(samples.effective), samples),
+        pose_errors(predicted_poses(calibration.correction, samples), samples),
         samples.total_covariance(),
     )
     after = tuple(

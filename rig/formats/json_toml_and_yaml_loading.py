@@ -330,7 +330,7 @@ def load_yaml(path: Path, list_key: str | None = None) -> Entries:
     except RecursionError:
         raise FileError(path, "not valid YAML: nested too deep") from None
     listed = list_key is not None and isinstance(root, yaml.SequenceNode)
-    if not listed and not isinstance(root, yaml.MappingNode):
+    if root is None or not (listed or isinstance(root, yaml.MappingNode)):
         raise FileError(path, "holds no table of keys and values")
     places: dict[tuple[str | int, ...], tuple[int, int]] = {}
     try:

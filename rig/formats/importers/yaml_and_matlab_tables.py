@@ -126,7 +126,7 @@ def read_matlab_rows(path: Path) -> FileRows:
     if isinstance(only, dict):
         found = only
     elif isinstance(only, list | np.ndarray) and len(only) and all(isinstance(one, dict) for one in only):
-        found = _fields_of_structures(path, only)
+        found = _fields_of_structures(path, list(only))
     arrays = {name: np.asarray(value) for name, value in found.items() if not isinstance(value, dict)}
     arrays = {name: array for name, array in arrays.items() if array.size > 1 and array.ndim <= 3}
     opaque = [name for name, array in arrays.items() if array.dtype.names is not None]

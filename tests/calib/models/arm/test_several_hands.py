@@ -6,13 +6,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+import calib
+import rig
+import synthetic
+from calib.certification.calibration_evidence_verdict_and_claim_check import verify_claim_on_samples
+from calib.certification.held_out_errors import pose_errors, predicted_poses
 from calib.models.arm import error_model_and_observations as model
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
 from calib.models.arm.instrument_placement import place_arm
 from rig.model.arm_branches_and_hands import Branch, Hand
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.pose import exp, pose, pose_difference
-from tests.two_armed import NOISE, drawn, humanoid, observed
+from tests.two_armed import HUMANOID, NOISE, drawn, humanoid, observed
 
 STEP = 1e-6
 NONE = RigidTransform.identity()
@@ -119,3 +124,14 @@ def test_a_wild_pose_of_one_hand_leaves_the_other_in_the_fit(arm):
     wild = exp(np.where(np.arange(120)[:, None] == 41, [0.02, 0, 0, 0, 0, 0], 0.0))
     found = identify_arm(replace(seen, value=seen.value * wild), arm)
     assert np.flatnonzero(~found.inliers).tolist() == [41]
+
+
+def test_the_claim_is_held_against_the_poses_of_every_hand(tmp_path):
+    simulated = synthetic.simulate(HUMANOID, synthetic.SimulateOptions(plan="sobol:40", seed=5))
+    simulated.write(tmp_path / "REC")
+    recording = rig.load(tmp_path / "REC")
+    done = calib.calibrate(recording, calib.CalibrateOptions(quick=True))
+    errors = pose_errors(predicted_poses(done.calibration.correction, done.samples), done.samples)
+    assert len(errors) == 80 and np.abs(errors / NOISE).max() < 6
+    found = verify_claim_on_samples(done.calibration, done.samples, np.random.default_rng(0))
+    assert found is not None and found.kept
