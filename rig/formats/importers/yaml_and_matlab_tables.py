@@ -7,6 +7,7 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.array_and_json_types import Json
 from rig.errors import FileError
@@ -14,6 +15,7 @@ from rig.formats.checked_entries import Entries
 from rig.formats.json_toml_and_yaml_loading import load_yaml
 from rig.formats.local_and_remote_input_files import read_bytes, short_repr
 
+MatlabValues = NDArray[np.generic]  # numbers, words or cells of any
 ROWS = ""  # key of a list that is the whole file
 LARGEST = 1 << 27  # bytes
 QUATERNION = ("orientation", "rotation", "quaternion")  # of tables with x, y, z and w
@@ -155,13 +157,13 @@ def _fields_of_structures(path: Path, structures: Sequence[Json]) -> Json:
     return out
 
 
-def _row_count(arrays: dict[str, np.ndarray]) -> int:
+def _row_count(arrays: dict[str, MatlabValues]) -> int:
     """How many rows most variables have: of lists their length, of stacks of matrices their last size."""
     sizes = [array.shape[-1] if array.ndim != 2 else max(array.shape) for array in arrays.values()]
     return max(sizes, key=lambda size: (sizes.count(size), size))
 
 
-def _column(array: np.ndarray, count: int) -> list[str] | None:
+def _column(array: MatlabValues, count: int) -> list[str] | None:
     """Texts of a variable's rows, None where it does not have as many."""
     if array.ndim == 3:
         rows = np.moveaxis(array, -1, 0)
