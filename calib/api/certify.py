@@ -144,7 +144,7 @@ def certify(
     hands = dict.fromkeys(seen_hand(recording.design.mechanism) for recording in every)
     if len(hands) > 1:
         raise RigError(f"a certificate is of one hand, and these recordings are of {' and '.join(map(str, hands))}")
-    calibration = calibration.of_hand_of(every[0].design.mechanism)
+    calibration = calibration.of_recorded_hand(every[0].design.mechanism)
     held, lines, unexpected = _in_calibrated_frames(
         calibration, _held_out_recordings(calibration, every, name, progress)
     )

@@ -36,7 +36,6 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 )
 from rig.model.pose import exp
 from rig.recording.combined_recordings import is_measured_by_instrument
-from rig.recording.frame_selection_and_content_hashes import select_hand
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners
 from vision.checks import find_corner_mistakes
@@ -234,18 +233,13 @@ def refuse_unfit_recording(recording: Recording, anyway: bool, notice: Notice) -
 
 def pose_mistakes(recording: Recording) -> tuple[Mistake, ...]:
     """Mistakes that poses.csv and commands.csv show of each other."""
-    from calib.models.arm.command_and_pose_mistakes import find_arm_mistakes
+    from calib.models.arm.command_and_pose_mistakes import find_arm_mistakes, find_mistakes_of_several_hands
 
     if recording.poses is None or recording.commands is None:
         return ()
     mechanism = recording.design.mechanism
     if hand_names(mechanism):
-        found = [
-            replace(mistake, what=f"hand {name}: {mistake.what}")
-            for name in hand_names(mechanism)
-            for mistake in find_arm_mistakes(select_hand(recording, name))
-        ]
-        return sort_mistakes(found)
+        return find_mistakes_of_several_hands(recording)
     if mechanism.link_rows is not None:
         return find_arm_mistakes(recording)
     if mechanism.plates is None:

@@ -148,7 +148,7 @@ def verify(
     """
     calibration.refuse_kind(recording.design.mechanism.kind, str(recording.folder))
     sampled = sample_recording(recording, progress=progress)
-    calibration = calibration.of_hand_of(recording.design.mechanism)
+    calibration = calibration.of_recorded_hand(recording.design.mechanism)
     placed = samples_without_displacement(calibration, recording, sampled.samples)
     samples = placed.samples
     label = configuration_numbers(samples.commanded, axis_travel_limits(calibration.correction.nominal))

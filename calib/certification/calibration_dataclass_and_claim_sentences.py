@@ -208,7 +208,7 @@ class Calibration(OneLineRepr):
         """
         return replace(self, correction=self.correction.of_hand(hand))
 
-    def of_hand_of(self, mechanism: object) -> "Calibration":
+    def of_recorded_hand(self, mechanism: object) -> "Calibration":
         """The calibration of the hand at which a recording's mechanism is seen; itself for machines without several.
 
         Raises RigError for a hand that the calibrated arm does not have

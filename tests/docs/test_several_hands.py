@@ -36,14 +36,19 @@ def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
     assert "of the hand 'right' alone" in said["certifycertificate.html"] and "5 of 5" in said["correctcommands.csv"]
     found = json.loads((tmp_path / "found" / "diagnosis.json").read_text())["findings"]
     assert sorted(one["place"] for one in found) == ["joint 10", "joint 2", "joint 3", "joint 4"]
+    seen = (tmp_path / "NEW" / "poses.csv").read_text()
+    exchanged = seen.replace(",left,", ",l,").replace(",right,", ",left,").replace(",l,", ",right,")
+    (tmp_path / "NEW" / "poses.csv").write_text(exchanged)
+    assert "the hands left and right are exchanged" in run("check", "NEW", ok=False).stdout
+    (tmp_path / "NEW" / "poses.csv").write_text(seen)
 
 
 def test_a_shorter_way_of_the_page(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    run("simulate", EXAMPLES / "humanoid.toml", "--plan", "sobol:40", "--out", "REC", "--truth", "truth.json")
+    run("simulate", EXAMPLES / "humanoid.toml", "--plan", "sobol:24", "--out", "REC", "--truth", "truth.json")
     assert "nothing wrong or unlikely" in run("check", "REC").stdout
     run("calibrate", "REC", "--quick", "--out", "c.json")
-    run("simulate", EXAMPLES / "humanoid.toml", "--plan", "sobol:20", "--machine", "truth.json", "--out", "NEW")
+    run("simulate", EXAMPLES / "humanoid.toml", "--plan", "sobol:12", "--machine", "truth.json", "--out", "NEW")
     assert "the claim is kept" in run("verify", "c.json", "NEW", "--hand", "left").stdout
     assert "poses.csv is of several hands (left, right)" in run("verify", "c.json", "NEW", ok=False).stderr
     assert "no hand 'lefd'; there are left, right" in run("verify", "c.json", "NEW", "--hand", "lefd", ok=False).stderr

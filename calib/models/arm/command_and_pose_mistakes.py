@@ -19,11 +19,13 @@ from rig.checks.command_and_pose_disagreements import LIKELY, pose_columns_of_po
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.checks.unit_and_convention_mistakes import poses_in_other_conventions
 from rig.errors import RigError
+from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Instrument
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
 from rig.model.pose import pose_to_vector
+from rig.recording.frame_selection_and_content_hashes import select_hand
 from rig.recording.recording_folder import Recording
 
 ROUNDS = 60
@@ -137,6 +139,25 @@ class ReachedPoses:
         """m, both in one figure."""
         position, rotation = self.miss()
         return position + REACH * rotation
+
+
+def find_mistakes_of_several_hands(recording: Recording) -> tuple[Mistake, ...]:
+    """Mistakes that make commands and poses of an arm's hands disagree, hand by hand, or two hands that are exchanged.
+
+    recording : whose poses are of several hands
+    """
+    names, poses = hand_names(recording.design.mechanism), recording.poses
+    assert poses is not None and poses.hand is not None
+    found = {name: find_arm_mistakes(select_hand(recording, name)) for name in names}
+    for one, other in combinations([name for name in names if found[name]], 2):
+        numbers = np.arange(len(names))
+        numbers[[names.index(one), names.index(other)]] = names.index(other), names.index(one)
+        changed = replace(recording, poses=replace(poses, hand=numbers[poses.hand]))
+        if not any(find_arm_mistakes(select_hand(changed, name)) for name in (one, other)):
+            what = f"poses.csv: the hands {one} and {other} are exchanged: each agrees with the other's joints"
+            return (Mistake(what, "Exchange their names", True, LIKELY),)
+    every = [replace(one, what=f"hand {name}: {one.what}") for name in names for one in found[name]]
+    return sort_mistakes(every)
 
 
 def find_arm_mistakes(recording: Recording) -> tuple[Mistake, ...]:
