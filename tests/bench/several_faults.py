@@ -1,10 +1,11 @@
 """Recordings of the independent truth with one, two or three faults: how many of them a diagnosis names and places.
 
 python -m tests.bench several_faults [--faults N] [--recordings N] [--seed S] [--poses N] [--one-axis]
+                                        [--kind hexapod|arm|planar2]
 
-Hexapods at pose level, poses shuffled; each fault of 4 to 20 standard deviations of the instrument, at one strut or at
+Machines at pose level, poses shuffled; each fault of 4 to 20 standard deviations of the instrument, at one axis or at
 all. Faults that need a sensor, an hour or a hurry of their own are drawn with their like alone. `--one-axis` draws all
-faults of a recording at the same strut.
+faults of a recording at the same axis.
 """
 
 import argparse
@@ -22,7 +23,7 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis
 from rig.recording import recording_folder
 from tests.truth import FAULTS, Case, draw, record
 from tests.truth.case import _seen
-from tests.truth.draw_faults import HURRIED, LOADED, SLOW, Asked
+from tests.truth.draw_faults import HURRIED, LOADED, SLOW, Asked, fits
 
 RECORDINGS = 12
 POSES = 120
@@ -33,20 +34,20 @@ APART = (frozenset(LOADED), frozenset(SLOW), frozenset(HURRIED) - {"rolling_shut
 
 @dataclass(frozen=True)
 class Hidden:
-    """A fault that is there. strut : its number from 1, None at all of them; law : its class' name"""
+    """A fault that is there. axis : "strut 3" or "joint 3", None at all of them; law : its class' name"""
 
     effect: str
-    strut: int | None
+    axis: str | None
     law: str
 
     def __str__(self) -> str:
-        return f"{self.effect} at {WHOLE.get(self.effect, self.strut or 'all')} ({self.law})"
+        return f"{self.effect} at {WHOLE.get(self.effect, self.axis or 'all')} ({self.law})"
 
     def is_at(self, place: str) -> bool:
         """Whether a place of the report is the fault's."""
         if self.effect in WHOLE:
             return place == WHOLE[self.effect]
-        return self.strut is None or place == f"strut {self.strut}"
+        return self.axis is None or place == self.axis
 
     def is_named(self, findings: tuple[FindingEntry, ...]) -> bool:
         """Whether one of the findings is the fault."""
@@ -57,24 +58,29 @@ class Hidden:
         return any(a.effect == self.effect and self.is_at(a.place) for f in findings for a in f.cannot_be_told_from)
 
 
-def drawn(seed: int, faults: int, poses: int = POSES, one_axis: bool = False) -> tuple[Case, list[Hidden]]:
-    """(recording with so many faults, what they are), all from a seed."""
+def drawn(
+    seed: int, faults: int, poses: int = POSES, one_axis: bool = False, kind: str = "hexapod"
+) -> tuple[Case, list[Hidden]]:
+    """(recording of a machine of a kind with so many faults, what they are), all from a seed."""
     rng = np.random.default_rng([seed, faults, one_axis])
-    names = [str(rng.choice(list(FAULTS)))]
+    able = [name for name in FAULTS if fits(name, kind)]
+    names = [str(rng.choice(able))]
     while len(names) < faults:
-        name = str(rng.choice(list(FAULTS)))
+        name = str(rng.choice(able))
         groups = {index for index, group in enumerate(APART) for one in (*names, name) if one in group}
         if name not in names and len(groups) <= 1:
             names.append(name)
     lead = next((one for one in names if any(one in group for group in APART)), names[0])
-    case = draw(seed, lead, "strong", "shuffled", "hexapod", count=poses)
-    laws, hidden, strut = [], [], int(rng.integers(6))
+    case = draw(seed, lead, "strong", "shuffled", kind, count=poses)
+    count, word = case.owner.width, "joint" if kind == "arm" else "strut"
+    laws, hidden, axis = [], [], int(rng.integers(count))
     for name in names:
-        axes = np.zeros(6)
+        axes = np.zeros(count)
         if one_axis or rng.uniform() < 0.5:
-            axes[strut if one_axis else int(rng.integers(6))] = 1.0
+            axes[axis if one_axis else int(rng.integers(count))] = 1.0
         else:
-            axes = rng.uniform(0.3, 1.2, 6)
+            axes = rng.uniform(0.3, 1.2, count)
+        axes *= np.where(np.ptp(case.owner.ranges, axis=1) > 0.5, 2.0, 1.0)  # angles, at half a metre
         size = float(np.exp(rng.uniform(np.log(4), np.log(20)))) * case.sigma[0]
         asked = Asked(
             size, axes, case.machine, case.way, abs(case.day.room[1]), case.mass, case.centre, case.payload, rng
@@ -83,7 +89,7 @@ def drawn(seed: int, faults: int, poses: int = POSES, one_axis: bool = False) ->
         law = found[int(rng.integers(len(found)))]
         where = np.flatnonzero(law.axes)
         laws.append(law)
-        hidden.append(Hidden(name, int(where[0]) + 1 if len(where) == 1 else None, type(law).__name__))
+        hidden.append(Hidden(name, f"{word} {where[0] + 1}" if len(where) == 1 else None, type(law).__name__))
     logged = "payload" if set(names) & set(LOADED) else "temperature" if set(names) & set(HEATED) else ""
     case = replace(case, laws=tuple(laws), logged=logged)
     return replace(case, seen=_seen(case, rng)), hidden
@@ -95,12 +101,13 @@ def rows(
     seed: int = 41000,
     poses: int = POSES,
     one_axis: bool = False,
+    kind: str = "hexapod",
     report: bool = False,
 ) -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     start, named, in_sets, each, beside = time.process_time(), 0, 0, 0, 0
     for number in range(recordings):
-        case, hidden = drawn(seed + number, faults, poses, one_axis)
+        case, hidden = drawn(seed + number, faults, poses, one_axis, kind)
         begun = time.process_time()
         with tempfile.TemporaryDirectory() as folder:
             found = diagnose(recording_folder.load_recording(record(case, Path(folder) / "rec"))).found
@@ -123,7 +130,7 @@ def rows(
                 + f" [{time.process_time() - begun:.0f} s]",
                 flush=True,
             )
-    what = f"{recordings} recordings with {faults} fault{'s' * (faults > 1)}"
+    what = f"{recordings} recordings of {kind} machines with {faults} fault{'s' * (faults > 1)}"
     yield f"{what}: all named and placed", f"{named} of {recordings}", {1: "97 %", 2: "92 %"}.get(faults, "75 %")
     yield f"{what}: the rest in a stated set", f"{in_sets} of {recordings - named}", ""
     yield f"{what}: faults named", f"{each} of {recordings * faults}", ""
@@ -139,8 +146,9 @@ def main(words: list[str]) -> None:
     parser.add_argument("--seed", type=int, default=41000)
     parser.add_argument("--poses", type=int, default=POSES)
     parser.add_argument("--one-axis", action="store_true")
+    parser.add_argument("--kind", choices=("hexapod", "arm", "planar2"), default="hexapod")
     asked = parser.parse_args(words)
     for figure, reached, wanted in rows(
-        asked.faults, asked.recordings, asked.seed, asked.poses, asked.one_axis, report=True
+        asked.faults, asked.recordings, asked.seed, asked.poses, asked.one_axis, asked.kind, report=True
     ):
         print(f"{figure:78} {reached:>34}   {wanted}", flush=True)
