@@ -19,7 +19,7 @@ from rig.model.base_tilt import SENSOR_AXES
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import rig_toml_with_turns
 from rig.model.mechanisms.arm import link_frames
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, require_arm, require_axes
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
 from rig.planning.plan import sensors_with_payload
 from rig.planning.timed_plan_and_plan_csv import Plan
@@ -74,19 +74,10 @@ class Simulation:
 
     def poses_of_hands(self) -> dict[str, RigidTransform]:
         """{name of a hand: T_base_platform (n,)} at the exposures; one without a name where there are not several."""
-        true = self.world.true
-        if not hand_names(true.mechanism):
+        names = hand_names(self.world.true.mechanism)
+        if not names:
             return {"": self.run.T_base_platform}
-        seen = {
-            name: replace(true, mechanism=require_arm(true.mechanism).of_hand(name))
-            for name in hand_names(true.mechanism)
-        }
-        run = motion_simulation.simulate_machine_run
-        effects, sensors = self.world.effects, self.sensors
-        return {
-            name: run(design, self.plan.commands, self.plan.t, effects, sensors).T_base_platform
-            for name, design in seen.items()
-        }
+        return dict(zip(names, (self.run.T_base_platform, *self.run.stages)))
 
 
 class PictureWriter(Protocol):

@@ -78,7 +78,12 @@ def _arm(m: Arm, stated: Design, rng: np.random.Generator, size: float) -> Arm:
     if not m.hands:
         return replace(m, joints=rows, base=ends[0], tool=ends[1])
     free = instrument is not None and instrument.tool == "free"
-    tools = [pose(HAND * rng.uniform(-1, 1, 3), rng.normal(size=3)) if free else hand.tool for hand in m.hands]
+    seen = instrument is None and stated.cameras and stated.targets
+    off = [size * np.repeat(STOOD, 3) * rng.normal(size=6) * bool(seen) for _ in m.hands]
+    tools = [
+        pose(HAND * rng.uniform(-1, 1, 3), rng.normal(size=3)) if free else hand.tool * exp(move)
+        for hand, move in zip(m.hands, off)
+    ]
     branches = tuple(replace(b, mount=b.mount * exp(size * BRANCH * rng.normal(size=6))) for b in m.branches)
     hands = tuple(replace(hand, tool=tool) for hand, tool in zip(m.hands, tools))
     return replace(m, joints=rows, base=ends[0], branches=branches, hands=hands)

@@ -15,14 +15,11 @@ from calib.samples.exposure_conditions import Conditions, conditions_of_exposure
 from calib.samples.platform_tilts import poses_with_platform_tilts
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
+from rig.model.arm_branches_and_hands import hand_names
 from rig.model.base_tilt import TiltReadings, gravity_at_exposures
 from rig.model.design import Instrument
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
-    Mechanism,
-    has_links,
-    nearest_reachable_poses,
-    require_arm,
-)
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, nearest_reachable_poses
+from rig.recording.frame_selection_and_content_hashes import is_of_several_hands, require_one_hand_shown, select_hand
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners, Poses
 
@@ -249,10 +246,13 @@ class Sampled:
     assumed: bool = False
 
 
+Progress = Callable[[str, int, int], None]  # called with (label, done, of)
+
+
 def sample_recording(
     recording: Recording,
     free: tuple[str, ...] = ("poses", "lenses"),
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
     on_corners: Callable[[Corners], None] | None = None,
     several_hands: bool = False,
 ) -> Sampled:
@@ -263,12 +263,8 @@ def sample_recording(
     Raises RigError without commands, and for poses of several hands that may not be, NotEnoughData without poses, and
     what look raises
     """
-    if recording.poses is not None and recording.poses.hand is not None and not several_hands:
-        hands = [hand.name for hand in require_arm(recording.design.mechanism).hands]
-        raise RigError(
-            f"{recording.folder}: poses.csv is of several hands ({', '.join(hands)}), and this is done for one: "
-            "choose it with --hand NAME where the command has it, or select_hand(recording, NAME)"
-        )
+    if not several_hands:
+        require_one_hand_shown(recording)
     recording.commanded()  # a recording that nobody commanded fails before its images are read
     poses = recording.poses
     if poses is not None and (
@@ -287,6 +283,8 @@ def sample_recording(
         raise NotEnoughData(
             f"{recording.folder}: there are no images, no corners.csv and no poses.csv, so nothing was measured"
         )
+    if is_of_several_hands(recording):
+        return _sample_hands(recording, free, progress)
     from vision.recording_measurement import (
         measure_recording,  # opens OpenCV: only where images or corners are measured
     )
@@ -305,6 +303,31 @@ def sample_recording(
         collected,
         instrument=CAMERAS if has_links(recording.design.mechanism) else None,
     )
+
+
+def _sample_hands(recording: Recording, free: tuple[str, ...], progress: Progress | None) -> Sampled:
+    """Sampled of cameras that see targets of an arm's several hands: each hand's measured by themselves, all together.
+
+    What poses of one hand share, as the places of cameras, is a draw of its own for each hand
+    """
+    names = hand_names(recording.design.mechanism)
+    parts = [sample_recording(select_hand(recording, name), free, progress) for name in names]
+    count = [0, *np.cumsum([part.samples.common.shape[2] for part in parts]).tolist()]
+    common = [
+        np.pad(part.samples.common, ((0, 0), (0, 0), (before, count[-1] - after)))
+        for part, before, after in zip(parts, count, count[1:])
+    ]
+    frame = np.concatenate([part.samples.frame for part in parts])
+    hand = np.concatenate([np.full(len(part.samples), number) for number, part in enumerate(parts)])
+    order = np.lexsort((hand, frame))
+    found = pair_samples(
+        recording,
+        frame[order],
+        RigidTransform.concatenate([part.samples.T_base_platform for part in parts])[order],
+        np.concatenate([part.samples.covariance for part in parts])[order],
+        np.concatenate(common)[order],
+    )
+    return Sampled(replace(found, hand=hand[order]), parts[0].source, None, None, instrument=CAMERAS)
 
 
 def _from_poses(recording: Recording, poses: Poses) -> Samples:

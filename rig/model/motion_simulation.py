@@ -11,6 +11,7 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion_and_play import Motion, Path
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
+from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Design
 from rig.model.mechanisms import mechanism_chain
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_stages, require_arm, require_axes, require_parallel
@@ -29,7 +30,7 @@ class MachineRun:
     T_base_platform : RigidTransform (n,); deviation : (n, axes) m or rad the axes stood beyond their command
     rate, curvature : (n, 6) tangent per s and per s^2 at the exposure (on the right), None where not asked for
     stages : of a chain T_base_stage : RigidTransform (n,) of every stage's platform but the last, which is
-        T_base_platform
+        T_base_platform; of an arm with several hands those of its second hand and on
     """
 
     T_base_platform: RigidTransform
@@ -116,6 +117,9 @@ def simulate_machine_run(
             )
     sway = sum((effect.sway(state) for effect in effects), np.zeros((len(state.t), 6)))
     stages = mechanism_chain.stage_poses(state.lengths + deviation, m)[:-1] if has_stages(m) else []
+    if hand_names(m) and not require_arm(m).hand:
+        others = [replace(design, mechanism=require_arm(m).of_hand(k)) for k in range(1, len(hand_names(m)))]
+        stages = [simulate_machine_run(one, commands, t, effects, sensors).T_base_platform for one in others]
     return MachineRun(T * exp(sway) if sway.any() else T, deviation, stages=tuple(stages))
 
 

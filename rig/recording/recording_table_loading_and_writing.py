@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -154,6 +155,13 @@ class Corners:
     corner: Integers
     uv: Floats
     covariance: Floats | None
+
+    def take(self, rows: Booleans) -> "Corners":
+        """The corners of a mask (n,)."""
+        camera = list(compress(self.camera, rows))
+        covariance = None if self.covariance is None else self.covariance[rows]
+        own = (self.marker[rows], self.corner[rows], self.uv[rows])
+        return Corners(self.frame[rows], camera, *own, covariance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

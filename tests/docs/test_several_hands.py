@@ -50,7 +50,7 @@ def test_a_shorter_way_of_the_page(tmp_path, monkeypatch):
     run("calibrate", "REC", "--quick", "--out", "c.json")
     run("simulate", EXAMPLES / "humanoid.toml", "--plan", "sobol:12", "--machine", "truth.json", "--out", "NEW")
     assert "the claim is kept" in run("verify", "c.json", "NEW", "--hand", "left").stdout
-    assert "poses.csv is of several hands (left, right)" in run("verify", "c.json", "NEW", ok=False).stderr
+    assert "NEW is of several hands (left, right)" in run("verify", "c.json", "NEW", ok=False).stderr
     assert "no hand 'lefd'; there are left, right" in run("verify", "c.json", "NEW", "--hand", "lefd", ok=False).stderr
     wanted_poses(tmp_path / "wanted.csv", tmp_path / "NEW")
     wanted = ("correct", "c.json", "--poses", "wanted.csv")

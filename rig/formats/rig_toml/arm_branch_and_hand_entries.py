@@ -5,15 +5,10 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Json
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
-from rig.model.arm_branches_and_hands import Branch, Hand
+from rig.model.arm_branches_and_hands import Branch, Hand, hand_names
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, target_bodies
 
-NO_IMAGES = (
-    "images of an arm with several hands are not measured together: measure the target of each hand by itself, and "
-    "state the poses in poses.csv with a column hand"
-)
 UNSUITED = {
-    "camera": NO_IMAGES,
-    "target": NO_IMAGES,
     "tilt_sensor": "tilt sensors are for arms with one hand",
     "platform": "with [[mechanism.hand]] each hand states its own mass and centre_of_mass there",
 }  # {table of rig.toml: why an arm with several hands has none}
@@ -26,9 +21,22 @@ def refuse_tables_unsuited_to_several_hands(root: Entries) -> None:
     for name, reason in UNSUITED.items():
         if root.tree.get(name):
             root.fail(reason, name)
+    for camera in root.tables("camera"):
+        if camera.tree.get("mount", "fixed") != "fixed":
+            camera.fail("cameras that see several hands stand still", "mount")
     instrument = root.table("instrument", optional=True)
     if instrument.tree.get("kind", "pose") != "pose":
         instrument.fail("the poses or positions of several hands are calibrated, no other part of a pose", "kind")
+
+
+def bodies_by_word(mechanism: Mechanism) -> dict[str, str]:
+    """{word in rig.toml: body of a Target}: of an arm with several hands the hand's name; the first one's targets are
+    the platform's, those of others are measured as the stages of a chain are.
+    """
+    names = hand_names(mechanism)
+    if not names:
+        return {body: body for body in target_bodies(mechanism)}
+    return {"base": "base", **{name: f"stage {k}" if k else "platform" for k, name in enumerate(names)}}
 
 
 def branches_of_tables(table: Entries, joints: int) -> tuple[Branch, ...]:

@@ -43,7 +43,7 @@ def test_branches_and_hands_are_read_and_survive_a_calibration_file():
         ('name = "right"', 'name = "right, hand"', "name"),
         ("mass = 3.0", "mass = -3.0", "mass"),
         ("\n[instrument]", "\n[platform]\nmass = 1.0\n[instrument]", "each hand states its own mass"),
-        ("\n[instrument]", CUBE, "images of an arm with several hands are not measured together"),
+        ("\n[instrument]", CUBE, "target.1.body must be one of 'base', 'left', 'right', not 'platform'"),
         ('base = "free"', 'base = "free"\nkind = "distance"', "poses or positions of several hands"),
         ('kind = "arm"', 'kind = "arm"\ntool = { position = [0, 0, 0], rotvec = [0, 0, 0] }', "states its own tool"),
     ],
