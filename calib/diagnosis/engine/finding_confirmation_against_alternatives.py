@@ -10,7 +10,15 @@ from calib.diagnosis.engine.candidate_score import Alternative, Score, score_rai
 from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import C, SelectionPolicy
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import column_cosine
-from calib.diagnosis.engine.problem_interface import AliasedNodes, Fit, Model, Problem, Progress, SmoothCover
+from calib.diagnosis.engine.problem_interface import (
+    AliasedNodes,
+    Fit,
+    Model,
+    Problem,
+    Progress,
+    SmoothCover,
+    UnfittedNodes,
+)
 from rig.model.effect_places_and_part_tolerances import Place
 
 SAME = 0.02  # of a finding's evidence, by which two scans beside the same terms may differ and still be the same
@@ -188,12 +196,14 @@ def confirm_terms(
 ) -> tuple[Fit, list[Finding[C]]]:
     """Confirm each term of a Fit against all candidates: removed, replaced, or retained with its alternatives.
 
-    The others stay admitted meanwhile. What was replaced does not come back, and after a number of replacements nothing
+    The others stay admitted meanwhile, and a term's moment or choice is searched for again beside them. What was
+    replaced does not come back, and after a number of replacements nothing
     is replaced any more: every term of the Fit is a finding in the end. scans : those made so far
     """
     policy, count = problem.policy, len(problem.candidates)
     findings: list[Finding[C]] = []
     replaced: list[C] = []
+    reopened = 0
     while len(findings) < len(problem.terms(fit)):
         number, replaces = len(findings), len(replaced) < RESTARTS * policy.most
         model, size = problem.without_term(fit, number), problem.size(fit)
@@ -212,6 +222,11 @@ def confirm_terms(
         if member is not None:
             replaced.append(problem.terms(fit)[number])
             fit, findings = problem.in_place(member, number), []
+            continue
+        moved = None if held or reopened >= RESTARTS * policy.most else _at_likelier_node(problem, fit, number, scanned)
+        if moved is not None:
+            reopened += 1
+            fit, findings = problem.in_place(moved, number), []
             continue
         others = [c for i, c in enumerate(problem.terms(fit)) if i != number]
         found = find_alternatives(
@@ -302,6 +317,19 @@ def _likelier_member(
     return None
 
 
+def _at_likelier_node(problem: Problem[Fit, Model, C], fit: Fit, number: int, scanned: Score[C]) -> Fit | None:
+    """The Fit with a term at the node of its candidate that is best beside all others, the last of the terms, where
+    that is another one and likelier by what an alternative must lead by; None where it is not.
+    """
+    policy = problem.policy
+    if not np.isfinite(policy.takes_over) or not isinstance(problem, UnfittedNodes):
+        return None
+    if not problem.is_at_other_node(fit, number, scanned):
+        return None
+    new = problem.add_term(problem.remove_term(fit, number), scanned)
+    return new if problem.likelihood_ratio(fit, new) > policy.takes_over else None
+
+
 def refit_with_other_member_of_law(
     problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int, but: Sequence[C] = ()
 ) -> Fit | None:
@@ -345,7 +373,12 @@ def is_insignificant_beside_smooth_functions(
     place, known = finding.score.candidate.site, {(u.place, u.depends_on) for u in unexplained}
     if unexplained and not _stays(problem, finding, fit, unexplained, asked):
         return True
-    doubts = [u for u in problem.lack_of_fit(after, place) if (u.place, u.depends_on) not in known]
+    size = problem.size(fit)
+    doubts = [
+        u
+        for u in problem.lack_of_fit(after, place)
+        if (u.place, u.depends_on) not in known and u.evidence(size) > 0  # what pays for its own numbers
+    ]
     if not doubts or _stays(problem, finding, fit, unexplained + doubts, asked):
         return False
     return any(problem.within(u, place) for u in problem.lack_of_fit(problem.without_term(fit, finding.number)))

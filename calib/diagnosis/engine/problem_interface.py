@@ -139,6 +139,14 @@ class AliasedNodes(Protocol[Model_contra, C]):
 
 
 @runtime_checkable
+class UnfittedNodes(Protocol[Fit_contra, C]):
+    """Capability: a fit leaves what was found on a grid as it is: moments, and which of several things it is."""
+
+    def is_at_other_node(self, fit: Fit_contra, number: int, score: Score[C]) -> bool:
+        """Whether a Score of an admitted term's candidate is at another moment or choice than the term."""
+
+
+@runtime_checkable
 class Companions(Protocol[Fit_contra, C]):
     """Capability: other places may show a term of the same step."""
 

@@ -153,6 +153,13 @@ class PlatformProblem:
     def rescored(self, model: LinearisedModel, fit: PlatformFit, number: int) -> PlatformScore:
         return self.search(model, [fit.terms[number]])[0]
 
+    def is_at_other_node(self, fit: PlatformFit, number: int, score: PlatformScore) -> bool:
+        effect, candidate = fit.refined.point.effects[number], fit.terms[number]
+        unfitted = [
+            p.name for p in candidate.kind.parameters if p.role in ("moment", "choice") and p.name in score.node
+        ]
+        return any(getattr(effect, name) != score.node[name] for name in unfitted)
+
     def column(self, model: LinearisedModel, score: PlatformScore) -> Column:
         column = candidate_column(model, score.candidate, score.node, self.sensitivities.at(model.point))
         theta = score.coefficients if len(score.coefficients) else np.ones(1)
