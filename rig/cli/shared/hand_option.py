@@ -6,11 +6,10 @@ from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING
 
 from rig.errors import RigError
-from rig.model.arm_branches_and_hands import hand_names
-from rig.recording.recording_folder import Recording
 
 if TYPE_CHECKING:
     from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+    from rig.recording.recording_folder import Recording
 
 
 def add_hand_option(parser: ArgumentParser) -> None:
@@ -27,6 +26,8 @@ def recording_of_chosen_hand(arguments: Namespace, recording: Recording) -> Reco
 
 def calibration_of_chosen_hand(arguments: Namespace, calibration: Calibration) -> Calibration:
     """The Calibration of the hand that is chosen. Raises RigError where there are several hands and none is chosen."""
+    from rig.model.arm_branches_and_hands import hand_names
+
     names = hand_names(calibration.correction.nominal)
     if names and arguments.hand is None:
         raise RigError(f"{arguments.calibration} is of several hands; choose one with --hand: {', '.join(names)}")
