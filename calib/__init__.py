@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from calib.api.why_options_and_data_import import WhyOptions as WhyOptions
     from calib.api.workspace_change_by_calibration import analyse_workspace as analyse_workspace
     from calib.certificate.certificate_contents import CertifyOptions as CertifyOptions
-    from calib.experiment.investigation_machine import InvestigateOptions as InvestigateOptions
+    from calib.experiment.investigation_plan_execution import InvestigateOptions as InvestigateOptions
     from calib.files.calibration_file import load as load
     from calib.files.calibration_file import save as save
 
@@ -100,7 +100,7 @@ __getattr__ = lazy_getattr(
         **dict.fromkeys(("plan_run", "RunOptions"), "calib.api.machine_run"),
         "analyse_workspace": "calib.api.workspace_change_by_calibration",
         "investigate": "calib.api.investigate",
-        "InvestigateOptions": "calib.experiment.investigation_machine",
+        "InvestigateOptions": "calib.experiment.investigation_plan_execution",
         "why": "calib.api.why",
         "WhyOptions": "calib.api.why_options_and_data_import",
         **dict.fromkeys(("load", "save"), "calib.files.calibration_file"),

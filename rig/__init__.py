@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rig.api import plan as plan
     from rig.api import save as save
     from rig.errors import RigError as RigError
-    from rig.formats.rig_toml.design_file import load_design as load_design
+    from rig.formats.rig_toml.design_from_rig_toml import load_design as load_design
     from rig.model.design import Design as Design
     from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions as LayoutOptions
     from rig.planning.layout.shipped_arms_and_layouts import new_rig_toml as new_rig_toml
@@ -43,7 +43,7 @@ __getattr__ = lazy_getattr(
     __name__,
     {
         **dict.fromkeys(("load", "save", "plan", "check", "CheckResult", "PlannedConfigurations"), "rig.api"),
-        "load_design": "rig.formats.rig_toml.design_file:load_design",
+        "load_design": "rig.formats.rig_toml.design_from_rig_toml:load_design",
         **dict.fromkeys(("LayoutOptions", "new_rig_toml"), "rig.planning.layout.shipped_arms_and_layouts"),
         "Recording": "rig.recording.recording_folder",
         "Design": "rig.model.design",

@@ -1,4 +1,7 @@
-"""The entry points of rig: a recording loaded and saved, configurations planned, mistakes that its files show."""
+"""Python entry points of rig.
+
+A recording loaded and saved, configurations planned, mistakes that its files show.
+"""
 
 import tempfile
 from collections.abc import Callable, Mapping
@@ -55,8 +58,9 @@ def load(path: Path | str, skip_unreadable: bool = False, mask: str | None = Non
 
 
 def save(recording: Recording, folder: Path | str, overwrite: bool = False) -> None:
-    """Write a recording to a folder: its rig.toml and tables, and the images of its frames.
+    """Write a recording to a folder.
 
+    Its rig.toml and tables, and the images of its frames.
     overwrite : whether to write over what this function did not make
     Raises RigError for several recordings joined to one, and where the folder holds something else
     """
@@ -179,7 +183,9 @@ class CheckResult(OneLineRepr):
 
 
 def check(path: Path | str) -> CheckResult:
-    """CheckResult of a recording's files alone; `calib.check` looks at corners, images and poses as well.
+    """CheckResult of a recording's files alone.
+
+    `calib.check` looks at corners, images and poses as well.
 
     >>> import rig
     >>> rig.check("tests/data/bench/check").usable
@@ -189,9 +195,11 @@ def check(path: Path | str) -> CheckResult:
 
 
 def load_and_check_recording_files(path: Path) -> tuple[Recording | None, CheckResult]:
-    """Load a recording and check its files: (Recording, CheckResult).
+    """Load a recording and check its files.
 
     Recording is None where the files show that no more can be learnt.
+
+    Returns (Recording, CheckResult)
     """
     from rig.checks.implausible_design_values_and_image_mistakes import mistakes_found_without_looking_at_images
     from rig.checks.unreadable_recording import unreadable_recording_mistakes
@@ -219,12 +227,13 @@ class EffectCatalogue:
 def effect_catalogue(
     effects: "Mapping[str, type[Effect]]", folder: str = "", draw: "Callable[[type[Effect]], Sketch] | None" = None
 ) -> EffectCatalogue:
-    """EffectCatalogue of effects {name: class}, with a sketch of each where a function draws them.
+    """EffectCatalogue of effects {name: class}.
 
+    With a sketch of each where a function draws them.
     folder : where the document finds the sketches, NAME.svg; draw : raises RigError for an effect without a sketch
     """
     from rig.effects.catalogue.effect_list import catalogue_markdown
-    from rig.report.pages.page_templates_and_elements import standalone_svg
+    from rig.report.pages.page_templates_and_index_page import standalone_svg
 
     drawn: dict[str, str] = {}
     shown: dict[str, str] = {}
@@ -251,9 +260,10 @@ class ImportResult(NamedTuple):
 def import_recording(
     recipe: "Recipe", folder: Path, name: Path | None = None, skip_unreadable: bool = False
 ) -> ImportResult:
-    """Write the recording that a recipe describes into an empty folder; returns what it holds and remarks on it.
+    """Write the recording that a recipe describes into an empty folder.
 
     name : of the folder in errors, by default its path; skip_unreadable : whether unusable images are left out
+    Returns what it holds and remarks on it
     Raises RigError for files that cannot be used, and for what is no recording once it is imported
     """
     from rig.checks.implausible_design_values_and_image_mistakes import mistakes_found_without_looking_at_images

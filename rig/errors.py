@@ -1,4 +1,7 @@
-"""Error classes (RigError) of what can go wrong with a machine, its physics or its files, with the numbers."""
+"""Error classes (RigError).
+
+Of what can go wrong with a machine, its physics or its files, with the numbers.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,12 @@ FOLDED = re.compile(rf"^({SCHEME})/(?=[^/])")  # what pathlib makes of SCHEME//
 
 
 def path_text_with_url_slashes(path: str | PathLike[str]) -> str:
-    """Text of a path as its user wrote it: with both slashes after the scheme where it is a URL."""
+    """Text of a path, with the slashes of a URL.
+
+    As its user wrote it.
+
+    With both slashes after the scheme where it is a URL.
+    """
     return FOLDED.sub(r"\1//", str(path))
 
 

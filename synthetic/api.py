@@ -1,4 +1,7 @@
-"""The entry points of synthetic: a recording of a simulated rig, and a diagnosed recording simulated again."""
+"""Python entry points of synthetic.
+
+A recording of a simulated rig, and a diagnosed recording simulated again.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text_parsing import Kinds, parse_effect, require_existing_place, require_nonzero_effect
 from rig.errors import RigError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design, Sensor
 from rig.planning.plan import build_plan
 from rig.recording.recording_folder import load_sensors
@@ -149,7 +152,7 @@ def simulate(rig_toml: Path | str, options: SimulateOptions = SimulateOptions())
     3 frames over 0.3 min, effects: backlash at strut 3
     """
     path, kinds = Path(rig_toml), options.kinds or BY_NAME
-    design = design_file.load_design(path)
+    design = design_from_rig_toml.load_design(path)
     effects = tuple(
         require_nonzero_effect(require_existing_place(parse_effect(text, kinds), design)) for text in options.effects
     )
@@ -176,10 +179,12 @@ def simulate(rig_toml: Path | str, options: SimulateOptions = SimulateOptions())
 def simulate_with_and_without_findings(
     diagnosis: Path | str, options: SimulateOptions = SimulateOptions()
 ) -> dict[str, SimulationResult]:
-    """Simulate a diagnosed recording with and without its findings: SimulationResults.
+    """Simulate a diagnosed recording with and without its findings.
 
     Of a folder that `rig diagnose` wrote: the recording drawn anew with the effects found, and with none. options : of
     them noise, seed, kinds, images and drawing count
+
+    Returns SimulationResults
     Raises FileError for a folder that holds no diagnosed recording, RigError where nothing was commanded
     """
     folder = Path(diagnosis)

@@ -1,4 +1,6 @@
-"""Blind cases of arms drawn at random: makes, instruments, protocols, unmodelled physics.
+"""Blind cases of arms, drawn at random.
+
+Makes, instruments, protocols, unmodelled physics.
 
 A third is made hard.
 """
@@ -17,12 +19,12 @@ from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_parameters_and_covariates import Drawing, log_uniform
 from rig.errors import RigError
 from rig.formats.output_files import write_text
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Design, Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.model.pose import exp
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.plan import build_plan, plan_of_configurations
 from rig.planning.timed_plan_and_plan_csv import Plan
 from rig.recording.recording_folder import Commands, Sensors
@@ -83,8 +85,9 @@ def _arm_makes() -> dict[str, str]:
 def draw_arm_case(
     seed: int, index: int, frames: int = FRAMES, kinds: Sequence[str] = KINDS, effects: Sequence[str] = ()
 ) -> DrawnArmCase:
-    """Arm case `index` of a blind campaign, drawn at random. effects : names of the catalogue's to use
+    """Arm case `index` of a blind campaign, drawn at random.
 
+    effects : names of the catalogue's to use
     Raises RigError where nothing comes up in TRIES draws, or no effect of the catalogue is left
     """
     catalogue = [
@@ -113,7 +116,7 @@ def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, fram
     text = f'{_arm_makes()[make]}\n[instrument]\nbase = "free"\ntool = "free"\nposition_sigma = {stated[0]:.3g}\n{turn}'
     with tempfile.TemporaryDirectory() as folder:
         write_text(Path(folder) / "rig.toml", text)
-        design = design_file.load_design(Path(folder) / "rig.toml")
+        design = design_from_rig_toml.load_design(Path(folder) / "rig.toml")
     if "level" in hard:
         plan, route = (
             "level",

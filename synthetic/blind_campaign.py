@@ -1,4 +1,7 @@
-"""A campaign of blind cases in a folder: what makes it, which cases are drawn and diagnosed, and its score."""
+"""Campaign of blind cases in a folder.
+
+What makes it, which cases are drawn and diagnosed, and its score.
+"""
 
 import json
 import re
@@ -200,8 +203,9 @@ def truth_hash_path(folder: Path, index: int) -> Path:
 
 
 def parse_case_numbers(text: str | None, count: int) -> list[int]:
-    """Parse the numbers of cases of a list such as 3,7-9; None for all of 1..count.
+    """Parse the numbers of cases of a list such as 3,7-9.
 
+    None for all of 1..count.
     Raises RigError for anything else
     """
     if text is None:

@@ -1,4 +1,7 @@
-"""Page of a blind campaign: score, verdict, confusion matrix and wrong answers; the same as a dict for JSON."""
+"""HTML page of a blind campaign.
+
+Score, verdict, confusion matrix and wrong answers; the same as a dict for JSON.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rig.array_and_json_types import Json
-from rig.report.pages.page_templates_and_elements import (
-    Link,
-    Page,
-    heading_html,
-    note_html,
-    paragraph_html,
-    table_html,
-    write_page,
-)
+from rig.report.pages.html_and_svg_elements import heading_html, note_html, paragraph_html, table_html
+from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import Series, plot_panel_svg
 from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
 from synthetic import diagnosis_score
@@ -34,7 +30,10 @@ OUTCOMES = ("named and placed", "named", "allowed", "taken for another", "unknow
 
 
 def campaign_dict(cases: list[Case]) -> Json:
-    """Dict of a campaign for JSON: verdict, figures, medians, by_effect, by_strength, confusion, cases."""
+    """Dict of a campaign for JSON.
+
+    Verdict, figures, medians, by_effect, by_strength, confusion, cases.
+    """
     return {
         "verdict": campaign_verdict(diagnosis_score.campaign_figures(cases)).tree(),
         "figures": [asdict(f) for f in diagnosis_score.campaign_figures(cases)],
@@ -80,7 +79,10 @@ def _outcome(case: Case, hidden: Hidden) -> str:
 
 
 def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
-    """Write the page of a campaign: figures with intervals, by effect, by strength, confusion, wrong answers."""
+    """Write the page of a campaign.
+
+    Figures with intervals, by effect, by strength, confusion, wrong answers.
+    """
     said = ", ".join(
         f"{name} {', '.join(map(str, value)) if isinstance(value, list) else value}"
         for name, value in settings.items()
@@ -139,7 +141,10 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
 
 
 def campaign_verdict(figures: list[Figure]) -> Verdict:
-    """Verdict on a campaign: which figures reach their goal, and which certainly do not."""
+    """Verdict on a campaign.
+
+    Which figures reach their goal, and which certainly do not.
+    """
     asked = [f for f in figures if f.goal is not None and f.trials]
     missed = [f for f in asked if f.hits < (f.goal or 0) * f.trials]
     if not asked:

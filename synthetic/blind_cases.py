@@ -1,4 +1,7 @@
-"""Blind cases drawn at random: rigs, protocols, image settings, unmodelled physics; written as recordings and truth."""
+"""Blind cases drawn at random.
+
+Rigs, protocols, image settings, unmodelled physics; written as recordings and truth.
+"""
 
 import tempfile
 from collections.abc import Callable, Sequence
@@ -12,10 +15,10 @@ import numpy as np
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_parameters_and_covariates import Drawing
-from rig.effects.framework.marker_table import Markers, replace_marker_columns
+from rig.effects.framework.marker_table_interface import Markers, replace_marker_columns
 from rig.errors import RigError
 from rig.formats.output_files import write_text
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design, Sensor
 from rig.model.effect_places_and_part_tolerances import Place
@@ -58,7 +61,10 @@ class Printing(Effect):
 def draw_printing_errors(
     design: Design, rng: np.random.Generator, shift_sigma: float, relative_side_sigma: float
 ) -> Printing:
-    """Printing errors of a design's markers drawn at random: shifts (sigma m), and sides (sigma as a share)."""
+    """Printing errors of a design's markers drawn at random.
+
+    Shifts (sigma m), and sides (sigma as a share).
+    """
     count = len(marker_map(design).id)
     scales = relative_side_sigma * (rng.normal() + rng.normal(size=count))
     return Printing("markers", tuple((shift_sigma * rng.normal(size=2 * count)).tolist()), tuple(scales.tolist()))
@@ -179,7 +185,10 @@ class DrawnCase:
 def schedule_effects(
     seed: int, index: int, kinds: Sequence[str] = KINDS, catalogue: int = len(ALL)
 ) -> tuple[str, list[int], np.random.Generator]:
-    """Schedule the effects of case `index` of a campaign: (kind, their numbers in the catalogue, rng)."""
+    """Schedule the effects of case `index` of a campaign.
+
+    Returns (kind, their numbers in the catalogue, rng)
+    """
     deck = np.concatenate([[k] * TIMES[name] for k, name in enumerate(KINDS) if name in kinds])
     shuffled = np.random.default_rng([seed, 1]).permutation(deck)
     kind = KINDS[shuffled[index % len(deck)]]
@@ -200,8 +209,9 @@ def draw_case(
     effects: Sequence[str] = (),
     images: bool = False,
 ) -> DrawnCase:
-    """Blind case `index` of a campaign, drawn at random. effects : names of the catalogue's to use
+    """Blind case `index` of a campaign, drawn at random.
 
+    effects : names of the catalogue's to use
     Raises RigError where nothing that the rig survives comes up in TRIES draws.
     """
     every = [e for e in ALL if not e.instrumented]
@@ -223,7 +233,7 @@ def _drawn(
     text = _rig(rng) if eyes is None else eyes.seen_through(_rig(rng, eyes.width, eyes.height))
     with tempfile.TemporaryDirectory() as folder:
         write_text(Path(folder) / "rig.toml", text)
-        design = design_file.load_design(Path(folder) / "rig.toml")
+        design = design_from_rig_toml.load_design(Path(folder) / "rig.toml")
     plan = _protocol(frames, rng, withheld, images)
     route = build_plan(design, plan, int(rng.integers(1 << 30)), "reversals" in withheld)
     duration = float(route.t[-1])

@@ -1,4 +1,7 @@
-"""Cubes to make: paper nets in pieces that fit a sheet, and STL bodies to print or mill."""
+"""Cube nets in paper, and STL bodies.
+
+Nets in pieces that fit a sheet, and bodies to print or mill.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -105,8 +108,9 @@ def net_pieces(groups: Sequence[Sequence[str]], flaps: bool = True) -> tuple[Pie
 def arrange_net(
     edge: float, upright_area: tuple[float, float], sideways_area: tuple[float, float]
 ) -> tuple[Size, tuple[Sheet, ...]]:
-    """Arrangement of a cube's net on the fewest sheets, in the fewest pieces. edge : mm
+    """Arrangement of a cube's net on the fewest sheets, in the fewest pieces.
 
+    edge : mm
     upright_area, sideways_area : (width, height) mm of a sheet that stands upright, and on its side
 
     Faces too large for their flaps come without, to be glued on a body. Raises RigError for a face larger than the

@@ -1,4 +1,7 @@
-"""Score of diagnoses against the blind truth: verdicts by case, figures of a campaign with exact intervals."""
+"""Score of diagnoses against the blind truth.
+
+Verdicts by case, figures of a campaign with exact intervals.
+"""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -131,7 +134,10 @@ def _share_figure(name: str, flags: list[bool], goal: float | None = None) -> Fi
 
 
 def clopper_pearson(hits: int, trials: int, level: float = 0.95) -> tuple[float, float]:
-    """Clopper-Pearson exact interval (low, high) of a share, hits of trials. Source: Biometrika 26, 1934"""
+    """Clopper-Pearson exact interval (low, high) of a share, hits of trials.
+
+    Source: Biometrika 26, 1934.
+    """
     tail = (1 - level) / 2
     low = float(scipy.stats.beta.ppf(tail, hits, trials - hits + 1)) if hits else 0.0
     high = float(scipy.stats.beta.ppf(1 - tail, hits + 1, trials - hits)) if hits < trials else 1.0
@@ -229,7 +235,10 @@ def interval_coverage(true_effect: Hidden, finding: Found | None) -> list[bool]:
 
 
 def campaign_figures(cases: list[Case]) -> list[Figure]:
-    """Figures of a campaign's cases: rates of detection, naming and placing, in the order of the page."""
+    """Figures of a campaign's cases.
+
+    Rates of detection, naming and placing, in the order of the page.
+    """
     done = [c for c in cases if c.failed is None]
     still = [c for c in done if c.kind == "nothing"]
     one = [c for c in done if c.kind == "one" and c.hidden[0].strength >= STRONG]
@@ -266,7 +275,10 @@ def campaign_figures(cases: list[Case]) -> list[Figure]:
 
 
 def campaign_medians(cases: list[Case]) -> dict[str, float]:
-    """Medians {name: median} of a campaign's cases: sizes, held-out misfit over the noise floor, seconds."""
+    """Medians {name: median} of a campaign's cases.
+
+    Sizes, held-out misfit over the noise floor, seconds.
+    """
     done = [c for c in cases if c.failed is None]
     one = [c.match(c.hidden[0]) for c in done if c.kind == "one" and c.hidden[0].strength >= STRONG]
     columns: dict[str, list[float]] = {
@@ -278,7 +290,10 @@ def campaign_medians(cases: list[Case]) -> dict[str, float]:
 
 
 def figures_by_effect(cases: list[Case]) -> list[Group]:
-    """Figures by effect: (effect, [Figure detected, named, placed, covered], {effect found: count})."""
+    """Figures by effect.
+
+    Returns (effect, [Figure detected, named, placed, covered], {effect found: count})
+    """
     return _grouped(cases, lambda h: h.effect if h.strength >= STRONG else None)
 
 
@@ -321,7 +336,10 @@ def _grouped(cases: list[Case], group: Callable[[Hidden], str | None]) -> list[G
 
 
 def confusion_table(cases: list[Case]) -> dict[str, dict[str, int]]:
-    """Confusion table {hidden effect: {effect found: count}} of a campaign's strong effects."""
+    """Confusion table of a campaign's strong effects.
+
+    Returns {hidden effect: {effect found: count}}
+    """
     out = {name: counts for name, _, counts in figures_by_effect(cases)}
     for c in cases:
         if c.failed is None and not c.hidden:

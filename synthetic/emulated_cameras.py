@@ -1,4 +1,7 @@
-"""Emulated cameras: images rendered of the pose that an emulated machine has, by a process of their own."""
+"""Emulated cameras of an emulated machine.
+
+Images are rendered of the pose that it has, by a process of their own.
+"""
 
 import json
 import multiprocessing
@@ -18,7 +21,7 @@ from rig.driving.cameras.camera_opening import USUAL
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.errors import RigError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
 from rig.model.pose import transform_points
@@ -275,7 +278,7 @@ def _serve_emulated_cameras(
     """The process: says (True, name) or (False, why) through the pipe, then draws until it is ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who interrupts the emulator ends this with it
     try:
-        stated = design_file.load_design(design)
+        stated = design_from_rig_toml.load_design(design)
         secret = (
             secret_machine_and_truth_file.world_from_truth(Path(truth), stated)
             if truth

@@ -1,4 +1,6 @@
-"""Renderer of ideal images of a scene (pyrender, off screen through EGL); OpenGL's axes are known only here.
+"""Renderer of ideal images of a scene.
+
+By pyrender, off screen through EGL; OpenGL's axes are known only here.
 
 The scene is drawn as an oversized pinhole picture, finer than the camera's, and bent through the lens by sampling it
 bilinearly at SAMPLES x SAMPLES places of each pixel; the sensor blurs that finer picture before it takes the pixels'
@@ -43,7 +45,10 @@ PACKAGES = "libegl1 libgl1"
 
 
 def import_pyrender() -> types.ModuleType:
-    """Import pyrender without its viewer. Raises MissingLibrary where there is no OpenGL."""
+    """Import pyrender without its viewer.
+
+    Raises MissingLibrary where there is no OpenGL.
+    """
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     if "pyrender" not in sys.modules:
         viewer: Any = types.ModuleType("pyrender.viewer")  # the real one pulls in pyglet and X11

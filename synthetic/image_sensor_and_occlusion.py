@@ -1,4 +1,7 @@
-"""Image sensor model (noise, vignetting, blur), and occlusion of markers by other bodies."""
+"""Image sensor model, and occlusion of markers.
+
+Noise, vignetting and blur of the sensor; markers are occluded by other bodies.
+"""
 
 from functools import lru_cache
 from typing import cast
@@ -83,8 +86,9 @@ OWN_DEPTH = 2e-3  # m; what is nearer to the marker than this is the marker itse
 
 
 def is_occluded(design: Design, stages: list[RigidTransform], frame: Integers, eye: Floats, points: Floats) -> Booleans:
-    """Whether each point (k,) is occluded from an eye: the straight line between them is blocked.
+    """Whether each point (k,) is occluded from an eye.
 
+    The straight line between them is blocked.
     design : Design as it really is; stages : where each stage's platform stands, RigidTransform (F,), the last alone
         but of a chain
     frame : (k,) index

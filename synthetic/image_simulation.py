@@ -1,4 +1,7 @@
-"""Images of a simulation rendered: exposures in time, rolling shutter, several processes."""
+"""Simulation of a recording's images.
+
+Exposures in time are rendered, with rolling shutter, by several processes.
+"""
 
 import os
 import threading
@@ -58,8 +61,9 @@ class Images:
 def render_images(
     simulation: Simulation, out: Path, images: Images, seed: int, progress: Callable[[int, int], None] | None = None
 ) -> None:
-    """Render all images of a simulation into out/images. seed : of the noise
+    """Render all images of a simulation into out/images.
 
+    seed : of the noise
     Raises MissingLibrary where there is no OpenGL, RigError for an effect that the renderer cannot draw
     """
     require_renderable(simulation.world.effects)
@@ -91,7 +95,10 @@ def render_images(
 
 
 def require_renderable(effects: Iterable[Effect]) -> None:
-    """Require that effects can be rendered in images. Raises RigError for effects that act on corners alone."""
+    """Require that effects can be rendered in images.
+
+    Raises RigError for effects that act on corners alone.
+    """
     for effect in effects:
         if not is_renderable(type(effect)):
             raise RigError(f"{effect.name} is not drawn into images, only into corners: simulate with --corners")
@@ -266,10 +273,11 @@ KINDS = ("with", "without")
 
 
 def simulations_with_and_without_effects_found(folder: Path, kinds: Kinds = BY_NAME) -> dict[str, Simulation]:
-    """Simulate a diagnosed recording's commands with and without the effects found: {with, without: Simulation}.
+    """Simulate a diagnosed recording's commands with and without the effects found.
 
     kinds : effects that there are
 
+    Returns {with, without: Simulation}
     Raises FileError for a folder that holds no diagnosed recording, RigError where nothing was commanded
     """
     path = folder / "machine.json"

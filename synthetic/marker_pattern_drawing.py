@@ -1,4 +1,6 @@
-"""Drawing of a marker's printed pattern into an image: the exact share of white in each pixel.
+"""Drawing of a marker's printed pattern into an image.
+
+The exact share of white in each pixel.
 
 An element's square is carried to the marker's cells by the lens and the homography; over one element both are as good
 as affine, so what it sees there is a parallelogram, and what part of that lies on white cells is an area. Where one

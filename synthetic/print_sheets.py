@@ -1,4 +1,7 @@
-"""Sheets to print, true to scale: cube nets and loose markers with rulers and a legend (PDF)."""
+"""Sheets to print, true to scale.
+
+Cube nets and loose markers with rulers and a legend (PDF).
+"""
 
 import io
 from collections.abc import Iterator
@@ -109,14 +112,20 @@ def write_sheets(design: Design, path: str | Path, paper: str = "A4") -> PrintSh
 
 
 def sheets_of_target(target: Target, paper: str) -> list[Page]:
-    """Sheets of a target on paper of one size. Raises RigError for a face or marker that is too large."""
+    """Sheets of a target on paper of one size.
+
+    Raises RigError for a face or marker that is too large.
+    """
     if target.board is not None:
         return [_of_board(target, target.board, paper)]
     return [*_of_net(target, paper), *_of_loose(target, paper)]
 
 
 def blank_sheet(paper: tuple[float, float]) -> tuple[Figure, Axes]:
-    """Blank sheet: (Figure, Axes in mm from the lower left corner). paper : (width, height) mm"""
+    """Blank sheet: (Figure, Axes in mm from the lower left corner).
+
+    paper : (width, height) mm
+    """
     figure = Figure(figsize=(paper[0] / 25.4, paper[1] / 25.4))
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set(xlim=(0, paper[0]), ylim=(0, paper[1]))

@@ -1,4 +1,7 @@
-"""Simulation of a recording: a secret machine run under a plan, written as a folder; the truth stored separately."""
+"""Simulation of a recording.
+
+A secret machine is run under a plan, written as a folder; the truth is stored separately.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from rig.formats.output_files import write_text
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model import motion_simulation
 from rig.model.arm_branches_and_hands import hand_names
-from rig.model.base_tilt import SENSOR_AXES
+from rig.model.base_and_link_tilts import SENSOR_AXES
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import rig_toml_with_turns
 from rig.model.mechanisms.arm import link_frames
@@ -98,8 +101,9 @@ def stage_poses_of_run(run: motion_simulation.MachineRun) -> list[RigidTransform
 def simulate_world(
     world: worlds.World, plan: Plan, rng: np.random.Generator, known_sensors: Sensors | None = None
 ) -> Simulation:
-    """Simulate a World under a plan: cubes remounted, temperatures drawn, the machine run.
+    """Simulate a World under a plan.
 
+    Cubes remounted, temperatures drawn, the machine run.
     known_sensors : Sensors as they truly are and as they are logged, in place of drawn temperatures and the plan's
         payload, or None
     """
@@ -165,7 +169,10 @@ def _tilt_channels(
 def visible_marker_sightings_and_corners(
     simulation: Simulation, max_viewing_angle: float = STEEPEST
 ) -> tuple[Sightings, Floats]:
-    """Visible markers: (Sightings, corners (k, 4, 2) px) facing a camera, inside its image, not occluded."""
+    """Visible markers' sightings and corners.
+
+    Returns (Sightings, corners (k, 4, 2) px) facing a camera, inside its image, not occluded
+    """
     world = simulation.world
     stated = real = marker_map(world.true)
     for effect in world.effects:
@@ -213,7 +220,10 @@ def _body(simulation: Simulation, stage: int) -> motion_simulation.MachineRun:
 
 
 def carried_camera_poses(cameras: tuple[Camera, ...], T_base_platform: RigidTransform) -> dict[int, RigidTransform]:
-    """Poses {index: T_base_camera (F,)} of the cameras carried by a platform at poses (F,)."""
+    """Poses {index: T_base_camera (F,)} of cameras carried by a platform.
+
+    At poses (F,) of the platform.
+    """
     return {i: T_base_platform * camera.pose for i, camera in enumerate(cameras) if camera.mount == "hand"}
 
 
@@ -363,7 +373,10 @@ def _measured_columns(
 
 
 def truth_corners(simulation: Simulation) -> list[list[int | str | float]]:
-    """True corners as rows [frame, camera, marker, corner, u, v] of every visible marker, for a truth file."""
+    """True corners as rows [frame, camera, marker, corner, u, v] of every visible marker.
+
+    For a truth file.
+    """
     c = noisy_corners(simulation, 0.0, np.random.default_rng(0))
     return [
         [int(f), name, int(m), int(k), round(float(u), 5), round(float(v), 5)]

@@ -1,4 +1,6 @@
-"""Meshes of the rig (trimesh): plates, struts, cubes and sheets with markers, and a background.
+"""Meshes of a rig.
+
+By trimesh: plates, struts, cubes and sheets with markers, and a background.
 
 Every part is a flat grey, a sheet of paper with a marker's ink on it, or a textured face; brightness comes from the
 lamps by Lambert's law, face by face, so that the renderer need only multiply. Ink is no texture: it is laid exactly,
@@ -113,7 +115,10 @@ class StrutStage(NamedTuple):
 
 
 def stages_standing_on_struts(mechanism: Mechanism) -> list[StrutStage]:
-    """Stages of a mechanism that stand on struts ([StrutStage]), from the base up; none for an arm."""
+    """Stages of a mechanism that stand on struts ([StrutStage]), from the base up.
+
+    None for an arm.
+    """
     stages, alone = mechanism.stages, not mechanism.bodies
     names = ["base", *(f"stage {k + 1}" for k in range(len(stages) - 1)), "platform"]
     return [
@@ -124,7 +129,10 @@ def stages_standing_on_struts(mechanism: Mechanism) -> list[StrutStage]:
 
 
 def body_matrices(stage_poses: list[RigidTransform]) -> dict[str, Floats]:
-    """Matrices {body: (..., 4, 4)} to the base of bodies between struts, from the stages' poses."""
+    """Matrices {body: (..., 4, 4)} to the base of bodies between struts.
+
+    From the stages' poses.
+    """
     *below, platform = (T.as_matrix() for T in stage_poses)
     return {
         "base": np.broadcast_to(np.eye(4), platform.shape),
@@ -134,7 +142,10 @@ def body_matrices(stage_poses: list[RigidTransform]) -> dict[str, Floats]:
 
 
 def mesh_body_matrices(mechanism: Mechanism, stage_poses: list[RigidTransform]) -> dict[str, Floats]:
-    """Matrices {body: (4, 4)} to the base of all bodies that have meshes, at one pose, struts included."""
+    """Matrices {body: (4, 4)} to the base of all bodies that have meshes.
+
+    At one pose, struts included.
+    """
     poses = {"world": np.eye(4), **body_matrices(stage_poses)}
     for stands in stages_standing_on_struts(mechanism):
         T_below = RigidTransform.from_matrix(poses[stands.base])
@@ -156,7 +167,10 @@ def mesh_body_matrices(mechanism: Mechanism, stage_poses: list[RigidTransform]) 
 
 
 def part_brightness(part: Part, matrix: Floats) -> float:
-    """Brightness 0..1 of a part at its body's matrix (4, 4): albedo times the light of the lamps."""
+    """Brightness 0..1 of a part at its body's matrix (4, 4).
+
+    Albedo times the light of the lamps.
+    """
     centre = matrix[:3, :3] @ part.centre + matrix[:3, 3]
     light = AMBIENT
     for lamp in LAMPS:

@@ -1,4 +1,7 @@
-"""Secret machine of a simulation, drawn at random: geometry, cameras, temperatures, remounted cubes; truth file."""
+"""Secret machine of a simulation, and its truth file.
+
+Drawn at random: geometry, cameras, temperatures, remounted cubes.
+"""
 
 import json
 import zlib
@@ -43,7 +46,9 @@ AWAY, HAND = 1.0, 0.1  # m, of where an instrument stands and of its target on t
 
 
 def draw_geometry(stated: Design, rng: np.random.Generator, size: float) -> Commanded:
-    """True geometry of a stated design's mechanism drawn at random. size : multiplies every deviation.
+    """True geometry of a stated design's mechanism drawn at random.
+
+    size : multiplies every deviation.
     Raises RigError for a kind that cannot be simulated
     """
     m = stated.mechanism
@@ -107,7 +112,10 @@ class World:
 
 
 def draw_machine(stated: Design, rng: np.random.Generator, size: float = 1.0, effects: Iterable[Effect] = ()) -> World:
-    """Secret machine (World) drawn at random around a stated design. size : multiplies every deviation"""
+    """Secret machine (World) drawn at random around a stated design.
+
+    size : multiplies every deviation
+    """
     m = draw_geometry(stated, rng, size)
     true = replace(stated, mechanism=m, cameras=tuple(_camera(camera, rng, size) for camera in stated.cameras))
     limbs = stated.insitu
@@ -137,15 +145,20 @@ def _camera(camera: Camera, rng: np.random.Generator, size: float) -> Camera:
 
 
 def strut_count(mechanism: Commanded) -> int:
-    """Number of struts of a mechanism: none for an arm."""
+    """Number of struts of a mechanism.
+
+    None for an arm.
+    """
     return len(mechanism.axes) if mechanisms.kinematics_of(mechanism).AXIS == "strut" else 0
 
 
 def draw_temperatures(duration: float, rng: np.random.Generator, struts: int = 6) -> tuple[Sensors, Sensors]:
-    """Temperatures drawn at random over a duration (s): (true Sensors, logged Sensors).
+    """Temperatures drawn at random over a duration (s).
 
     Channels ambient_temperature_C and, for so many struts, strut1_temperature_C ..; the log is the truth every
     LOG_EVERY s, with noise.
+
+    Returns (true Sensors, logged Sensors)
     """
     t = np.arange(0.0, duration + LOG_EVERY, LOG_EVERY)
     room = (
@@ -161,13 +174,20 @@ def draw_temperatures(duration: float, rng: np.random.Generator, struts: int = 6
 
 
 def write_truth(path: Path, world: World, T_base_platform: RigidTransform, **more: object) -> None:
-    """Write the truth file of a recording (JSON): the machine, its effects and its poses."""
+    """Write the truth file of a recording (JSON).
+
+    The machine, its effects and its poses.
+    """
     tree = machine_geometry_and_effects_json_file.machine_dict(world.true, world.effects)
     write_text(path, json.dumps({**tree, "poses": T_base_platform.as_matrix().reshape(-1, 16).tolist(), **more}) + "\n")
 
 
 def world_from_truth(path: Path, stated: Design, kinds: Kinds = BY_NAME) -> World:
-    """World read from a truth file: the same machine and cameras. kinds : known effects"""
+    """World read from a truth file.
+
+    The same machine and cameras.
+    kinds : known effects
+    """
     return World(stated, *machine_geometry_and_effects_json_file.load_machine(path, stated, kinds))
 
 
@@ -175,8 +195,9 @@ SEAT = np.repeat([1e-4, 1e-3], 3)  # m, rad, by which a cube that is put back si
 
 
 def remount_cubes(world: World, quarters: Mapping[str, int]) -> World:
-    """The World with cubes remounted at quarters {cube: quarter turns}, with the small errors of remounting.
+    """The World with cubes remounted at quarters {cube: quarter turns}.
 
+    With the small errors of remounting.
     Raises RigError for a cube that there is not
     """
     stated = design_with_turned_cubes(world.stated, quarters)

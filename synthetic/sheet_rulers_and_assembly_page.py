@@ -1,4 +1,7 @@
-"""Rulers and legend of printed sheets, and the page that shows how cubes are assembled and where they stand."""
+"""Rulers of printed sheets, and the assembly page.
+
+Also their legend; the page shows how cubes are assembled and where they stand.
+"""
 
 import textwrap
 
@@ -34,7 +37,10 @@ def fold_line_style() -> Json:
 
 
 def draw_rulers_and_legend(axes: Axes, paper: tuple[float, float], label: str) -> None:
-    """Draw the rulers, the legend and the label of a sheet. paper : (width, height) mm"""
+    """Draw the rulers, the legend and the label of a sheet.
+
+    paper : (width, height) mm
+    """
     for along in (0, 1):
         start = (LEFT, MARGIN) if along == 0 else (MARGIN, MARGIN + FOOT)
         _ruler(axes, start, along)
@@ -87,7 +93,10 @@ STEPS = (
 
 
 def draw_assembly_page(axes: Axes, design: Design, paper: tuple[float, float], count: int) -> None:
-    """Draw the assembly page of a design's cubes. paper : (width, height) mm; count : sheets before it"""
+    """Draw the assembly page of a design's cubes.
+
+    paper : (width, height) mm; count : sheets before it
+    """
     width, top = paper[0] - 2 * MARGIN, paper[1] - MARGIN
     axes.text(MARGIN, top, f"{design.name}: {len(design.targets)} targets on {count} sheets", fontsize=12, va="top")
     y = top - 9

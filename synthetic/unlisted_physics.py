@@ -1,4 +1,6 @@
-"""Physics not listed in the catalogue, and irregular corner noise, that blind cases may hide as unknown.
+"""Physics not listed in the catalogue.
+
+And irregular corner noise, both of which blind cases may hide as unknown.
 
 An effect out of the catalogue is one like any other, only that no diagnosis knows it; `draw_unlisted_effect` makes one
 of a plausible size. A disturbance
@@ -14,7 +16,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.effects.framework.marker_table import Markers, replace_marker_columns
+from rig.effects.framework.marker_table_interface import Markers, replace_marker_columns
 from rig.errors import RigError
 from rig.model.design import Camera, Design
 from rig.model.effect_places_and_part_tolerances import Place

@@ -106,23 +106,23 @@ def rig_text():
 
 @pytest.fixture(scope="session")
 def design(rig_text, tmp_path_factory):
-    from rig.formats.rig_toml import design_file
+    from rig.formats.rig_toml import design_from_rig_toml
 
     path = tmp_path_factory.mktemp("rig") / "rig.toml"
     path.write_text(rig_text)
-    return design_file.load_design(path)
+    return design_from_rig_toml.load_design(path)
 
 
 def make_recording(folder, design, rig_text, seed, count=24, noise=0.04, size=1.0, effects=()):
     """A simulated recording at corner level in a folder, its World and its true poses."""
-    from rig.planning import configuration_sets, plan
+    from rig.planning import configuration_generators, plan
     from synthetic import recording_simulation, secret_machine_and_truth_file
 
     rng = np.random.default_rng(seed)
     secret = secret_machine_and_truth_file.draw_machine(design, rng, size, effects)
     strokes = design.mechanism.strut_range
     route = plan.plan_of_configurations(
-        configuration_sets.sobol_configurations(strokes, count, seed=seed),
+        configuration_generators.sobol_configurations(strokes, count, seed=seed),
         strokes.mean(axis=1),
         plan.planned_axis_speeds(design),
     )
@@ -143,7 +143,7 @@ def recording_folder(tmp_path, design, rig_text):
 def limbed(tmp_path_factory):
     """(Design, Recording, its Simulation) of a rig with measuring limbs that went along and about every axis; the
     folder holds a second recording of the same machine, "again", another day."""
-    from rig.formats.rig_toml import design_file
+    from rig.formats.rig_toml import design_from_rig_toml
     from rig.planning import plan
     from rig.planning.layout import hexapod_layout_and_camera_placement
     from rig.recording import recording_folder
@@ -152,7 +152,7 @@ def limbed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("limbs")
     text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6)
     (folder / "rig.toml").write_text(text)
-    design = design_file.load_design(folder / "rig.toml")
+    design = design_from_rig_toml.load_design(folder / "rig.toml")
     rng = np.random.default_rng(2)
     machine = secret_machine_and_truth_file.draw_machine(design, rng)
     done = recording_simulation.simulate_world(machine, plan.build_plan(design, "axes:5,sobol:50"), rng)

@@ -13,7 +13,7 @@ from rig.driving import emulators
 from rig.driving.clock import SystemClock
 from rig.driving.emulators import controller_emulator_opening_and_ports
 from rig.driving.emulators.controller_faults import Faults
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
 
 WIDTH, HEIGHT = 64, 48
@@ -53,7 +53,7 @@ def _emulate(folder: str, protocol: str, pipe) -> None:
     (Path(folder) / "rig.toml").write_text(text + CONTROLLER.format(protocol=protocol, port=link))
     clock = SystemClock()
     made = emulators.emulator_of_design(
-        design_file.load_design(Path(folder) / "rig.toml"), Faults((), np.random.default_rng(0)), clock
+        design_from_rig_toml.load_design(Path(folder) / "rig.toml"), Faults((), np.random.default_rng(0)), clock
     )
     wire = controller_emulator_opening_and_ports.Terminal(link)
     told = open(Path(folder) / "told.csv", "w", encoding="utf-8")  # noqa: SIM115
@@ -131,7 +131,7 @@ class RigInThread:
         )
         self.path = folder / "rig.toml"
         self.path.write_text(text + CONTROLLER.format(protocol="grblhal", port=folder / "port") + controller)
-        self.design = design_file.load_design(self.path)
+        self.design = design_from_rig_toml.load_design(self.path)
         self.emulator = emulators.emulator_of_design(self.design, Faults((), np.random.default_rng(0)), SystemClock())
         wire = controller_emulator_opening_and_ports.Terminal(folder / "port")
         self._thread = threading.Thread(

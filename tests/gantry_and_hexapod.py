@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.layout.hexapod_layout_and_camera_placement import cube_lines
 
@@ -51,4 +51,4 @@ def written(folder, seen=False, cameras=3, size=(1280, 1024), carriage=False):
     stage = text[start:end].replace("[mechanism]", "[[mechanism.stage]]")
     rest = text[end:] + carriage * carriage_cubes() if seen else INSTRUMENT + text[end:cameras]
     (folder / "rig.toml").write_text(text[:start] + GANTRY + stage + rest)
-    return design_file.load_design(folder / "rig.toml")
+    return design_from_rig_toml.load_design(folder / "rig.toml")

@@ -50,13 +50,13 @@ CALLS = {
     "doctor": "rig.compute.installation_inventory:installation_inventory",
     "effects": "rig.effects.texts.effect_file_from_formula:new_effect_from_suggestion_or_example",
     "effects document": "rig.api:effect_catalogue",
-    "doctor completion": "rig.cli.shared.argument_parser_and_common_options:completion_script",
+    "doctor completion": "rig.cli.shared.argument_parser:completion_script",
     "print": "synthetic.print_sheets:write_sheets",
     "print check": "vision.printed_marker_size_from_photograph:measure_printed_marker_scale",
     **dict.fromkeys(("new design", "new"), "rig.planning.layout.shipped_arms_and_layouts:new_rig_toml"),
     "import": "rig.api:import_recording",
     "emulate": "rig.driving.emulators.controller_emulator_opening_and_ports:load_emulator",
-    "view index": "rig.report.pages.page_templates_and_elements:write_index_page",
+    "view index": "rig.report.pages.page_templates_and_index_page:write_index_page",
 }  # module:function that does a command's work
 STATEMENTS = 35  # of a command's `run` at the most: arguments, one call, print and write
 COMPUTING = (

@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.models.arm import error_model_and_observations as model
 from calib.models.arm.error_model_and_observations import Observations
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.pose import exp
 
 HUMANOID = Path(__file__).parents[1] / "docs" / "hands" / "humanoid.toml"
@@ -16,7 +16,7 @@ NOISE = np.repeat([3e-5, 1e-4], 3)  # m, rad
 
 def humanoid():
     """Design of the trunk with two arms."""
-    return design_file.load_design(HUMANOID)
+    return design_from_rig_toml.load_design(HUMANOID)
 
 
 def observed(arm, count, rng, hands=(0, 1), noise=NOISE):

@@ -1,4 +1,7 @@
-"""The entry point of vision: a recording measured, its poses with covariance, its cameras adjusted."""
+"""Python entry point of vision.
+
+A recording measured, its poses with covariance, its cameras adjusted.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

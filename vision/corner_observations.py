@@ -1,4 +1,6 @@
-"""Corner observations of a recording as flat arrays, with whitening and merging of repeated corners.
+"""Corner observations of a recording.
+
+Flat arrays, with whitening and merging of repeated corners.
 
 Where a repeated corner is predicted is the same in every frame, so that the sum of squares over its repeats is that of
 their mean,
@@ -85,7 +87,10 @@ class Observations:
 
 
 def empty_observations(frame: int) -> Observations:
-    """Empty Observations of one frame: no corners."""
+    """Empty Observations of one frame.
+
+    No corners.
+    """
     none, whole = np.zeros(0), np.zeros(0, int)
     return Observations(
         np.array([frame]),
@@ -155,7 +160,10 @@ def inverse_cholesky_factors(covariance: Floats) -> Floats:
 
 
 def whitener_of_observations(observations: Observations) -> Whitener:
-    """The Whitener of Observations: inverse roots of their covariances."""
+    """The Whitener of Observations.
+
+    Inverse roots of their covariances.
+    """
     o, own = observations, inverse_cholesky_factors(observations.covariance)
     sighting = np.cumsum(
         np.r_[False, (np.diff(o.camera) != 0) | (np.diff(o.frame) != 0) | (np.diff(o.marker) != 0)][: len(o)]
@@ -173,8 +181,9 @@ def whitener_of_observations(observations: Observations) -> Whitener:
 
 
 def correlations_of_whitened_marker_corners(covariance: Floats) -> Floats:
-    """Correlations (m, 4, 2, 8) of each whitened corner with its marker's corners, from covariances.
+    """Correlations (m, 4, 2, 8) of each whitened corner with its marker's corners.
 
+    From covariances.
     covariance : (m, 8, 8)
     """
     m = len(covariance)
@@ -190,7 +199,9 @@ def correlations_of_whitened_marker_corners(covariance: Floats) -> Floats:
 def observations_from_corners(
     corners: Corners, frames: Integers, design: Design, marker_map: MarkerMap, correlation: Floats | None = None
 ) -> Observations:
-    """Observations made from a recording's Corners, of the markers and cameras that the design knows.
+    """Observations made from a recording's Corners.
+
+    Of the markers and cameras that the design knows.
     frames : (F,) the frame numbers
 
     correlation : (n, 2, 8) of the corners, see Observations, or None
@@ -221,9 +232,11 @@ def observations_from_corners(
 
 
 def merge_repeated_corners(observations: Observations, state: State) -> tuple[Observations, float]:
-    """Merge repeated corners into their weighted means: (Observations, the lost sum of whitened squares).
+    """Merge repeated corners into their weighted means.
 
     Corners whose errors are told to hang together in their marker stay as they are.
+
+    Returns (Observations, the lost sum of whitened squares)
     """
     o = observations
     rows, group, first = find_repeated_base_corners(o, state.moving)
@@ -246,11 +259,13 @@ def merge_repeated_corners(observations: Observations, state: State) -> tuple[Ob
 def find_repeated_base_corners(
     observations: Observations, moving_cameras: Collection[int], inliers: Booleans | None = None
 ) -> tuple[Integers, Integers, Integers]:
-    """Repeated base corners in fixed cameras: (rows (n,), group of each row (n,), first row of each group).
+    """Repeated base corners in fixed cameras.
 
     A group is one corner of one marker in one camera, frame after frame. moving_cameras : indices of the cameras that
     are not fixed
     inliers : (all rows,) bool, those that count; all by default
+
+    Returns (rows (n,), group of each row (n,), first row of each group)
     """
     o = observations
     still = ~o.on_platform & ~np.isin(o.camera, list(moving_cameras))
@@ -263,7 +278,10 @@ def find_repeated_base_corners(
 def merge_observation_groups(
     observations: Observations, rows: Integers, first_rows: Integers, uv: Floats, covariance: Floats
 ) -> Observations:
-    """Observations with each group of rows merged into its first row, at uv (groups, 2) px with covariance."""
+    """Observations with each group of rows merged into its first row.
+
+    At uv (groups, 2) px with covariance.
+    """
     places, own, left = observations.uv.copy(), observations.covariance.copy(), np.ones(len(observations), bool)
     places[first_rows], own[first_rows] = uv, covariance
     left[rows], left[first_rows] = False, True

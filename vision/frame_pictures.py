@@ -1,4 +1,7 @@
-"""Pictures of frames with what was measured: markers, axes and residuals, as JPEG and PNG."""
+"""Pictures of frames with what was measured.
+
+Markers, axes and residuals, as JPEG and PNG.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -25,7 +28,10 @@ QUALITY = 80
 
 
 def encode_jpeg(image: Pixels) -> bytes:
-    """JPEG of an image (height, width) or (height, width, 3) as cameras give it, no wider than a page needs."""
+    """JPEG of an image (height, width) or (height, width, 3) as cameras give it.
+
+    No wider than a page needs.
+    """
     eight = grey_images_for_reader_and_fit(image)[0]
     if eight.shape[1] > WIDTH:
         eight = cast(
@@ -36,8 +42,9 @@ def encode_jpeg(image: Pixels) -> bytes:
 
 
 def frame_jpegs(recording: Recording, frame: int) -> dict[str, bytes]:
-    """JPEG {camera name: bytes} of each camera's image of a frame; empty where the recording has no images.
+    """JPEG {camera name: bytes} of each camera's image of a frame.
 
+    Empty where the recording has no images.
     Raises FileError for one that cannot be read.
     """
     e = recording.exposures
@@ -54,11 +61,12 @@ SHIFT = 4  # binary digits below a pixel that lines are drawn to
 def measure_and_draw_frame(
     recording: Recording, frame: int, enlarge: float = 200.0, progress: Callable[[str, int, int], None] | None = None
 ) -> tuple[list[tuple[str, Pixels]], Measurement]:
-    """Measure one frame alone and draw it: ([(camera name, picture) ..], Measurement).
+    """Measure one frame alone and draw it.
 
     picture : (height, width, 3) BGR
 
     recording : Recording; frame : its number; enlarge : how much longer than they are residuals are drawn
+    Returns ([(camera name, picture) ..], Measurement)
     Raises RigError for a frame that the recording lacks, and what measuring raises
     """
     if frame not in recording.exposures.frame:
@@ -96,8 +104,9 @@ def picture_file_suffix(path: str | Path) -> str:
 
 
 def save_pictures_side_by_side(path: str | Path, pictures: list[tuple[str, Pixels]], measurement: Measurement) -> str:
-    """Save named pictures (h, w, 3) side by side in one file; returns a text about the frame.
+    """Save named pictures (h, w, 3) side by side in one file.
 
+    Returns a text about the frame
     Raises FileError as `picture_file_suffix` and writing do, RigError for a picture that cannot be coded
     """
     height = max(picture.shape[0] for _, picture in pictures)

@@ -1,4 +1,6 @@
-"""OpenCV's lens model: projection with Jacobian and undistortion, with their compiled kernels.
+"""OpenCV's lens model.
+
+Projection with Jacobian and undistortion, with their compiled kernels.
 
 Points in the camera's frame (OpenCV axes: x right, y down, z
 ahead).
@@ -70,7 +72,9 @@ def _project_jacobian_kernel(
 def transform_platform_points(
     points: Floats, Ts_base_platform: Floats, frame: Integers, on_platform: Booleans, out: Floats
 ) -> None:
-    """Transform the points on the platform by the pose of their frame, into out (n, 3) m; others are copied.
+    """Transform the points on the platform by the pose of their frame, into out (n, 3) m.
+
+    Others are copied.
     points : (n, 3) m; Ts_base_platform : (F, 4, 4); frame : (n,); on_platform : (n,) bool
     """
     for n in range(len(points)):
@@ -99,7 +103,9 @@ def project(points: Floats, matrix: Floats, distortion: Floats) -> Floats:
 
 
 def project_jacobian(points: Floats, matrix: Floats, distortion: Floats) -> tuple[Floats, Floats, Floats]:
-    """Projected pixels (..., 2), and their Jacobian to the point (..., 2, 3) and the lens (..., 2, 4 + terms).
+    """Projected pixels (..., 2), and their Jacobian.
+
+    With the point (..., 2, 3) and the lens (..., 2, 4 + terms).
 
     Lens columns: fx fy cx cy (px/px), then the distortion terms in OpenCV's order.
     """
@@ -118,7 +124,9 @@ def project_jacobian(points: Floats, matrix: Floats, distortion: Floats) -> tupl
 
 
 def undistort(uv: Floats, matrix: Floats, distortion: Floats) -> Floats:
-    """Undistorted ideal coordinates x/z, y/z (..., 2) of pixels (..., 2), by Newton on the lens to 1e-13.
+    """Undistorted ideal coordinates (..., 2) of pixels (..., 2).
+
+    x/z, y/z by Newton on the lens to 1e-13.
 
     Pixels to which the lens maps nothing come back as NaN.
     """

@@ -1,4 +1,7 @@
-"""Result of a measurement: poses with covariance, held-out residuals, what to look at, and its verdict."""
+"""Result of a measurement.
+
+Poses with covariance, held-out residuals, what to look at, and its verdict.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +25,7 @@ from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations import AGREES, Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.bundle.adjustment_validation_and_determinacy import DeterminedUnknowns, HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places, adjusted_markers
-from vision.bundle.unknown_priors import stated_lens_prior_sigmas
+from vision.bundle.priors_of_unknowns import stated_lens_prior_sigmas
 from vision.reading.marker_identity_mistakes import Suspect
 from vision.reading.recording_corners import Collected
 from vision.recording_adjustment import Measurement
@@ -125,8 +128,9 @@ class MeasurementResult(OneLineRepr):
 
 
 def focal_length_alarms(stated: Sequence[Camera], adjusted: Sequence[Camera]) -> list[str]:
-    """Alarms of cameras whose focal length was adjusted by more than ZOOMED times what its stated one is taken to be
-    worth: one sentence for each.
+    """Alarms of cameras whose focal length was adjusted too far.
+
+    That is by more than ZOOMED times what its stated one is taken to be worth. One sentence for each.
     """
     out = []
     for before, after in zip(stated, adjusted):

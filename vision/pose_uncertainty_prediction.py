@@ -1,4 +1,7 @@
-"""Prediction of the uncertainty of poses not yet measured, and the errors that they share."""
+"""Prediction of the uncertainty of poses.
+
+Of those not yet measured, and the errors that they share.
+"""
 
 from dataclasses import dataclass, replace
 from typing import cast
@@ -45,7 +48,9 @@ class PredictedUncertainty:
 def predict_pose_uncertainty(
     measured: Measurement, design: Design, T_base_platform: RigidTransform
 ) -> PredictedUncertainty:
-    """PredictedUncertainty of poses (n,), by cameras, lenses and corners' noise as a recording's Measurement has them.
+    """PredictedUncertainty of poses (n,).
+
+    By cameras, lenses and corners' noise as a recording's Measurement has them.
     design : as its owner states it
 
     Raises RigError for cameras that stand elsewhere in every frame, and where places of markers were adjusted

@@ -1,4 +1,7 @@
-"""Printed marker size from a photograph that shows markers with a sheet or ruler of known size."""
+"""Printed marker size from a photograph.
+
+It shows markers with a sheet or ruler of known size.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,8 +48,9 @@ class Printed:
 def measure_printed_marker_scale(
     photo: Path, design: Design, sheet: tuple[float, float, float], ruler: tuple[Floats, float] | None = None
 ) -> Printed:
-    """Measure the printed scale of markers in a photograph, by a ruler or, without one, by the whole sheet.
+    """Measure the printed scale of markers in a photograph.
 
+    By a ruler or, without one, by the whole sheet.
     sheet : width, height and their standard uncertainty, m; ruler : (2, 2) px of two of its lines, and m between them
     Raises FileError for a file that is no picture, RigError as `print_scale_on_sheet` and `print_scale_by_ruler`
     """

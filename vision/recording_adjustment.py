@@ -1,5 +1,6 @@
-"""Adjustment of a recording's corners: cameras, and the platform's pose in every frame with covariance.
+"""Adjustment of a recording's corners.
 
+Cameras, and the platform's pose in every frame with covariance.
 Recordings with hand cameras, stages and remounted cubes are turned into recordings with fixed cameras.
 In the platform's own frame a hand camera stands still and the base's markers move. So it is measured like any rig, with
 base and platform exchanged; its stated pose holds the platform's frame, the markers' stated places the base's.
@@ -138,8 +139,9 @@ def measure_observations(
     t: Floats | None = None,
     cameras: tuple[Camera, ...] | None = None,
 ) -> Measurement:
-    """Measurement of observations: platform poses with cameras, lenses and, if free, marker places adjusted.
+    """Measurement of observations.
 
+    Platform poses with cameras, lenses and, if free, marker places adjusted.
     observations : Observations; design : Design, nominal; marker_map : MarkerMap as stated
     free : what is adjusted, see `adjust_bundle`; "markers" also where the pose of one that is seen is not stated
     progress : called with (label, done, of), or None

@@ -1,4 +1,7 @@
-"""Recordings of one rig combined, each measured alone first to find the cameras that were moved."""
+"""Combination of recordings, and moved cameras.
+
+Of one rig; each is measured alone first to find the cameras that were moved.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -13,13 +16,13 @@ from rig.model.design_comparison_and_cube_turning_instructions import WORDS
 from rig.model.pose import log
 from rig.recording.combined_recordings import (
     Owners,
-    camera_owner_recordings,
     channels_not_in_all,
     combined_camera_name,
+    first_recording_by_camera,
     is_measured_by_instrument,
     join_recordings,
+    last_remount_recording_by_target,
     require_one_rig,
-    target_owner_recordings,
 )
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,
@@ -86,7 +89,7 @@ class CombinedRecordings:
                 else f"stands elsewhere, by {m.distance * 1e3:.3g} mm and {m.angle * 1e3:.3g} mrad"
             )
             out.append(f"camera {m.camera} {how} in {parts[m.recording].recording.name}: it is camera {now} here")
-        for k, seats in enumerate(target_owner_recordings([part.recording.design for part in parts])):
+        for k, seats in enumerate(last_remount_recording_by_target([part.recording.design for part in parts])):
             for target in parts[k].recording.design.targets:
                 if target.turned is not None and seats[target.name] == k:
                     out.append(
@@ -104,7 +107,7 @@ def combine_recordings(recordings: Sequence[Recording], progress: Progress | Non
     Raises RigError naming what their rig.toml contradict each other in, and what measuring raises
     """
     require_combinable(recordings)
-    owners = camera_owner_recordings(recordings)
+    owners = first_recording_by_camera(recordings)
     moved = [
         Elsewhere(k, name, np.nan, np.nan)
         for k, own in enumerate(owners)
@@ -119,7 +122,7 @@ def combine_recordings(recordings: Sequence[Recording], progress: Progress | Non
         owners, found = _standing(owners, measured)
         moved += found
         if any(
-            any(own.values()) for own in target_owner_recordings([r.design for r in recordings])
+            any(own.values()) for own in last_remount_recording_by_target([r.design for r in recordings])
         ):  # whose prints are read under one identity, and are two targets
             recordings = [
                 r if r.corners is not None else replace(r, corners=m.corners()) for r, m in zip(recordings, measured)
@@ -130,7 +133,9 @@ def combine_recordings(recordings: Sequence[Recording], progress: Progress | Non
 
 
 def require_combinable(recordings: Sequence[Recording]) -> None:
-    """Raise RigError unless recordings can be combined: of one rig, and no data of one in another.
+    """Raise RigError unless recordings can be combined.
+
+    Of one rig, and no data of one in another.
 
     Names what differs; data in two recordings would count twice.
     """

@@ -1,4 +1,7 @@
-"""Measurement of a recording from its corners or images: reading, adjustment, reading of missed markers."""
+"""Measurement of a recording.
+
+From its corners or images: reading, adjustment, reading of missed markers.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -12,7 +15,7 @@ from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners
-from vision import readout_motion, recording_adjustment
+from vision import recording_adjustment, rolling_shutter_motion
 from vision.bundle.bundle_adjustment import NoOptimum
 from vision.bundle.marker_displacements import (
     HALVED,
@@ -27,7 +30,6 @@ from vision.predict import MarkerMap, marker_map
 from vision.reading.corner_refit_with_adjusted_lenses import ROUNDS, SETTLED, largest_lens_difference, refit_corners
 from vision.reading.marker_identity_mistakes import LOOKED_AT, no_marker_reason
 from vision.reading.recording_corners import Collected, collect_corners, image_reader, search_missed_markers
-from vision.readout_motion import Rates
 from vision.recording_adjustment import (
     Measurement,
     has_hand_cameras,
@@ -37,6 +39,7 @@ from vision.recording_adjustment import (
     measure_without_remounted_cubes,
     recording_seen_from_hand,
 )
+from vision.rolling_shutter_motion import Rates
 
 REFUSED = 0.05  # of the frames; where more show enough and are refused, the stated places are doubted
 ASIDE = 0.2  # of the corners of solved frames; where more are set aside, the stated lenses are doubted
@@ -52,7 +55,7 @@ def measure_recording(
     places: str = "stated",
     check_corners: Callable[[Corners], None] | None = None,
 ) -> tuple[Measurement, Collected | None]:
-    """Measure a recording: (Measurement, Collected or None).
+    """Measure a recording.
 
     free : what is adjusted, see vision.bundle.bundle_adjustment; places : whether the markers' places on their bodies
     are adjusted too: "stated", "free", or "auto": where the stated ones contradict what is seen in more than REFUSED of
@@ -60,12 +63,13 @@ def measure_recording(
     read_images : read the images even where corners.csv is there
     progress : called with (label, done, of), or None; check_corners : called with the Corners before they are measured,
         or None; what it raises ends it
+    Returns (Measurement, Collected or None)
     Raises NotEnoughData for a recording with neither corners nor images, and what reading and measuring raise
     """
     recording = recording_with_unstated_markers_placed(recording, read_images, progress)
     options = (free, read_images, progress, places, check_corners)
     if not has_hand_cameras(recording.design):
-        return _measured(recording, *options, readout_motion.commanded_rates(recording))
+        return _measured(recording, *options, rolling_shutter_motion.commanded_rates(recording))
     measured, collected = _measured(recording_seen_from_hand(recording), *options, None)
     return invert_measured_poses(measured), collected
 
@@ -73,8 +77,9 @@ def measure_recording(
 def recording_with_unstated_markers_placed(
     recording: Recording, read_images: bool = False, progress: Callable[[str, int, int], None] | None = None
 ) -> Recording:
-    """The recording with markers whose pose is not stated in its design where its corners or images put them.
+    """The recording with unstated markers placed.
 
+    Markers whose pose is not stated in its design stand where its corners or images put them.
     read_images, progress : as of `measure_recording`; those that are never seen are left out of the design
     Raises NotEnoughData for markers that are seen, and never in one image with another that is placed; RigError for
     markers on a stage of a chain, whose poses must be stated
@@ -157,8 +162,8 @@ def _measured(
         observed = observations_from_corners(corners, frames, design, markers, correlation)
         if rates is None or markers.stage.any():  # of a chain's stages only the last has rates
             return adjusted(observed)
-        moved = readout_motion.observations_with_readout_motion(observed, design, rates)
-        return readout_motion.with_uncertainty_of_rates(adjusted(moved), rates)
+        moved = rolling_shutter_motion.observations_with_readout_motion(observed, design, rates)
+        return rolling_shutter_motion.with_uncertainty_of_rates(adjusted(moved), rates)
 
     def adjusted(observed: Observations) -> Measurement:
         loose = is_on_remounted_cube(observed, design, markers)
@@ -196,7 +201,10 @@ def _measured(
 
 
 def refuse_free_marker_places_on_stages(places: str) -> None:
-    """Raise RigError where the places of markers are to be free, on a rig with targets on stages of a chain."""
+    """Raise RigError where marker places are to be free on stages.
+
+    On a rig with targets on stages of a chain.
+    """
     if places == "free":
         raise RigError(
             "positions of markers cannot be adjusted on a rig with targets on stages of a chain: the stated "
@@ -214,7 +222,9 @@ def measure_with_stated_or_free_places(
     t: Floats,
     places: str,
 ) -> Measurement:
-    """Measurement with marker places stated, or free where requested or where the stated ones are doubtful.
+    """Measurement with marker places stated or free.
+
+    They are free where requested or where the stated ones are doubtful.
     t : (F,) s
     """
     if markers.stage.any():

@@ -1,4 +1,7 @@
-"""Kinematics of an arm as its owner believes it or as calibrated: poses of joint values, all joint values of poses."""
+"""Kinematics of an arm: poses of joint values, joint values of poses.
+
+The arm is as its owner believes it, or as calibrated; all joint values of a pose are given.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -94,8 +97,9 @@ class ArmKinematics:
 
 
 def load_arm_kinematics(text: str) -> ArmKinematics:
-    """Load ArmKinematics by a text: path of a rig.toml or calibration.json, or a shipped arm's name.
+    """Load ArmKinematics by a text.
 
+    Path of a rig.toml or calibration.json, or a shipped arm's name.
     Raises RigError for other kinds
     """
     if Path(text).suffix != ".json":

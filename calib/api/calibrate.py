@@ -1,4 +1,7 @@
-"""Calibration of a rig from recordings, with its options: geometry, corrections, and what they leave out."""
+"""Calibration of a rig from recordings.
+
+Its options, and its result: geometry, corrections, and what they leave out.
+"""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -60,7 +63,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 )
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import write_table
-from rig.report.pages.page_templates_and_elements import Link
+from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations import Verdict
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
@@ -215,8 +218,9 @@ def calibrate(
     progress: Progress | None = None,
     notice: Notice = ignore_notice,
 ) -> CalibrationResult:
-    """CalibrationResult of a recording, or of several of one rig jointly, as `rig calibrate` makes it.
+    """CalibrationResult of a recording.
 
+    Or of several of one rig jointly, as `rig calibrate` makes it.
     progress : called with (label, done, of), or None; notice : called with lines on what is unlikely in the recording
     Raises RigError without commands and for a recording whose results would mean nothing, NotEnoughData without poses,
         NotConverged where no geometry agrees with them

@@ -1,4 +1,7 @@
-"""Certification of a calibration by held-out recordings: certificate of what is promised in a volume."""
+"""Certification of a calibration by held-out recordings.
+
+The certificate states what is promised in a volume.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +28,7 @@ from calib.certificate.pointing_certificate import PointingCertificate, pointing
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, refutation_sentence
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
     AgainstClaim,
-    calibration_evidence_verdict_and_claim_check,
+    calibration_evidence,
     check_claim_on_recording,
     evidence_with_confounds,
     evidence_with_displaced_ends,
@@ -47,7 +50,7 @@ from rig.recording.frame_selection_and_content_hashes import (
     hashes_of_frames,
 )
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import Link
+from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations import Evidence, Refutation, Verdict
 
@@ -133,8 +136,9 @@ def certify(
     name: str = "the calibration",
     progress: Progress | None = None,
 ) -> CertificationResult:
-    """CertificationResult of a calibration by recordings that it was not made from, as `rig certify` states it.
+    """CertificationResult of a calibration by recordings that it was not made from.
 
+    As `rig certify` states it.
     options : what of, 95 % with 95 % by default; refutations : what later recordings found against the calibration;
     provenance : of the certificate, None for that of what is certified, without a file or arguments; name : of the
     calibration, in words; progress : called with (label, done, of), or None
@@ -183,7 +187,7 @@ def _against_claim(
     calibration: Calibration, held: Sequence[tuple[Recording, Sampled]], refutations: Sequence[Refutation]
 ) -> tuple[Evidence, tuple[AgainstClaim, ...]]:
     """(Evidence of a calibration with what held-out recordings say of its claim, AgainstClaim of each)."""
-    known, claims = calibration_evidence_verdict_and_claim_check(calibration, refutations), []
+    known, claims = calibration_evidence(calibration, refutations), []
     known = evidence_with_confounds(
         known, calibration, [confounds_of_recordings([recording for recording, _ in held])], "these recordings"
     )

@@ -1,4 +1,7 @@
-"""Correction of wanted poses: the commands that give them through a calibration."""
+"""Correction of wanted poses.
+
+The commands that give them through a calibration.
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -209,8 +212,9 @@ class CorrectionResult(OneLineRepr):
 def correct(
     calibration: Calibration, wanted: WantedPoses | RigidTransform, options: CorrectOptions = CorrectOptions()
 ) -> CorrectionResult:
-    """CorrectionResult for wanted poses T_base_platform in their order, all known effects compensated.
+    """CorrectionResult for wanted poses T_base_platform in their order.
 
+    All known effects compensated.
     wanted : RigidTransform (n,) or (), each held until all has come to rest; or Wanted, with frames and with times
     Raises Unreachable listing the poses that leave the axes' ranges or come too soon, NotConverged where no commands
         are found, RigError for a log of sensors that does not cover the poses
@@ -265,7 +269,10 @@ def unreachable_poses_error(unreachable_frames: list[tuple[int, str]], count: in
 
 
 def rms_and_greatest_uncertainty(covariance: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
-    """RMS and greatest standard uncertainty, each (m, rad), of poses with covariances (n, 6, 6)."""
+    """RMS and greatest standard uncertainty of poses.
+
+    Each is (m, rad), of covariances (n, 6, 6).
+    """
     position, rotation = (
         np.sqrt(np.trace(covariance[:, part, part], axis1=1, axis2=2)) for part in (slice(0, 3), slice(3, 6))
     )

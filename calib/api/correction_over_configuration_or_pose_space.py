@@ -1,4 +1,6 @@
-"""Correction over a configuration or pose space, extended from samples at once or as an additional pass.
+"""Correction over a configuration or pose space.
+
+It is extended from samples at once, or as an additional pass.
 
 Source: configuration-space patent, [0035]
 """
@@ -93,8 +95,9 @@ def certify_additional_pass(
     rng: np.random.Generator,
     progress: Progress | None = None,
 ) -> tuple[Certified, tuple[Tried, ...], int]:
-    """Additional pass of correction by samples measured anew, certified: (Certified, methods tried, samples used).
+    """Additional pass of correction by samples measured anew, certified.
 
+    Returns (Certified, methods tried, samples used)
     Raises NotEnoughData where a part holds no samples; the rest as `certify_extended_correction`
     """
     correction, said = previous_calibration.correction, progress or silent_progress

@@ -1,4 +1,6 @@
-"""Server on the loopback that answers wanted poses with commands: a line of JSON for each request and each answer.
+"""Server that answers wanted poses with corrected commands.
+
+It listens on the loopback; each request and each answer is a line of JSON.
 
 Every request stands for itself, as one call of `correct`: it states where the axes stand, so that clients do not
 depend on each other and an answer is that of `rig correct`, to the last bit.
@@ -109,7 +111,9 @@ class CorrectionServer:
 
 
 def answer_request(calibration: Calibration, line: bytes) -> Json:
-    """The answer to a request's line: commands with covariance and refusals, or what is wrong with it.
+    """The answer to a request's line.
+
+    Commands with covariance and refusals, or what is wrong with it.
 
     A fault of the program is an error in the answer too, and its traceback is printed on the error output.
     """

@@ -1,4 +1,7 @@
-"""Diagnosis of a rig's recordings: which physical effects the model leaves out, where and how large."""
+"""Diagnosis of a rig's recordings.
+
+Which physical effects the model leaves out, where and how large.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -34,7 +37,7 @@ from rig.formats import json_toml_and_yaml_loading
 from rig.model.arm_branches_and_hands import hand_names
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import Link
+from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations import State, Verdict
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice, recorded_or_sampled_corners
@@ -134,8 +137,9 @@ def diagnose(
     progress: Progress | None = None,
     notice: Notice = ignore_notice,
 ) -> DiagnosisResult:
-    """DiagnosisResult of a recording, or of several of one rig jointly, as `rig diagnose` makes it.
+    """DiagnosisResult of a recording.
 
+    Or of several of one rig jointly, as `rig diagnose` makes it.
     progress : called with (label, done, of), or None; notice : called with lines on what is unlikely in the recording
     Raises RigError for a name that there is not and for a recording whose results would mean nothing, NotEnoughData
         where the recording determines nothing

@@ -1,4 +1,7 @@
-"""Export of a calibrated geometry, corrections, lookup tables, lenses or a recording to formats of other programs."""
+"""Export of a calibration or recording to other programs.
+
+Geometry, corrections, lookup tables, lenses and recordings, in the formats of those programs.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,7 +25,7 @@ from rig.errors import RigError
 from rig.formats.exporters import geometry_and_camera_files, recording_as_rerun_tum_parquet, urdf_and_sdf
 from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.formats.output_files import write_bytes, write_text
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
 from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
@@ -72,8 +75,9 @@ class LookupTable:
 def correction_lookup_table(
     calibration: Calibration, wanted: WantedPoses, channels: Mapping[str, Sequence[float]]
 ) -> LookupTable:
-    """LookupTable of a calibration for wanted poses, at every combination of values of sensor channels.
+    """LookupTable of a calibration for wanted poses.
 
+    At every combination of values of sensor channels.
     channels : {name: (k,) values in the channel's unit, ascending}; others stand as when calibrated, and their spread
         is in the covariance
     Every pose is held until all has come to rest. Where axes remember their way, a pose is not approached from one
@@ -213,11 +217,13 @@ class ExportResult:
 
 
 def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -> ExportResult:
-    """ExportResult (files for another program) of a calibration.json, a rig.toml or a recording.
+    """Export of a calibration.json, a rig.toml or a recording.
 
     A recording for tum and parquet; as `rig export` makes it.
 
     kind : one of TABLES, C_SOURCES, LOOKUP, CAMERAS, RECORDINGS and GEOMETRIES
+
+    Returns ExportResult, files for another program
     Raises RigError for a machine that this format cannot state, and for options out of range
     """
     if kind in TABLES:
@@ -320,7 +326,7 @@ def _correction_tables(path: Path, kind: str, options: ExportOptions) -> ExportR
 
 def _cameras(path: Path, kind: str) -> ExportResult:
     """The lenses of a rig.toml, a file for each camera."""
-    found = design_file.load_design(path).cameras
+    found = design_from_rig_toml.load_design(path).cameras
     if not found:
         raise RigError(f"{path} has no cameras")
     written = (
@@ -346,7 +352,7 @@ def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
     rig.toml.
     """
     if path.suffix == ".toml":
-        design = design_file.load_design(path)
+        design = design_from_rig_toml.load_design(path)
         return design.mechanism, [], design.actuator.screw_lead
 
     calibration = calibration_file.load(path, several_hands=True)

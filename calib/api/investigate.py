@@ -1,4 +1,7 @@
-"""Investigation of a rig: plan, record, diagnose, experiment, again and again; at its end a certificate."""
+"""Investigation of a rig in rounds of experiments.
+
+Plan, record, diagnose, experiment, again and again; at its end a certificate.
+"""
 
 import json
 from collections.abc import Sequence
@@ -20,20 +23,20 @@ from calib.experiment.investigation_folder_and_report import (
     recording_path,
     write_investigation_page,
 )
-from calib.experiment.investigation_machine import Command, InvestigatedRig, InvestigateOptions, Waiting
+from calib.experiment.investigation_plan_execution import Command, InvestigatedRig, InvestigateOptions, Waiting
 from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.output_files import write_bytes, write_text
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model import mechanisms
 from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan
 from rig.planning.timed_plan_and_plan_csv import write_plan_table
 from rig.recording.recording_table_loading_and_writing import Poses, write_poses
@@ -45,10 +48,12 @@ VERIFYING = 1000  # added to the seed for the new poses
 
 
 def certify_investigation(out: Path, rig: InvestigatedRig, rounds: Sequence[InvestigationRound]) -> tuple[str, ...]:
-    """Calibration, verification and certificate at the end of an investigation; returns lines on what was done.
+    """Calibration, verification and certificate at the end of an investigation.
 
     Verified on new poses; the lines say too what could not be done. Raises Waiting as `InvestigatedRig.record` does
     Where a command refuses, what follows from it is left out, and that is a line
+
+    Returns lines on what was done
     """
     said = []
     recordings = [str(recording_path(out, look.number)) for look in rounds]
@@ -167,7 +172,7 @@ def investigate(
     Raises RigError for a machine that cannot be investigated and where a command refuses
     """
     path, folder = Path(rig_toml), Path(out)
-    design = design_file.load_design(path)
+    design = design_from_rig_toml.load_design(path)
     _require_observed(design)
     rig = InvestigatedRig(path, design, options, command)
     _begin(folder, rig)

@@ -1,4 +1,7 @@
-"""Loop closure check of redundant legs: six lengths give the platform's pose, the others are checked against it."""
+"""Loop closure check of redundant legs.
+
+Six lengths give the platform's pose, the others are checked against it.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +11,7 @@ import numpy as np
 
 from calib.certification import measuring_limb_identification_and_agreement, redundant_limb_checks
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.online.measuring_limbs_file import Accepted
+from calib.online.accepted_limbs_file import Accepted
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
 from rig.model.mechanisms.best_six_legs_and_closures import (
@@ -119,7 +122,9 @@ class LoopClosureResult(OneLineRepr):
 
 
 def close_loops(recording: Recording, options: LoopClosureOptions = LoopClosureOptions()) -> LoopClosureResult:
-    """Closure errors (LoopClosureResult) of a recording's legs beyond the six that give the pose.
+    """Loop closure errors of a recording's legs, as LoopClosureResult.
+
+    Of those beyond the six that give the pose.
 
     Measuring limbs next to the struts, as `rig limbs closures` makes it.
 

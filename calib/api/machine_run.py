@@ -1,4 +1,7 @@
-"""Run of a plan at the machine, driven and recorded."""
+"""Run of a plan at the machine.
+
+The machine is driven, and the run recorded.
+"""
 
 import hashlib
 from collections.abc import Callable
@@ -232,7 +235,9 @@ def plan_run(design: Design, path: Path, plan: str, options: RunOptions = STANDA
 
 
 def move_checker(design: Design) -> Callable[[Floats, Floats], None]:
-    """Checker of moves: a function that raises Unreachable where the driver would refuse the move.
+    """Checker of moves, a function.
+
+    A function that raises Unreachable where the driver would refuse the move.
 
     It takes start and goal, (axes,) m, and returns None.
     """

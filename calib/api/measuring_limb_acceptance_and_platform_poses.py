@@ -1,4 +1,7 @@
-"""Measuring limbs' acceptance by vision, and platform poses from readings of limbs or instruments."""
+"""Measuring limbs' acceptance, and platform poses from their readings.
+
+Vision accepts the limbs; poses come from readings of limbs or of instruments.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,9 +16,9 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.measuring_limb_identification_and_agreement import Agreement
 from calib.files.calibration_file import calibration_provenance
 from calib.models.machine_models import corrected_pose_covariance
-from calib.online import measuring_limb_poses_checked_by_vision, measuring_limbs_file
+from calib.online import accepted_limbs_file, measuring_limb_poses_checked_by_vision
+from calib.online.accepted_limbs_file import Accepted
 from calib.online.measuring_limb_poses_checked_by_vision import LimbPoses, LimbSource, checked_limb_poses
-from calib.online.measuring_limbs_file import Accepted
 from calib.report.online_learning_and_measuring_limb_pages import measuring_limbs_verdict, write_measuring_limbs_page
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Floats, Integers, Json
@@ -29,7 +32,7 @@ from rig.recording import recording_table_loading_and_writing
 from rig.recording.poses_as_roll_pitch_yaw import write_poses_as_roll_pitch_yaw
 from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
 from rig.recording.recording_table_loading_and_writing import Poses, write_poses
-from rig.report.pages.page_templates_and_elements import Link
+from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations import Verdict
 from vision.api import Progress
@@ -120,7 +123,7 @@ class LimbAcceptance(OneLineRepr):
 
     def save(self, path: Path) -> None:
         """Save the limbs with their verdict, for LimbSource."""
-        measuring_limbs_file.save_limbs(path, self.accepted)
+        accepted_limbs_file.save_limbs(path, self.accepted)
 
     def write_page(self, path: Path, links: Sequence[Link] = ()) -> None:
         """Write the page of it."""
@@ -138,8 +141,9 @@ class LimbAcceptance(OneLineRepr):
 def accept_limbs(
     recording: Recording, options: AcceptLimbsOptions = AcceptLimbsOptions(), progress: Progress | None = None
 ) -> LimbAcceptance:
-    """LimbAcceptance by a recording in which both limbs and vision measured, as `rig limbs test` makes it.
+    """LimbAcceptance by a recording in which both limbs and vision measured.
 
+    As `rig limbs test` makes it.
     progress : called with (label, done, of), or None
     Raises RigError for a recording without limbs' readings, and for other limbs than it has
     """
@@ -179,7 +183,7 @@ def accept_limbs(
             f"limb {limb} is longer by {slipped.size * 1e6:+.1f} +- {slipped.sigma * 1e6:.1f} um than it reads: "
             "it slipped"
         )
-        accepted = measuring_limbs_file.withdraw_acceptance(accepted, str(recording.folder), slipped.frame, reason)
+        accepted = accepted_limbs_file.withdraw_acceptance(accepted, str(recording.folder), slipped.frame, reason)
     error, check_sigma = redundant_limb_checks.held_out_check_errors(limbs, stated, both)
     return LimbAcceptance(recording, by_vision, accepted, stated.channels, error, check_sigma)
 
@@ -225,8 +229,9 @@ def measure_poses_by_limbs(
     progress: Progress | None = None,
     notice: Notice = ignore_notice,
 ) -> MeasuredLimbPoses:
-    """Poses of a recording measured by its accepted measuring limbs, as `rig measure --limbs` makes them.
+    """Poses of a recording measured by its accepted measuring limbs.
 
+    As `rig measure --limbs` makes them.
     Raises RigError for limbs that were not accepted, or with which vision no longer agrees
     """
     refuse_unfit_recording(recording, anyway, notice)
@@ -267,8 +272,9 @@ class PosesOfReadings(OneLineRepr):
 
 
 def corrected_poses_of_readings(calibration: Calibration, readings: Table) -> PosesOfReadings:
-    """Corrected poses of a measuring machine's readings (table frame,l1..l6; an arm: q1..qn).
+    """Corrected poses of a measuring machine's readings.
 
+    Readings stand in a table frame,l1..l6; of an arm: q1..qn.
     Raises FileError for a reading beyond its axis' range
     Source: configuration-space patent, [0062], [0068] to [0072], [0131]
     """

@@ -1,4 +1,7 @@
-"""Next experiment of a diagnosis: the choice of the plan that answers open questions best."""
+"""Next experiment of a diagnosis.
+
+The choice of the plan that answers open questions best.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -91,10 +94,11 @@ def ranked_experiments_and_excluded_plans(
     minutes_limit: float = np.inf,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[list[Experiment], dict[str, str]]:
-    """Experiments on open questions, the best first, with the plans excluded: ([Experiment], {plan text: reason}).
+    """Experiments on open questions, the best first, with the plans excluded.
 
     plan_texts : plans to choose from, alone and two by two; seed : of them; minutes_limit : minutes that one may take;
         progress : called with (done, of)
+    Returns ([Experiment], {plan text: reason})
     """
     out: list[Experiment] = []
     refused: dict[str, str] = {}
@@ -129,7 +133,10 @@ def ranked_experiments_and_excluded_plans(
 
 
 def rank_experiments(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """Experiments ranked, the best first: by time to settle all questions, then by information per minute."""
+    """Experiments ranked, the best first.
+
+    By time to settle all questions, then by information per minute.
+    """
     return sorted(experiments, key=lambda e: (e.minutes / e.settles if e.settles >= HOPELESS else np.inf, -e.rate))
 
 
@@ -152,9 +159,11 @@ def evaluate_experiment(
     seed: int,
     chosen_configurations: Mapping[str, Floats] | None = None,
 ) -> Experiment:
-    """Experiment of one plan, evaluated. Raises RigError for a plan that the rig cannot follow.
+    """Experiment of one plan, evaluated.
+
     chosen_configurations : {apart:N: (N, axes)} of `_plan_configurations`. Raises RigError for one that the rig cannot
         follow.
+    Raises RigError for a plan that the rig cannot follow.
     """
     plan, stands = (
         build_plan(design, plan_text, seed, additional_parts=chosen_configurations),

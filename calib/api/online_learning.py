@@ -1,4 +1,7 @@
-"""Learning of parameters from a recording, pose by pose: the current estimate, and sudden changes."""
+"""On-line learning of parameters from a recording, pose by pose.
+
+The current estimate, and sudden changes.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,31 +10,28 @@ from pathlib import Path
 
 from calib.api.recording_check_and_combination import refuse_unfit_recording
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.calibration_evidence_verdict_and_claim_check import (
-    OfCalibrations,
-    calibration_evidence_verdict_and_claim_check,
-)
+from calib.certification.calibration_evidence_verdict_and_claim_check import OfCalibrations, calibration_evidence
 from calib.diagnosis.calibration_left_out_physics import unexplained_findings_and_refutations
 from calib.online.forgetting_kalman_and_gradient_learners import save_learner
 from calib.online.information_filter import Online
-from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
-from calib.online.recording_learning import (
+from calib.online.learning_from_recording import (
     FILTER,
     Learning,
     learn_by_filter,
     learn_by_simple_learner,
     resume_or_start_learner,
 )
+from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
 from calib.report.online_learning_and_measuring_limb_pages import OnlineResult, online_verdict, write_online_page
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
 from rig.errors import RigError
-from rig.formats.local_and_remote_input_files import list_json_files_in_same_folders
+from rig.formats.local_and_remote_input_files import json_files_in_same_folders_as
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import Link
+from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations import Refutation, Verdict
 from vision.api import Progress
@@ -122,7 +122,9 @@ def learn(
     progress: Progress = lambda *_: None,
     notice: Notice = ignore_notice,
 ) -> LearningResult:
-    """LearningResult of a recording's poses, learnt one at a time, as `rig calibrate online` makes it.
+    """Learn from a recording's poses (LearningResult).
+
+    Learnt one at a time, as `rig calibrate online` makes it.
 
     Poses that have been learnt before are left out.
     progress : called with (label, done, of); notice : with what is found on the way, in words
@@ -159,7 +161,7 @@ def learn_from_samples(
     progress: Progress = lambda *_: None,
     notice: Notice = ignore_notice,
 ) -> LearningResult:
-    """LearningResult of samples measured otherwise, by the filter.
+    """Learn from samples measured otherwise, by the filter (LearningResult).
 
     state : as of LearnOptions; sampled : of recording
     """
@@ -185,9 +187,9 @@ def _calibration_evidence(
     leaves unexplained.
     """
     beside = unexplained_findings_and_refutations(
-        content_hashes_of_frames(recording), list_json_files_in_same_folders(recording.folder), True
+        content_hashes_of_frames(recording), json_files_in_same_folders_as([recording.folder]), True
     )
     if calibration is None:
         return beside
-    start = calibration_evidence_verdict_and_claim_check(calibration, refutations).unexplained
+    start = calibration_evidence(calibration, refutations).unexplained
     return beside._replace(unexplained=tuple(dict.fromkeys([*beside.unexplained, *start])))

@@ -1,4 +1,7 @@
-"""Plan of configurations for a purpose: to determine parameters best, keep a promise, or separate effects."""
+"""Plan of configurations for a purpose.
+
+To determine parameters best, keep a promise, or separate effects.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +24,7 @@ from calib.api.plan_options_and_result import (
 )
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.correction.correction import indices_and_poses_of_solvable_commands
-from calib.diagnosis.effect_signal_and_separation import Separation, effect_separation
+from calib.diagnosis.effect_signal_to_noise_and_separation import Separation, effect_separation
 from calib.models.arm.error_model_and_observations import PLAUSIBLE as PLAUSIBLE_ERRORS
 from calib.models.arm.error_model_and_observations import parameter_jacobian, parameter_names
 from calib.models.arm.pointing_terms import term_jacobian
@@ -32,7 +35,7 @@ from calib.models.platform.determined_parameters_and_stated_geometry_tolerance i
     parameter_combinations,
     standard_error_along,
 )
-from calib.models.platform.optimal_configurations import (
+from calib.models.platform.optimal_calibration_poses import (
     choose_configurations_by_exchange,
     choose_d_optimal_configurations,
     fewest_configurations,
@@ -47,12 +50,12 @@ from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model import mechanisms
 from rig.model.arm_branches_and_hands import require_one_hand
-from rig.model.base_tilt import GRAVITY_SIGMA
+from rig.model.base_and_link_tilts import GRAVITY_SIGMA
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, has_axes, has_links, is_hexapod, require_arm
 from rig.planning.balanced_visiting_order_and_approach import time_balanced_order
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan, sensors_with_payload
 from rig.planning.timed_plan_and_plan_csv import Plan
 from rig.recording.recording_folder import Sensors

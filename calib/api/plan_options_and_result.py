@@ -1,4 +1,7 @@
-"""Options of a plan, and a plan as result: configurations, what they make visible, the verdict."""
+"""Options of a plan, and a plan as result.
+
+Its configurations, what they make visible, and the verdict.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -6,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.models.platform.optimal_configurations import ConfigurationExclusion
+from calib.models.platform.optimal_calibration_poses import ConfigurationExclusion
 from calib.report.recording_and_plan_pages import write_plan_page
 from calib.samples.confounded_conditions import Confounds, confound_sentences
 from calib.workspace.workspace_map_and_lost_poses import is_pose_lost
@@ -17,7 +20,7 @@ from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_table_loading_and_writing import write_configurations, write_table
-from rig.report.pages.page_templates_and_elements import Link
+from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
 
@@ -139,7 +142,9 @@ class PlanResult(OneLineRepr):
 def geometry_and_excluded_configurations(
     options: PlanOptions, mechanism: Hexapod
 ) -> tuple[Hexapod, ConfigurationExclusion | None]:
-    """Geometry for a plan, and the configurations excluded from it, by the calibration that its options name.
+    """Geometry for a plan, and the configurations excluded from it.
+
+    By the calibration that its options name.
 
     The mechanism as it is where none is named. Raises RigError for a calibration of another kind of mechanism
     """

@@ -1,4 +1,7 @@
-"""Move of the machine to one pose through a calibration (rig go), and how near it comes."""
+"""Move of the machine to one pose through a calibration.
+
+How near it comes is reported (rig go).
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -100,8 +103,9 @@ class PoseMove:
 def plan_pose_move(
     design: Design, calibration: Calibration, wanted: RigidTransform, uncorrected: bool = False
 ) -> PoseMove:
-    """PoseMove to a wanted pose T_base_platform (), checked; what nobody logs is taken as when calibrated.
+    """PoseMove to a wanted pose T_base_platform (), checked.
 
+    What nobody logs is taken as when calibrated.
     Raises Unreachable for lengths out of range
     """
     correction = calibration.correction
@@ -115,7 +119,10 @@ def plan_pose_move(
 
 
 def require_same_rig(design: Design, calibration: Calibration, design_path: Path, calibration_path: Path) -> None:
-    """Raise RigError where a calibration is of another rig than a design. The paths are for the message."""
+    """Raise RigError where a calibration is of another rig than a design.
+
+    The paths are for the message.
+    """
     nominal, mechanism = calibration.correction.nominal, require_hexapod(design.mechanism)
     names = [name for name in mechanism.geometry_arrays if name != "strut_zeros"]
     if nominal.kind != mechanism.kind or not all(

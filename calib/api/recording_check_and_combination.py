@@ -1,4 +1,6 @@
-"""Recordings checked and refused if unfit, combined, and the instrument's displacement between them removed.
+"""Check of recordings before use, and their combination.
+
+Unfit recordings are refused, and the instrument's displacement between recordings is removed.
 
 The geometry and, for each further recording, the six numbers of the instrument's place are fitted to all closures at
 once, each strut weighed by its poses' noise and by what it scatters beyond in that recording: what the machine's model
@@ -75,8 +77,9 @@ class Place:
 
 
 def remove_instrument_displacement(recording: Recording) -> tuple[Recording, list[Place]]:
-    """Recording with its instrument's displacement removed, and the [Place] where it was displaced, of a platform.
+    """Recording with its instrument's displacement removed.
 
+    Also the [Place] where it was displaced, of a platform.
     Raises what sampling raises
     """
     samples, m = sample_recording(recording).samples, require_parallel(recording.design.mechanism)
@@ -181,8 +184,9 @@ class PreparedRecording:
 def check_and_combine_recordings(
     recordings: Recording | Sequence[Recording], ignore_mistakes: bool, notice: Notice, progress: Progress | None
 ) -> PreparedRecording:
-    """Recordings prepared for use (PreparedRecording): each checked and refused if unfit, several combined.
+    """Checked and combined recordings (PreparedRecording).
 
+    Each checked and refused if unfit, several combined.
     ignore_mistakes : whether to go on though a mistake makes results meaningless; notice : called with lines on what is
     unlikely, on what the recordings share and what is each one's own; progress : called with (label, done, of), or None
     Raises RigError that names the likeliest mistake first, and for recordings that are not of one rig
@@ -224,7 +228,10 @@ def check_and_combine_recordings(
 
 
 def refuse_unfit_recording(recording: Recording, anyway: bool, notice: Notice) -> Callable[[Corners], None]:
-    """Refuse a recording with spoilt files or poses; returns the check that refuses its corners once read."""
+    """Refuse a recording with spoilt files or poses.
+
+    Returns the check that refuses its corners once read
+    """
     refuse_spoilt_files(recording, anyway, notice)
     if recording.poses is not None and recording.corners is None and not recording.has_images:
         refuse_mistakes(pose_mistakes(recording), anyway, notice)

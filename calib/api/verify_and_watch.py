@@ -1,4 +1,7 @@
-"""Verification of a calibration by another recording, and watch over it by repeated small visits."""
+"""Verification and watch of a calibration.
+
+Verification is by another recording, watch by repeated small visits.
+"""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -8,7 +11,7 @@ import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, refutation_sentence
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
-    calibration_evidence_verdict_and_claim_check,
+    calibration_evidence,
     verify_claim_on_samples,
 )
 from calib.certification.claim_verification import Verification
@@ -49,7 +52,7 @@ from rig.errors import RigError
 from rig.model.pose import rms_uncertainty
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Poses
-from rig.report.pages.page_templates_and_elements import Link
+from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations import Refutation, State, Verdict
 
@@ -253,8 +256,9 @@ def watch(
     refutations: Sequence[Refutation] = (),
     progress: Progress = silent_progress,
 ) -> WatchResult:
-    """Watch over a calibration by visits (small recordings, in order): whether it holds and what changed.
+    """Watch over a calibration by visits (small recordings, in order).
 
+    Whether it holds and what changed.
     history : of the visits before, `History(calibration_digest(path))` where there are none; refutations : what later
     recordings found against the calibration
     Raises ValueError without visits, and what measuring raises
@@ -280,7 +284,7 @@ def watch(
         )
         seen.append(replace(visit, lines=lines))
         of_each.append(confounds)
-    verdict = last_visit_verdict(seen, calibration_evidence_verdict_and_claim_check(calibration, refutations))
+    verdict = last_visit_verdict(seen, calibration_evidence(calibration, refutations))
     return WatchResult(history, tuple(seen), tuple(of_each), tuple(entries), verdict)
 
 

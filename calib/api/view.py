@@ -1,4 +1,7 @@
-"""View of a recording: a picture of one frame, a page with the rig in three dimensions, or a file for Rerun."""
+"""View of a recording.
+
+A picture of one frame, a page with the rig in three dimensions, or a file for Rerun.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -8,7 +11,7 @@ from calib.report.recording_and_plan_pages import write_recording_page
 from rig.effects.texts.effect_text_parsing import parse_effect, require_nonzero_effect
 from rig.formats.exporters import recording_as_rerun_tum_parquet
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import Link
+from rig.report.pages.page_templates_and_index_page import Link
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,9 +40,10 @@ def view(
     links: Sequence[Link] = (),
     progress: Callable[[str, int, int], None] | None = None,
 ) -> tuple[str, ...]:
-    """Write a view of a recording to a file, as `rig view` does; returns sentences on what it shows.
+    """Write a view of a recording to a file, as `rig view` does.
 
     links : of a page; progress : called with (label, done, of), or None
+    Returns sentences on what it shows
     Raises RigError for a frame or an effect that the recording cannot have, FileError for a picture's unknown format
     """
     if options.frame is not None:

@@ -1,4 +1,7 @@
-"""Five lines on why a machine is not where its model says, from its data, by calibration and diagnosis."""
+"""Why a machine is not where its model says, in five lines.
+
+From its data, by calibration and diagnosis.
+"""
 
 import math
 import tempfile
@@ -26,7 +29,7 @@ from rig.formats.importers.import_recipe_of_path import require_data
 from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.pose import direction_difference
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import Link
+from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.result_in_console_and_notebook import result_html
 from rig.report.verdict_and_refutations import WORST, Verdict
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
@@ -260,8 +263,9 @@ def why(
     notice: Notice = ignore_notice,
     links: Sequence[Link] = (),
 ) -> WhyResult:
-    """WhyResult of data: a recording's folder, a table of joint values and poses, a bag, or a folder of such.
+    """Why a machine is not where its model says (WhyResult), from its data.
 
+    A recording's folder, a table of joint values and poses, a bag, or a folder of such.
     folder : gets the imported recording, calibration.json, diagnosis.json and diagnosis.html; None to keep nothing
     progress : called with (label, done, of), or None; notice : called with lines on what was read and is unlikely
     links : of the page

@@ -1,4 +1,7 @@
-"""Data of a machine and what is known beside them (WhyOptions), read or imported as a recording."""
+"""Options of why, and import of its data.
+
+WhyOptions states what is known of the data, which are read, or imported as a recording.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +13,7 @@ from rig.formats.importers.import_recipe_of_path import import_recipe_of_path, i
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import list_folder, read_bytes, read_text
 from rig.formats.output_files import write_bytes, write_text
-from rig.formats.rig_toml.design_file import LARGEST, design_of_entries
+from rig.formats.rig_toml.design_from_rig_toml import LARGEST, design_of_entries
 from rig.recording.recording_folder import Recording
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice
 
@@ -47,8 +50,9 @@ class WhyOptions:
 
 
 def recording_of_data(data: Path, options: WhyOptions, folder: Path, notice: Notice) -> tuple[Recording, bool]:
-    """(the Recording of data, whether its poses' noise is assumed): loaded as it is, or imported to a folder.
+    """Recording of data, and whether its poses' noise is assumed.
 
+    It is loaded as it is, or imported to a folder.
     folder : gets a folder `recording`; notice : called with lines on what was read
     Raises as `why`
     """

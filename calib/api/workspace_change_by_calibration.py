@@ -1,4 +1,7 @@
-"""Workspace change by a calibration: poses lost and gained, room to limits, singularities, error bounds."""
+"""Workspace change by a calibration.
+
+Poses lost and gained, room to limits, singularities, error bounds.
+"""
 
 import hashlib
 import json
@@ -26,7 +29,7 @@ from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.recording.recording_table_loading_and_writing import write_table
-from rig.report.pages.page_templates_and_elements import Link
+from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 from rig.report.verdict_and_refutations import Verdict
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
@@ -89,8 +92,9 @@ class WorkspaceResult(OneLineRepr):
 
 
 def analyse_workspace(path: Path, certificate: Path | None = None, notice: Notice = ignore_notice) -> WorkspaceResult:
-    """WorkspaceResult of a calibration.json, as `rig workspace` makes it.
+    """Workspace analysis of a calibration.json (WorkspaceResult).
 
+    As `rig workspace` makes it.
     certificate : of this calibration, in JSON, or None; notice : called where the workspace has to be worked out
     Raises RigError for a chain, FileError for a file that is no certificate of this calibration
     """
@@ -109,7 +113,10 @@ def analyse_workspace(path: Path, certificate: Path | None = None, notice: Notic
 
 
 def load_certificate(path: Path, calibration: Path) -> Entries:
-    """Entries of a certificate. Raises FileError for a file that is none, or one of another calibration"""
+    """Load the entries of a certificate.
+
+    Raises FileError for a file that is none, or one of another calibration
+    """
     tree = json_toml_and_yaml_loading.load_json(path, "certificate", "certificate/1")
     marks = tree.table("inputs_sha256")
     mine = hashlib.sha256(read_bytes(calibration)).hexdigest()

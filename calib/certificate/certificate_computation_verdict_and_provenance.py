@@ -1,4 +1,7 @@
-"""Certificate of a calibration computed from held-out recordings, its verdict and its provenance."""
+"""Computation of a certificate, its verdict and its provenance.
+
+It is computed from held-out recordings.
+"""
 
 import hashlib
 import json
@@ -80,8 +83,9 @@ def calibration_certificate(
     provenance: Json,
     rng: np.random.Generator,
 ) -> Certificate:
-    """Certificate of a calibration from held-out recordings. rng : numpy Generator, for the draws of shared errors
+    """Certificate of a calibration from held-out recordings.
 
+    rng : numpy Generator, for the draws of shared errors
     Raises NotEnoughData where these have too few configurations at rest
     """
     poses = combined_held_out_poses(calibration, held_out_recordings)
@@ -190,7 +194,10 @@ AGAIN = "Check periodically whether it is still valid: `rig watch calibration.js
 
 
 def certificate_verdict(certificate: Certificate) -> Verdict:
-    """Verdict of a certificate: against its tolerances, or what it promises where there are none."""
+    """Verdict of a certificate.
+
+    Against its tolerances, or what it promises where there are none.
+    """
     said = (
         certificate_sentences.conformity_lines(certificate)
         if certificate.conformity
@@ -225,8 +232,9 @@ def certificate_verdict(certificate: Certificate) -> Verdict:
 def certificate_provenance(
     path: Path | None, calibration: Calibration, recordings: Sequence[Recording], arguments: Sequence[str], seed: int
 ) -> Json:
-    """Provenance of a certificate as a dict: digests of its inputs, versions, seed, arguments, time and an id.
+    """Provenance of a certificate as a dict.
 
+    Digests of its inputs, versions, seed, arguments, time and an id.
     path : of the calibration's file, None where it is in none yet
     The digests are of the calibration's file, or what would be in it, of each recording's tables and of the content
     marks of its exposures; the id is of what went in and what was asked, not of when.

@@ -1,4 +1,7 @@
-"""Contents of a certificate as figures, with the conditions and the volume in which its poses were measured."""
+"""Contents of a certificate as dataclasses.
+
+Figures, with the conditions and the volume in which its poses were measured.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -74,7 +77,10 @@ def measured_volume(poses: HeldPoses, mechanism: Commanded) -> Volume:
 
 
 def measuring_conditions(poses: HeldPoses, recordings: Sequence[Recording], sources: Sequence[str]) -> Conditions:
-    """Measuring conditions of HeldPoses. sources : where each recording's poses came from, in words"""
+    """Measuring conditions of HeldPoses.
+
+    sources : where each recording's poses came from, in words
+    """
     logged: dict[str, list[Floats]] = {}
     for k, recording in enumerate(recordings):
         for name in recording.sensors.channels if recording.sensors is not None else ():

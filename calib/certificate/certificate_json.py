@@ -1,4 +1,7 @@
-"""certificate.json of a calibration certificate: its contents as JSON."""
+"""Certificate as JSON.
+
+The contents of certificate.json.
+"""
 
 import json
 from dataclasses import asdict
@@ -16,7 +19,10 @@ SCHEMA = "certificate/1"
 
 
 def certificate_dict(certificate: Certificate) -> Json:
-    """dict of a certificate as certificate.json holds it; null where something was not measured or is not known."""
+    """dict of a certificate as certificate.json holds it.
+
+    Null where something was not measured or is not known.
+    """
     v = certificate.volume
     out = {
         "schema": SCHEMA,

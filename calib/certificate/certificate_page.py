@@ -1,4 +1,7 @@
-"""HTML page of a certificate and its figures: what is promised, on whose scale, and what that rests on."""
+"""HTML page of a certificate.
+
+What is promised, on whose scale, what that rests on, and figures.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,9 +14,7 @@ from calib.certificate.certificate_sentences import micrometre_text
 from calib.certification.iso230_and_iso9283_tests import FEWEST
 from calib.report.platform_and_lens_calibration_pages import rows_of_nested_dict
 from rig.array_and_json_types import Floats
-from rig.report.pages.page_templates_and_elements import (
-    Link,
-    Page,
+from rig.report.pages.html_and_svg_elements import (
     captioned_html,
     folding_section_html,
     heading_html,
@@ -25,8 +26,8 @@ from rig.report.pages.page_templates_and_elements import (
     svg_text_or_empty_if_too_large,
     svg_tooltip,
     table_html,
-    write_page,
 )
+from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 
 
 def _error_distribution_figure(certificate: Certificate) -> str:
@@ -102,8 +103,9 @@ def _cell_bound_figures(certificate: Certificate) -> str:
 
 
 def visible_rectangles(boxes: Floats, values: Floats) -> list[tuple[tuple[float, ...], float]]:
-    """Visible rectangles of boxes seen along an axis: without overlap, each with the greatest value behind it.
+    """Visible rectangles of boxes seen along an axis.
 
+    Without overlap, each with the greatest value behind it.
     boxes : (n, 2, 2), low and high corner; values : (n,)
     Returns [((x low, y low, x high, y high), value)]
     """
@@ -144,7 +146,10 @@ NOT_KNOWN = "not known"
 
 
 def write_certificate_page(path: Path, certificate: Certificate, links: Sequence[Link] = ()) -> None:
-    """Write a certificate's HTML page: one file, usable offline."""
+    """Write a certificate's HTML page.
+
+    One file, usable offline.
+    """
     parts = [
         *_promise(certificate),
         *_against(certificate),

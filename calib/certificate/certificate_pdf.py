@@ -1,4 +1,7 @@
-"""PDF of a certificate: A4 pages with the sentences, figures and tables of its HTML page."""
+"""PDF of a certificate.
+
+A4 pages with the sentences, figures and tables of its HTML page.
+"""
 
 import io
 import textwrap

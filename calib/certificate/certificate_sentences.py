@@ -1,4 +1,7 @@
-"""Sentences of a certificate: scale, promise, volume, basis, conformity, ISO figures and uncertainties."""
+"""Sentences of a certificate.
+
+Scale, promise, volume, basis, conformity, ISO figures and uncertainties.
+"""
 
 from calib.certificate.certificate_contents import Contents
 from calib.certification.calibration_dataclass_and_claim_sentences import (
@@ -28,7 +31,10 @@ def _percentage_text(value: float) -> str:
 
 
 def length_scale_line(certificate: Contents) -> str:
-    """Line on the length scale that the certificate rests on: whose it is."""
+    """Line on the length scale that the certificate rests on.
+
+    Whose it is.
+    """
     holder = certificate.conditions.frame
     if certificate.asked.scale is None:
         return (
@@ -52,7 +58,10 @@ def _far(c: Contents) -> float:
 
 
 def promise_line(certificate: Contents) -> str:
-    """Line on a certificate's promise: the error bounds, their coverage and confidence."""
+    """Line on a certificate's promise.
+
+    The error bounds, their coverage and confidence.
+    """
     p = certificate.promise
     both = (
         micrometre_text(p.position.upper)
@@ -76,7 +85,10 @@ def measured_volume_line(certificate: Contents) -> str:
 
 
 def basis_lines(certificate: Contents) -> list[str]:
-    """Lines on the basis of a certificate's promise: poses, conditions and recordings."""
+    """Lines on the basis of a certificate's promise.
+
+    Poses, conditions and recordings.
+    """
     p, r = certificate.promise, certificate.repeatability
     lines = [
         f"From {p.n} distinct configurations, none of which was used in fitting; as measured, noise "
@@ -197,7 +209,10 @@ def iso9283_line(certificate: Contents) -> str:
 
 
 def iso230_symbol_values(axis: AxisTest) -> list[tuple[str, float | None]]:
-    """Values of one axis by symbol of ISO 230-2:2014: (symbol, value in m or rad)."""
+    """Values of one axis by symbol of ISO 230-2:2014.
+
+    Returns (symbol, value in m or rad)
+    """
     return [
         ("B", axis.B),
         ("mean B", axis.B_mean),

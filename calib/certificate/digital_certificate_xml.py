@@ -1,4 +1,6 @@
-"""Digital calibration certificate of a machine as XML (PTB's DCC 3.3.0) with values in D-SI units.
+"""Digital calibration certificate as XML.
+
+PTB's DCC 3.3.0, of a machine, with values in D-SI units.
 
 No package carries the schema files; a test holds what is written to those that a folder named by DCC_SCHEMAS has. Who
 calibrated, for whom and where is for the owner to state; what is not stated stands as "not stated".
@@ -58,7 +60,10 @@ Uncertainty = Standard | Expanded | Interval | None  # None : of a number that i
 
 
 def si_element(value: float, unit: str, uncertainty: Uncertainty) -> ET.Element:
-    """D-SI XML element of a value: si:real with its uncertainty, si:constant of an exact one."""
+    """D-SI XML element of a value.
+
+    The element is si:real with its uncertainty, or si:constant of an exact value.
+    """
     root = ET.Element(_name("constant" if uncertainty is None else "real"))
     _add(root, "value", f"{value:.9g}")
     _add(root, "unit", unit)

@@ -1,4 +1,7 @@
-"""Certificate of where a mount points, from held-out directions: what is promised, what it rests on, JSON and page."""
+"""Certificate of where a mount points.
+
+It comes from held-out directions: what is promised, what it rests on, JSON and page.
+"""
 
 import json
 from collections.abc import Sequence
@@ -29,14 +32,8 @@ from rig.formats.json_toml_and_yaml_loading import nan_to_null
 from rig.formats.output_files import write_text
 from rig.model.mechanisms import axis_units
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import (
-    Link,
-    Page,
-    heading_html,
-    paragraph_html,
-    table_html,
-    write_page,
-)
+from rig.report.pages.html_and_svg_elements import heading_html, paragraph_html, table_html
+from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
 
 SCHEMA = "pointing-certificate/1"

@@ -1,4 +1,7 @@
-"""Calibration data type (correction, covariance, claim, provenance of a machine), and sentences on its claim."""
+"""Calibration dataclass, and sentences on its claim.
+
+A Calibration holds correction, covariance, claim and provenance of a machine.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -63,7 +66,10 @@ def claim_lines(claim: Claim) -> list[str]:
 
 
 def ratio_interval_text(ratio_interval: tuple[float, ...]) -> str:
-    """Text of a ratio (median, low, high) and its interval; low and high are NaN where there is none."""
+    """Text of a ratio (median, low, high) and its interval.
+
+    Low and high are NaN where there is none.
+    """
     interval = (
         "too few configurations for an interval"
         if math.isnan(ratio_interval[1])
@@ -100,7 +106,10 @@ def verification_line(held_out: HeldOut, claim: Claim | None, verification: Veri
 
 
 def claim_status_text(verification: Verification) -> str:
-    """Text of a claim's status: kept or not kept."""
+    """Text of a claim's status.
+
+    Kept or not kept.
+    """
     if verification.kept:
         return "kept"
     within = (
@@ -125,7 +134,10 @@ def _claim_comparison_text(verification: Verification) -> str:
 
 
 def refutation_sentence(verification: Verification) -> str:
-    """Sentence on the refutation of a claim: 45 um where 3.4 um is claimed."""
+    """Sentence on the refutation of a claim.
+
+    As in: 45 um where 3.4 um is claimed.
+    """
     wrong = [(name, part) for name, part in verification.parts.items() if not part.kept]
     return " and ".join(
         f"{name} error {_size(part.rms, name)} RMS where up to {_size(part.claimed, name)} is claimed"
@@ -134,7 +146,10 @@ def refutation_sentence(verification: Verification) -> str:
 
 
 def explaining_rigid_motion_text(verification: Verification) -> str:
-    """Text of the rigid motion that explains a refuted claim; empty where none does."""
+    """Text of the rigid motion that explains a refuted claim.
+
+    Empty where none does.
+    """
     if verification.offset is None:
         return ""
     o = verification.offset

@@ -1,4 +1,7 @@
-"""Evidence for and against a calibration, its verdict, and the check of its claim on a held-out recording."""
+"""Evidence, verdict and claim check of a calibration.
+
+Evidence is for and against it; the check of its claim is on a held-out recording.
+"""
 
 import math
 from collections.abc import Sequence
@@ -61,11 +64,14 @@ ALONE = OfCalibrations()  # of a recording from which none was made
 
 
 def calibration_verdict(calibration: Calibration, refutations: Sequence[Refutation] = ()) -> Verdict:
-    """The Verdict on a calibration. refutations : of its file, by later recordings"""
-    return judge_evidence(calibration_evidence_verdict_and_claim_check(calibration, refutations))
+    """The Verdict on a calibration.
+
+    refutations : of its file, by later recordings
+    """
+    return judge_evidence(calibration_evidence(calibration, refutations))
 
 
-def calibration_evidence_verdict_and_claim_check(
+def calibration_evidence(
     calibration: Calibration,
     refutations: Sequence[Refutation] = (),
     statement: str | None = None,
@@ -103,8 +109,9 @@ def calibration_evidence_verdict_and_claim_check(
 
 
 def evidence_with_displaced_ends(evidence: Evidence, names: Sequence[str], recording_name: str = "") -> Evidence:
-    """Evidence with what stands elsewhere in a recording though its place is stated ("base", "tool").
+    """Evidence with displaced base or tool.
 
+    With what stands elsewhere in a recording though its place is stated ("base", "tool").
     recording_name : the recording, where the sentence names it
     """
     step = 'Put it back, calibrate anew, or state in rig.toml that its place is unknown: [instrument] {} = "free"'
@@ -154,7 +161,9 @@ def verify_claim_on_samples(
 def evidence_with_confounds(
     evidence: Evidence, calibration: Calibration, confounds: Sequence[Confounds | None], recording_names: str
 ) -> Evidence:
-    """Evidence with what the designs of held-out recordings confound, where its own recording's is not known.
+    """Evidence with what the designs of held-out recordings confound.
+
+    Where its own recording's is not known.
 
     Only what that does not separate can have gone into the correction. recording_names : the recordings, in words
     """

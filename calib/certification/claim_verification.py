@@ -1,4 +1,6 @@
-"""Verification of a calibration's claim: whether the pose errors of a recording lie within the claim.
+"""Verification of a calibration's claim.
+
+Whether the pose errors of a recording lie within the claim.
 
 Of n poses the machine's error may be as large as the claim's upper end, the instrument's own errors are drawn anew in
 every pose and so average out, its shared errors are drawn once. The squares are whitened by all three together, so that

@@ -1,4 +1,6 @@
-"""Claim of a calibration's error over the whole workspace: a posterior at configurations not recorded.
+"""Claim of a calibration's error over the whole workspace.
+
+A posterior at configurations not recorded.
 
 Machines are drawn that are as the poses have them, where the poses tell, and as the owner's tolerance has them, where
 these do not: so what is promised away from the recorded configurations holds how far it is extrapolated. Each drawn
@@ -31,7 +33,7 @@ from rig.model import mechanisms
 from rig.model.mechanisms.file_mechanism import SCALE
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, geometric_parameters, has_struts
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import FILL, sobol_configurations
+from rig.planning.configuration_generators import FILL, sobol_configurations
 
 PLACES = 128  # of the workspace
 DRAWS = 1000
@@ -121,9 +123,9 @@ def claim_from_machine_draws(
     information: ConfigurationInformation,
     rng: np.random.Generator,
 ) -> Claim:
-    """Claim of pose errors over the workspace from drawn machines (d, k) about the corrected model.
+    """Claim of pose errors over the workspace from drawn machines.
 
-    samples : for what their instrument adds
+    The machines (d, k) are drawn about the corrected model.
     samples : Samples, for what their instrument adds.
 
     information : ConfigurationInformation by the poses that the machines were drawn from; rng : numpy Generator
@@ -140,7 +142,9 @@ def claim_from_mean_square_errors(
     information: ConfigurationInformation,
     rng: np.random.Generator,
 ) -> Claim:
-    """Claim of pose errors over the workspace from mean squares before and after correction (d, 2), m^2 and rad^2.
+    """Claim of pose errors over the workspace from mean square errors.
+
+    The mean squares before and after correction are (d, 2), m^2 and rad^2.
     reference_name : what is meant by it
     """
     count, after = len(after), _wider(after)
@@ -189,14 +193,15 @@ def _counted(distinct: int) -> str:
 
 
 def draw_variance_ratio(cost: float, freedom: int, count: int, rng: np.random.Generator) -> Floats:
-    """Draws (count,) of the ratio of true to stated variances, by a cost and its degrees of freedom.
+    """Draws (count,) of the ratio of true to stated variances.
 
+    By a cost and its degrees of freedom.
     cost : whitened squares of a fit, its priors' included; freedom : how many numbers were fitted
     """
     return (TRUSTED + cost) / rng.chisquare(TRUSTED + freedom, count)
 
 
-def error_claim_over_workspace(
+def strut_machine_workspace_claim(
     identified: Identified,
     tolerance: Tolerance,
     correction: Correction[Parallel, Radial],
@@ -205,8 +210,9 @@ def error_claim_over_workspace(
     machines: Machines | None = None,
     held_out_errors: HeldErrors | None = None,
 ) -> Claim:
-    """Claim of a calibration of a machine on struts.
+    """Claim over the workspace of a machine on struts.
 
+    By its calibration.
     identified : Identified of one pose a configuration, from which the machines are drawn; tolerance : Tolerance by it;
         correction : Correction
     samples : Samples of one pose a configuration; rng : numpy Generator; machines : Machines drawn with all that struts
@@ -244,7 +250,10 @@ def error_claim_over_workspace(
 
 
 def workspace_samples(correction: AnyCorrection) -> tuple[Floats, RigidTransform]:
-    """Samples of the workspace: (commands (m, axes) m, poses (m,) of the corrected machine)."""
+    """Samples of the workspace.
+
+    Returns (commands (m, axes) m, poses (m,) of the corrected machine)
+    """
     ranges = axis_travel_limits(correction.nominal)
     return solvable_commands_and_poses(sobol_configurations(ranges, PLACES, FILL), correction)
 
@@ -257,8 +266,9 @@ def draw_fit_variance_ratio(identified: Identified, nominal: Parallel, count: in
 def mean_square_pose_errors_of_extension(
     correction: AnyCorrection, commands: Floats, inverse_jacobian: Floats
 ) -> Floats:
-    """Mean squares (2,) m^2 and rad^2 of the pose errors of a correction's extension at commands (m, axes).
+    """Mean square pose errors (2,) m^2 and rad^2 of a correction's extension.
 
+    At commands (m, axes).
     inverse_jacobian : (m, 6, axes) change of the pose with the axes there
     """
     square = (

@@ -1,4 +1,7 @@
-"""Certification of corrections extended over the configuration space, on held-out configurations."""
+"""Certification of extended corrections.
+
+Corrections extended over the configuration space, judged on held-out configurations.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -67,7 +70,7 @@ from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import FILL, sobol_configurations
+from rig.planning.configuration_generators import FILL, sobol_configurations
 
 AUTO = "auto"
 ELSE = "direction, order, temperature or noise explain the residuals as well as the configuration does"
@@ -111,12 +114,14 @@ def certify_extended_correction(
     rng: np.random.Generator,
     progress: Progress | None = None,
 ) -> tuple[Certified, tuple[Tried, ...]]:
-    """Certify a correction extended over the space, on held-out configurations: (Certified, methods tried).
+    """Certify a correction extended over the space, on held-out configurations.
 
     Of samples on a grid whole levels are held out in turn, so that what remains is a grid, and where there are LEAST
     configurations besides it, these; else whole stretches. AUTO takes what leaves least there, weighed by the poses'
     covariance, if that is a significant gain against doing without. Raises RigError where the way asked for does not
     take these samples
+
+    Returns (Certified, methods tried)
     """
     said = progress or silent_progress
     label = configuration_numbers(samples.commanded, axis_travel_limits(nominal))
@@ -179,8 +184,9 @@ def certify_interpolation_method(
     progress: Progress,
     refusal_reason: str | None = None,
 ) -> tuple[Certified, tuple[Tried, ...]]:
-    """Certified interpolation method for an extension, or the best of all by held-out errors; methods tried.
+    """Certified interpolation method for an extension.
 
+    The one of this kind, or the best of all by held-out errors; also the methods tried.
     basis : nominal, label (n,) of the samples, the geometry; refusal_reason : why none is to be taken of all ways, or
         None
     """
@@ -328,7 +334,10 @@ def _best(outcome: _Outcome) -> str:
 
 
 def claim_without_geometry(samples: Samples, certified: Certified, rng: np.random.Generator) -> Claim:
-    """Claim of a correction without fitted geometry: its field's error estimate over the workspace."""
+    """Claim of a correction without fitted geometry.
+
+    Its field's error estimate over the workspace.
+    """
     correction: AnyCorrection = certified.correction
     kinematics = mechanisms.kinematics_of(correction.nominal)
     each = mean_sample_per_configuration(

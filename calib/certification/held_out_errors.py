@@ -1,4 +1,6 @@
-"""Held-out pose errors before and after correction, their statistics, and the significance of the gain.
+"""Held-out pose errors before and after correction.
+
+Their statistics, and the significance of the gain.
 
 Nothing is assumed of where the errors come from, so that what no model has (friction, play, sag, gears) is in it. Few
 configurations tell a mean square badly, and badly told it is more often too small: draws are of the mean square over
@@ -57,7 +59,10 @@ class HeldOut:
 
 
 def error_statistics(errors: Floats) -> Figures:
-    """Figures of pose errors (n, 6), position (m) and rotation (rad), NaN where these were not measured."""
+    """Statistics (Figures) of pose errors (n, 6).
+
+    Position (m) and rotation (rad), NaN where these were not measured.
+    """
 
     def three(parts: Floats) -> tuple[float, float, float]:
         length = np.linalg.norm(parts, axis=1)
@@ -80,8 +85,9 @@ def compare_errors(
     rng: np.random.Generator,
     label: Integers | None = None,
 ) -> HeldOut:
-    """Comparison of errors before and after on the same poses, as HeldOut; covariance : (n, 6, 6)
+    """Comparison of errors before and after on the same poses, as HeldOut.
 
+    covariance : (n, 6, 6)
     label : (n,) configuration of each pose, each its own by default; rng : numpy Generator, for the bootstrap
     """
     label = np.arange(len(errors_before)) if label is None else np.unique(label, return_inverse=True)[1]
@@ -120,7 +126,10 @@ def predicted_poses(correction: AnyCorrection, samples: Samples) -> RigidTransfo
 
 
 def pose_errors(T_base_platform: RigidTransform, samples: Samples) -> Floats:
-    """Pose errors (n, 6) of measured samples against predicted poses (n,), NaN where not measured."""
+    """Pose errors (n, 6) of measured samples against predicted poses (n,).
+
+    NaN where not measured.
+    """
     if samples.measured == "distance":
         error = np.full((len(samples), 6), np.nan)
         error[:, 0] = samples.T_base_platform.translation[:, 0] - np.linalg.norm(T_base_platform.translation, axis=1)
@@ -140,12 +149,18 @@ def pose_errors(T_base_platform: RigidTransform, samples: Samples) -> Floats:
 
 
 def is_significant_gain(gain: Floats) -> bool:
-    """Whether the gain of held-out poses (n,) is significant: beyond GAIN standard errors, autocorrelation included."""
+    """Whether the gain of held-out poses (n,) is significant.
+
+    Beyond GAIN standard errors, autocorrelation included.
+    """
     return bool(gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / autocorrelation_factor(gain)))
 
 
 def autocorrelation_factor(series: Floats) -> float:
-    """Autocorrelation factor of a series (n,): 1 + 2 x the sum of its first positive autocorrelations."""
+    """Autocorrelation factor of a series (n,).
+
+    It is 1 + 2 x the sum of its first positive autocorrelations.
+    """
     centred = series - series.mean()
     total = (centred**2).sum()
     factor = 1.0
@@ -241,8 +256,9 @@ class HeldErrors:
 def mean_square_held_out_errors_by_configuration(
     errors: Floats, samples: Samples, label: Integers, stated: float = 0.0, parameters: Floats | None = None
 ) -> HeldErrors:
-    """Mean squares by configuration (HeldErrors) of held-out errors (n, 6) m and rad, NaN where not measured.
+    """Mean squares by configuration (HeldErrors) of held-out errors (n, 6) m and rad.
 
+    NaN where not measured.
     samples : Samples that they are of; label : (n,) configuration of each
     stated, parameters : as there, nothing by default
     """
@@ -268,8 +284,11 @@ def mean_square_held_out_errors_by_configuration(
 def residuals_corrected_for_absorbed_noise(
     residuals: Floats, jacobian: Floats, covariance: Floats, noise: Floats, label: Integers
 ) -> Floats:
-    """Standardised residuals (n, 6) of a linear fit: corrected for the noise that the fit absorbed, m and rad.
+    """Residuals (n, 6) of a linear fit, corrected for the noise it absorbed.
 
+    They are standardised.
+
+    Corrected for the noise that the fit absorbed, m and rad.
     residuals : (n, 6); label : (n,) configuration of each sample
     The rest as `mean_square_pose_errors_caused_by_parameters` has it.
     Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.1, by blocks

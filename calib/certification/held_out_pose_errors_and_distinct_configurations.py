@@ -1,4 +1,6 @@
-"""Held-out pose errors of recordings with repeatability, and distinct configurations: numbers, folds, mean samples.
+"""Held-out pose errors of recordings, and distinct configurations.
+
+Errors with repeatability; of distinct configurations numbers, folds and mean samples.
 
 Only exposures of a machine at rest count, and of each configuration the first visit alone speaks for poses at large:
 the others are repeats, from which repeatability is read.
@@ -44,18 +46,25 @@ def configuration_numbers(commanded: Floats, ranges: Floats) -> Integers:
 
 
 def axis_travel_limits(mechanism: Parallel | Arm | Chain) -> Floats:
-    """Range of each axis of a mechanism: (axes, 2) m or rad."""
+    """Travel limits of each axis of a mechanism.
+
+    Returns (axes, 2) m or rad
+    """
     return mechanisms.kinematics_of(mechanism).travel_ranges(mechanism)
 
 
 def configuration_folds(label: Integers, count: int) -> Integers:
-    """Folds of configurations (n,): whole stretches in time, no configuration in two folds."""
+    """Folds of configurations (n,).
+
+    Whole stretches in time, no configuration in two folds.
+    """
     return time_block_folds(label.max() + 1, count)[label]
 
 
 def mean_sample_per_configuration(samples: Samples, label: Integers, to_pose: Floats) -> Samples:
-    """Mean sample of each configuration: its repeats averaged, weighted by their covariance.
+    """Mean sample per configuration.
 
+    Its repeats averaged, weighted by their covariance.
     samples : Samples; label : (n,) from `configuration_numbers`; to_pose : (n, 6, axes) change of each pose's tangent
         with the commands
     """

@@ -1,4 +1,6 @@
-"""ISO 230-2 tests of single axes, and ISO 9283 accuracy and repeatability of repeated poses.
+"""ISO 230-2 and ISO 9283 tests.
+
+Of single axes, and of accuracy and repeatability of repeated poses.
 
 An axis' deviation is what the calibrated machine would have had to be commanded beyond the command for the pose that
 was measured. The standard requires five positions at least, each come to five times from either side; what a recording
@@ -126,7 +128,10 @@ def _test(
 
 
 def reversal_values(mean: Floats) -> tuple[float, float]:
-    """ISO 230-2 reversal values (B, mean B) of mean deviations (positions, 2), from below and from above."""
+    """ISO 230-2 reversal values (B, mean B) of mean deviations (positions, 2).
+
+    From below and from above.
+    """
     B = mean[:, 0] - mean[:, 1]
     return float(np.abs(B).max()), float(B.mean())
 
@@ -134,7 +139,10 @@ def reversal_values(mean: Floats) -> tuple[float, float]:
 def bidirectional_and_unidirectional_axis_accuracy(
     mean: Floats, standard_deviation: Floats
 ) -> tuple[float | None, float | None, float | None]:
-    """Axis accuracy (A, A up, A down) of means and standard deviations (positions, 2); None where unknown."""
+    """Axis accuracy (A, A up, A down) of means and standard deviations (positions, 2).
+
+    None where unknown.
+    """
     if not np.isfinite(standard_deviation).all():
         return None, None, None
     high, low = mean + 2 * standard_deviation, mean - 2 * standard_deviation
@@ -143,7 +151,10 @@ def bidirectional_and_unidirectional_axis_accuracy(
 
 
 def axis_repeatability(mean: Floats, standard_deviation: Floats) -> tuple[float | None, float | None, float | None]:
-    """Axis repeatability (R, R up, R down) of means and standard deviations (positions, 2); None where unknown."""
+    """Axis repeatability (R, R up, R down) of means and standard deviations (positions, 2).
+
+    None where unknown.
+    """
     if not np.isfinite(standard_deviation).all():
         return None, None, None
     up, down = (4 * standard_deviation).max(axis=0).tolist()
@@ -307,7 +318,9 @@ def speeds_and_loads_of_test(
     load: tuple[float, float] | None,
     rated_load: float | None,
 ) -> Duty:
-    """Speeds and loads (Duty) of a test: those of held-out poses, and those rated.
+    """Speeds and loads (Duty) of a test.
+
+    Those of held-out poses, and those rated.
     recordings : in the order of poses.recording; load : as logged, kg; rated_load : kg, as stated
     """
     top = design.actuator.max_speed

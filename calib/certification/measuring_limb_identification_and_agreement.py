@@ -1,4 +1,6 @@
-"""Measuring limb calibration against vision, agreement with vision on held-out poses, and slips of a limb.
+"""Measuring limb identification, and agreement with vision.
+
+Limbs are calibrated against vision, and agreement is on held-out poses; slips of a limb.
 
 The limbs' own joints and zeros are found as the struts' are, from poses that vision measured. Agreement is judged on
 poses that were not used for that: bias, scatter, and limits of agreement, axis by axis, against a tolerance that is
@@ -67,7 +69,10 @@ class Agreement:
 
 
 def stated_limbs(design: Design) -> MeasuringLimbs:
-    """Measuring limbs as rig.toml states them. Raises RigError for a rig without [insitu]."""
+    """Measuring limbs as rig.toml states them.
+
+    Raises RigError for a rig without [insitu].
+    """
     if design.insitu is None:
         raise RigError(
             "rig.toml has no [insitu] table with the measuring limbs' base_joints, platform_joints and length_sigma"
@@ -128,9 +133,10 @@ def samples_with_limb_readings_as_commands(samples: Samples, frames: Integers, l
 
 
 def calibrate_limbs(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[Limbs, Identified]:
-    """Measuring limbs calibrated on samples: (Limbs, Identified).
+    """Measuring limbs calibrated on samples.
 
     nominal : Hexapod as stated; sigma : m of one reading
+    Returns (Limbs, Identified)
     """
     found: Identified = identify_platform(_add_reading_noise(samples, nominal, sigma), nominal)
     return Limbs(require_hexapod(found.mechanism), found.covariance, np.hypot(found.scatter, sigma)), found
@@ -143,10 +149,12 @@ def _add_reading_noise(samples: Samples, nominal: Hexapod, sigma: float) -> Samp
 
 
 def held_out_limb_poses(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[RigidTransform, Floats]:
-    """Poses by limbs that were fitted to other stretches of samples: (T_limbs (n,), expected covariance).
+    """Poses by limbs that were fitted to other stretches of samples.
 
     The expectation holds what the limbs' fit to the same cameras shares with vision once only: vision's shared errors
     go into the limbs, so that they do not show in the difference. Raises NotEnoughData for fewer than FEWEST poses
+
+    Returns (T_limbs (n,), expected covariance)
     """
     if len(samples) < FEWEST:
         raise NotEnoughData(f"{len(samples)} poses by vision with readings; limits of agreement need at least {FEWEST}")
@@ -226,8 +234,9 @@ class Slip:
 
 
 def detect_limb_slip(samples: Samples, limbs: Limbs, sigma: float) -> Slip | None:
-    """Likeliest slip of a measuring limb among samples; None where none is beyond chance.
+    """Likeliest slip of a measuring limb among samples.
 
+    None where none is beyond chance.
     limbs : Limbs as fitted to these; sigma : m of one reading, as stated
     """
     n, of = (

@@ -1,4 +1,6 @@
-"""Noise-free errors estimated from errors measured with noise, and distribution-free tolerance limits.
+"""Noise-free errors, and tolerance limits.
+
+Errors estimated from errors measured with noise; limits that assume no distribution.
 
 With confidence c at least a share p of a population lies below the r-th smallest of n independent values once
 P(Bin(n, p) <= r - 1) >= c; nothing is assumed of the distribution but that the sample was drawn from it. Between two
@@ -34,7 +36,10 @@ ROUNDING = 1e-12
 
 
 def least_sample_size(coverage: float = 0.95, confidence: float = 0.95) -> int:
-    """Least sample size whose greatest value bounds `coverage` with `confidence`: 59 for 0.95 and 0.95."""
+    """Least sample size whose greatest value bounds `coverage` with `confidence`.
+
+    It is 59 for 0.95 and 0.95.
+    """
     return ceil(log(1 - confidence) / log(coverage) - ROUNDING)
 
 
@@ -70,13 +75,18 @@ def count_beyond_upper_limit(n: int, coverage: float, confidence: float) -> floa
 
 
 def count_beyond_lower_tolerance_limit(n: int, coverage: float, confidence: float) -> float | None:
-    """Number of n values at or beyond the lower limit, as a real number; None where n is too small."""
+    """Number of n values at or beyond the lower limit, as a real number.
+
+    None where n is too small.
+    """
     found = rank_below_quantile(n, coverage, confidence)
     return None if found < 1 else n + 1 - found
 
 
 def rank_below_quantile(n: int, coverage: float, chance: float) -> float:
-    """Rank (real) of the order statistic below the `coverage` quantile with `chance`; 0 where none is.
+    """Rank (real) of the order statistic below the `coverage` quantile with `chance`.
+
+    It is 0 where none is.
 
     Near the quantile the gaps to its neighbours X_r and X_(r+1) are as good as exponential, at the rates r / p and (n -
     r) / (1 - p)
@@ -91,8 +101,9 @@ def rank_below_quantile(n: int, coverage: float, chance: float) -> float:
 
 
 def upper_tolerance_limit(values: Floats, coverage: float = 0.95, confidence: float = 0.95) -> float:
-    """Upper tolerance limit: `coverage` of the population lies below it, with `confidence`.
+    """Upper tolerance limit.
 
+    `coverage` of the population lies below it, with `confidence`.
     values : (n,) drawn from it.
     Raises NotEnoughData for fewer than `least_sample_size`
     """
@@ -101,7 +112,9 @@ def upper_tolerance_limit(values: Floats, coverage: float = 0.95, confidence: fl
 
 
 def lower_confidence_limit_of_quantile(values: Floats, coverage: float = 0.95, confidence: float = 0.95) -> float:
-    """Lower confidence limit of the `coverage` quantile of a population, from values (n,) >= 0 drawn from it.
+    """Lower confidence limit of the `coverage` quantile of a population.
+
+    From values (n,) >= 0 drawn from it.
 
     1 - coverage of the population lies beyond it, with `confidence`.
     """
@@ -118,7 +131,10 @@ def _at(ordered: Floats, rank: float) -> float:
 
 
 def coverage_log_likelihood_drop(n: int, beyond_it: float, coverage: float) -> float:
-    """Drop of the log likelihood when `coverage` is forced on a limit that `beyond_it` of n values exceed."""
+    """Drop of the log likelihood when `coverage` is forced on a limit.
+
+    A limit that `beyond_it` of n values exceed.
+    """
     share = beyond_it / n
     return float(n * (xlogy(share, share / (1 - coverage)) + xlogy(1 - share, (1 - share) / coverage)))
 

@@ -10,7 +10,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.error_claim_over_workspace import (
     Claim,
     draw_fit_variance_ratio,
-    error_claim_over_workspace,
+    strut_machine_workspace_claim,
     workspace_samples,
 )
 from calib.certification.held_out_errors import (
@@ -82,7 +82,9 @@ class Certified:
 
 
 def platform_pose_covariance(calibration: Calibration, T_base_platform: RigidTransform) -> Floats:
-    """Covariance (n, 6, 6) of the corrected platform's pose at poses (n,): parameters and strut deviations.
+    """Covariance (n, 6, 6) of the corrected platform's pose at poses (n,).
+
+    Parameters and strut deviations.
 
     docs/mathematics.md (21)
 
@@ -102,7 +104,9 @@ def platform_pose_covariance(calibration: Calibration, T_base_platform: RigidTra
 def certify_platform(
     samples: Samples, nominal: Parallel, rng: np.random.Generator, progress: Progress | None = None
 ) -> Certified:
-    """Certified platform: calibrated on all samples, with errors at configurations held out in turn.
+    """Certified platform.
+
+    Calibrated on all samples, with errors at configurations held out in turn.
 
     The remainder is kept only where it is a significant gain on the held-out stretches; its size and smoothness, and
     how good the owner's figures are, are those found on the whole recording. rng : numpy Generator, for the bootstrap
@@ -157,8 +161,9 @@ def silent_progress(label: str, done: int, of: int) -> None:
 def held_out_errors_by_fold(
     samples: Samples, label: Integers, correct: Callable[[Samples], Sequence[AnyCorrection]], progress: Progress
 ) -> list[Floats]:
-    """Held-out errors before and after each correction, (n, 6) m and rad, fold by fold, on all cores.
+    """Held-out errors before and after each correction.
 
+    (n, 6) m and rad, fold by fold, on all cores.
     label : (n,) configuration of each sample; correct : Corrections by some samples, as many each time
     """
     fold = configuration_folds(label, min(FOLDS, label.max() + 1))
@@ -251,9 +256,12 @@ def _each_configuration(samples: Samples, done: Certified) -> tuple[Samples, Ide
 
 
 def platform_workspace_claim(samples: Samples, certified: Certified, rng: np.random.Generator) -> Claim:
-    """Claim of a certified platform over its workspace: each configuration counts once."""
+    """Claim of a certified platform over its workspace.
+
+    Each configuration counts once.
+    """
     each, found = _each_configuration(samples, certified)
-    return error_claim_over_workspace(
+    return strut_machine_workspace_claim(
         found,
         estimate_tolerance_of_stated_geometry(found, certified.correction.nominal),
         certified.correction,

@@ -1,4 +1,6 @@
-"""Promise of a pose error bound from held-out poses, whole and by cell, and conformity with tolerances.
+"""Pose error promise, and conformity with tolerances.
+
+A bound from held-out poses, whole and by cell.
 
 The promise is one statement of position and rotation. Each pose has a depth, the greater of its position error and
 its rotation error, each in a unit that was fixed before the held-out poses were measured; the limit of depth, times
@@ -93,8 +95,9 @@ def pose_error_promise(
     rng: np.random.Generator,
     pose_indices: Integers | None = None,
 ) -> Promise:
-    """Promise of pose errors from held-out poses. scale : relative standard uncertainty of the length scale
+    """Promise of pose errors from held-out poses.
 
+    scale : relative standard uncertainty of the length scale
     units : (m, rad) whose ratio is that of the promised position to the promised rotation; whatever they are, the
     promise is valid as long as the poses had no part in their choice
     rng : numpy Generator, for the draws of shared errors. Raises NotEnoughData for fewer configurations than it takes
@@ -115,8 +118,9 @@ def greatest_scaled_error_bound(
     scale: float,
     rng: np.random.Generator,
 ) -> Bound:
-    """Bound of the greatest scaled pose error: the greater of position and rotation, each in its unit.
+    """Bound of the greatest scaled pose error.
 
+    The greater of position and rotation, each in its unit.
     pose_indices : (c,) indices of poses; level : (coverage, confidence); scale, rng : as `pose_error_promise`
     Raises NotEnoughData for fewer poses than it takes
     """
@@ -185,7 +189,9 @@ def promise_by_cell(
     units: tuple[float, float],
     rng: np.random.Generator,
 ) -> tuple[Cell, ...]:
-    """Promises by cell of the volume, halved along its longest side while both halves have poses enough.
+    """Promises by cell of the volume.
+
+    Halved along its longest side while both halves have poses enough.
 
     Each cell's promise has the confidence by itself. The arguments are those of `pose_error_promise`
     """
@@ -254,8 +260,9 @@ def tolerance_conformity(
     scale_certified: bool,
     counts_beyond: Sequence[int],
 ) -> tuple[Conformity, ...]:
-    """Conformity with each tolerance, of position (m) or rotation (rad), by the bound of the scaled error.
+    """Conformity with each tolerance.
 
+    Of position (m) or rotation (rad), by the bound of the scaled error.
     scaled_error_bound : Bound of the depth in units of the tolerances, its limits of the confidence GUARD; None where
         there are too few poses for one
     counts_beyond : of each tolerance

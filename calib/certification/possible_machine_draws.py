@@ -1,4 +1,6 @@
-"""Draws of possible machines that the recorded poses allow: parameters, strut deviations, shared errors.
+"""Draws of possible machines that the recorded poses allow.
+
+Parameters, strut deviations, shared errors.
 
 What the design of a recording confounds is drawn together: where play, time or a function of the configuration stand
 for a parameter, one draw has the one and the next the other. docs/mathematics.md (21)

@@ -1,4 +1,6 @@
-"""Redundant measuring limbs checked by loop closure: six give the platform's pose, each other limb checks it.
+"""Checks of redundant measuring limbs by loop closure.
+
+Six give the platform's pose, each other limb checks it.
 
 A check's own joints and zero are fitted to the poses that the six told while vision held them, so that what it does
 not close by later is no matter of vision's frame: the reading of some limb has changed. Source: Merlet, Parallel
@@ -101,7 +103,11 @@ def best_six_limbs(stated: MeasuringLimbs, home: RigidTransform, T: RigidTransfo
 
 
 def stated_limb_legs(stated: MeasuringLimbs, home: RigidTransform) -> best_six_legs_and_closures.RedundantLegs:
-    """Legs of all limbs as stated in rig.toml. home : T_base_platform. Raises RigError for fewer than six"""
+    """Legs of all limbs as stated in rig.toml.
+
+    home : T_base_platform.
+    Raises RigError for fewer than six
+    """
     _require_six_limbs(stated)
     n = len(stated.channels)
     return best_six_legs_and_closures.combine_leg_sets(
@@ -130,7 +136,10 @@ def has_six_measuring_limbs(design: Design) -> bool:
 
 
 def fit_redundant_limb_checks(limbs: Limbs, stated: MeasuringLimbs, lengths: Floats) -> Checks:
-    """Redundant limb checks: joints and zeros of all limbs but the six, fitted to lengths (n, limbs) m."""
+    """Redundant limb checks.
+
+    Joints and zeros of all limbs but the six, fitted to lengths (n, limbs) m.
+    """
     others = np.setdiff1d(np.arange(len(stated.channels)), limbs.chosen)
     T = limbs.pose(lengths)
     start = Checks(
@@ -208,7 +217,10 @@ def _closures(limbs: Limbs, checks: Checks, lengths: Floats) -> best_six_legs_an
 
 
 def held_out_check_errors(limbs: Limbs, stated: MeasuringLimbs, lengths: Floats) -> tuple[Floats, Floats]:
-    """Held-out errors (n, k) m of the redundant limbs and their expected sigma, joints fitted elsewhere."""
+    """Held-out errors (n, k) m of the redundant limbs and their expected sigma.
+
+    Joints fitted elsewhere.
+    """
     fold, count = time_block_folds(len(lengths), FOLDS), len(stated.channels) - best_six_legs_and_closures.SIX
     error, sigma = np.zeros((len(lengths), count)), np.ones((len(lengths), count))
     for k in np.unique(fold) if count else ():  # of six alone nothing is over to be checked
@@ -218,7 +230,10 @@ def held_out_check_errors(limbs: Limbs, stated: MeasuringLimbs, lengths: Floats)
 
 
 def limbs_sigmas_and_covariance(limbs: Limbs, stated: MeasuringLimbs) -> tuple[MeasuringLimbs, Floats, Floats]:
-    """Limbs as fitted, sigma (n,) m of their readings, and covariance (7 n, 7 n) m^2 of all their parameters."""
+    """Limbs as fitted, their sigmas (n,) m, and covariance.
+
+    Sigmas are of their readings; the covariance (7 n, 7 n) m^2 is of all their parameters.
+    """
     n, m, six = len(stated.channels), limbs.hexapod, limbs.chosen
     base, platform, zeros = np.array(stated.base_joints), np.array(stated.platform_joints), np.array(stated.zeros)
     base[six], platform[six], zeros[six] = m.base_joints, m.platform_joints, m.strut_zeros
@@ -239,8 +254,9 @@ def limbs_sigmas_and_covariance(limbs: Limbs, stated: MeasuringLimbs) -> tuple[M
 
 
 def first_unclosed_limb(limbs: Limbs, lengths: Floats) -> UnclosedLimb | None:
-    """First UnclosedLimb of poses in a row by lengths read (n, limbs) m; None where all close.
+    """First UnclosedLimb of poses in a row by lengths read (n, limbs) m.
 
+    None where all close.
     Raises NotConverged for readings that close on no pose
     """
     checks = limbs.checks

@@ -1,4 +1,6 @@
-"""Covariance functions of strut deviations, by cause beyond the geometry.
+"""Covariance functions of strut deviations.
+
+One for each cause beyond the geometry.
 
 And the sign of each strut's load.
 Each component has a mean square of 1 in use: over the workspace, moves between its configurations, and the
@@ -18,7 +20,7 @@ from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel
-from rig.planning.configuration_sets import FILL, sobol_configurations
+from rig.planning.configuration_generators import FILL, sobol_configurations
 from rig.recording.recording_folder import PAYLOAD
 
 PLACES = 64  # of the workspace, at which signs are looked at
@@ -28,7 +30,9 @@ Use = Callable[[Floats], tuple[Floats, Floats]]
 
 
 def strut_load_signs(samples: Samples, nominal: Parallel) -> list[tuple[Floats, Use] | None]:
-    """Signs (n,) of each strut's load at the samples, positive where it pushes, each with a `Component.use` of it.
+    """Signs (n,) of each strut's load at the samples.
+
+    Positive where it pushes, each with a `Component.use` of it.
 
     None where no sign changes over the workspace or nothing is known of weights. By the owner's geometry; payloads are
     those of the recording, each as likely as it was there.
@@ -119,14 +123,20 @@ class Component:
 
 
 def scaled_commands(commands: Floats, strokes: Floats) -> Floats:
-    """Commands (n, axes) m scaled to half strokes from the middle. strokes : (axes, 2) m"""
+    """Commands (n, axes) m scaled to half strokes from the middle.
+
+    strokes : (axes, 2) m
+    """
     return np.asarray((commands - strokes.mean(axis=1)) / (np.ptp(strokes, axis=1) / 2))
 
 
 def candidate_covariance_functions_of_strut_deviations(
     samples: Samples, label: Integers, nominal: Parallel
 ) -> list[list[Component]]:
-    """Components (covariance functions) of each strut's deviations that the samples may show; label : (n,)."""
+    """Components (covariance functions) of each strut's deviations that the samples may show.
+
+    label : (n,)
+    """
     x, n = scaled_commands(samples.effective, axis_travel_limits(nominal)), len(samples)
     spread = FILL / np.sqrt(3)  # of a strut's place over the workspace, half strokes
     shared = [_scatter(n), *_repeated(label), *_times(samples), *_loads(samples, x)]

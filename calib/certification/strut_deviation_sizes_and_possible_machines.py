@@ -1,4 +1,6 @@
-"""Sizes of strut deviations by component, and possible machines with their pose errors over the workspace.
+"""Strut deviation sizes, and possible machines.
+
+Sizes by component, and possible machines with their pose errors over the workspace.
 
 Three kinds of machines are weighed: a sound one; one whose struts, most of them, have one component alone, of one size;
 and one whose struts have each their own. A strut's closures are normal, with the variances of the poses, of its own
@@ -42,8 +44,9 @@ class Closures(NamedTuple):
 def draw_strut_deviation_component_sizes(
     struts: list[Closures], scattered: Callable[[Floats], Floats], count: int, rng: np.random.Generator
 ) -> list[Floats]:
-    """Draws (count, components) m of the sizes of each strut's deviation components, a row a machine.
+    """Draws (count, components) m of the sizes of each strut's deviation components.
 
+    A row a machine.
     scattered : (k,) m -> (k,) by how much the log likelihood of all closures grows where all struts scatter by so much
     """
     n, axes = len(struts[0].values), len(struts)

@@ -1,4 +1,6 @@
-"""Uncertainty budget of a pose: contributions of measuring and of the machine, and the expanded uncertainty.
+"""Uncertainty budget of a pose.
+
+Contributions of measuring and of the machine, and the expanded uncertainty.
 
 Each is expanded so that 95 % of the error's lengths lie within it: by a factor of the RMS length that depends on the
 directions of the error, 1.61 where all three are alike and 1.96 where there is one. What is not known is given as not
@@ -92,13 +94,18 @@ def _coverage_factor(covariance: Floats) -> float:
 
 
 def rms_position_and_rotation_uncertainty(covariance: Floats) -> tuple[float, float]:
-    """RMS standard uncertainty (m, rad) of the lengths of position and rotation errors, of covariances (n, 6, 6)."""
+    """RMS standard uncertainty (m, rad) of the lengths of position and rotation errors.
+
+    Of covariances (n, 6, 6).
+    """
     position, rotation = (float(np.sqrt(np.trace(covariance[:, p, p], axis1=1, axis2=2).mean())) for p in PARTS)
     return position, rotation
 
 
 def camera_and_lens_covariance(measured: Sequence[tuple[Samples, Measurement | None]]) -> tuple[Floats, Floats] | None:
-    """Covariances (n, 6, 6) of poses by the uncertainty of cameras and of lenses; None without images.
+    """Covariances (n, 6, 6) of poses by the uncertainty of cameras and of lenses.
+
+    None without images.
 
     Where a camera stands and what its lens does go together: cameras' part is what is left were all lenses known,
     lenses' part the rest, so that both make up what all poses share
@@ -231,7 +238,9 @@ def _alike(errors: Floats, sizes: Sequence[float]) -> Floats:
 
 
 def thermometer_covariance(calibration: Calibration, poses: Sequence[tuple[Recording, Samples]]) -> Floats | None:
-    """Covariance (n, 6, 6) of poses by thermometer noise, None where there is none.
+    """Covariance (n, 6, 6) of poses by thermometer noise.
+
+    None where there is none.
 
     The noise is what a log shows against the straight line through a row's neighbours.
     """

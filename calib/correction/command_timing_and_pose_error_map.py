@@ -1,4 +1,6 @@
-"""Timing of a sequence of commands (Route), and the map of pose errors in pose space with the pose to request.
+"""Timing of commands (Route), and map of pose errors.
+
+A Route times a sequence of commands; the map in pose space gives the pose to request.
 
 Source: configuration-space patent, [0035] (error maps and compensation in the configuration space, the workspace or
     both)
@@ -72,12 +74,18 @@ class PoseMap:
 
 
 def pose_coordinates(T: RigidTransform, home: RigidTransform) -> Floats:
-    """Coordinates (..., 6) of poses (...): position (m) and rotation vector (rad) from home's orientation."""
+    """Pose coordinates (..., 6) of poses (...).
+
+    Position (m) and rotation vector (rad) from home's orientation.
+    """
     return np.concatenate([T.translation, (home.rotation.inv() * T.rotation).as_rotvec()], axis=-1)
 
 
 def pose_error_tangents(T_expected: RigidTransform, T_measured: RigidTransform) -> Floats:
-    """Tangents (n, 6) of pose errors, m and rad, on the right: from the expected to the measured pose."""
+    """Tangents (n, 6) of pose errors, m and rad, on the right.
+
+    From the expected to the measured pose.
+    """
     return log(T_expected.inv() * T_measured)
 
 
@@ -137,8 +145,9 @@ class Pace:
 
 
 def timed_route(pace: Pace, commands: Floats, start: Floats, approach_offsets: Floats | None = None) -> Route:
-    """Route through commands (n, axes) timed by a Pace: when the axes leave, arrive and wait.
+    """Route through commands (n, axes) timed by a Pace.
 
+    When the axes leave, arrive and wait.
     start : (axes,); approach_offsets : (n, axes) of approaches, zero for none. Raises Unreachable, listing the poses
         that come too soon
     """
@@ -179,7 +188,10 @@ def timed_route(pace: Pace, commands: Floats, start: Floats, approach_offsets: F
 
 
 def untimed_route(commands: Floats, start: Floats) -> Route:
-    """Route through commands (n, axes) without times: in order from start (axes,), each held until at rest."""
+    """Route through commands (n, axes) without times.
+
+    In order from start (axes,), each held until at rest.
+    """
     return timed_route(
         Pace(cast(Floats, AT_REST * np.arange(1, len(commands) + 1)), 0.0, np.abs(commands - start).max() + 1.0, None),
         commands,

@@ -1,4 +1,6 @@
-"""Correction of a machine over its configuration space: geometry fit, remainder, and commands for poses.
+"""Correction of a machine over its configuration space.
+
+Geometry fit, remainder, and commands for poses.
 
 KSF(x) = x - IK(GDK(x)): x commanded, GDK the pose it really gives, IK the inverse kinematics as the owner believes it.
 It is kept as a fitted geometry (its smooth part) and a remainder rho(x) = x - IK_fitted(GDK(x)). To get a wanted pose,
@@ -259,7 +261,10 @@ AnyCorrection = Correction[Any, Any]  # of any kind of machine: which one is kno
 
 
 def solvable_commands_and_poses(commands: Floats, correction: AnyCorrection) -> tuple[Floats, RigidTransform]:
-    """Commands whose forward kinematics has a solution, and these poses (k,). Raises NotConverged where none has."""
+    """Commands whose forward kinematics has a solution, and these poses (k,).
+
+    Raises NotConverged where none has.
+    """
     index, T = indices_and_poses_of_solvable_commands(commands, correction.predict)
     return commands[index], T
 
@@ -282,8 +287,9 @@ def indices_and_poses_of_solvable_commands(
 
 
 def require_reachable(commands: Floats, mechanism: Parallel | Arm | Chain, labels: Sequence[str]) -> None:
-    """Raise Unreachable, listing every pose whose commands (n, axes) m or rad leave the mechanism's range.
+    """Raise Unreachable where commands leave the mechanism's range.
 
+    Every pose is listed whose commands (n, axes) m or rad do.
     labels : n texts
     """
     places = mechanisms.axis_place_texts(mechanism)
@@ -325,13 +331,15 @@ def calibrate_correction(
     geometry: Identified | None = None,
     axes_with_remainder: Booleans | None = None,
 ) -> tuple[Correction[Parallel, Radial], Identified]:
-    """Correction calibrated on samples: geometry fitted, then its remainder extended; (Correction, Identified).
+    """Correction calibrated on samples.
 
+    Geometry fitted, then its remainder extended.
     samples : Samples; nominal : the owner's
     remainder : "find" keeps a strut's where it stands out of the noise; "none" fits the geometry alone; a tuple of
     Radial or None takes over size and smoothness from there; geometry : `identify_geometry` of the same, where it is
     known already
     axes_with_remainder : (axes,) bool, the struts that may have one where it is to be found; all by default
+    Returns (Correction, Identified)
     Raises RigError for a machine without struts, NotEnoughData as `identify`
     """
     nominal = require_parallel(nominal)

@@ -1,4 +1,6 @@
-"""The correction of a calibration as one C99 file, for a controller that computes its own commands.
+"""Correction of a calibration as C source.
+
+One C99 file, for a controller that computes its own commands.
 
 The file does what `rig correct` does for poses without times: inverse kinematics of the fitted geometry, the summand
 over the configuration space at its fixed point, maps in pose space, and the effects that say how a controller computes
@@ -97,8 +99,9 @@ class EffectsInC:
 def correction_c_source(
     correction: AnyCorrection, physics: Physics | None, origin: str, play_elsewhere: bool = False
 ) -> CSource:
-    """CSource of a hexapod's Correction and the Physics besides, or None.
+    """C source of a hexapod's correction (CSource).
 
+    Of the Correction and the Physics besides, or None.
     origin : of which file and by which version it is made, for its head
     play_elsewhere : whether the controller itself adds half of a strut's play in the direction of its motion: lengths
         are then those without, and ranges are half a play narrower at both ends
@@ -171,7 +174,11 @@ def joined_c_parts(*texts: str) -> str:
 def c_file_opening(
     call: CCall, correction: AnyCorrection, effects: EffectsInC, gaps: Floats, origin: str
 ) -> tuple[str, str, str]:
-    """What a C file begins with: its head comment, its interface, home and channels. gaps : (axes,) m or rad, play"""
+    """Opening of a C file: head comment, interface, home and channels.
+
+    Its head comment, its interface, home and channels.
+    gaps : (axes,) m or rad, play
+    """
     home = mechanisms.kinematics_of(correction.nominal).home_values(correction.nominal)
     interface = f"enum {{ RIG_AXES = {len(home)} }};\n\n{c_source_part('api')}"
     return _head(call, correction, effects, gaps, origin), interface, _constants(effects.channels, home)
@@ -244,8 +251,9 @@ def _constants(channels: dict[str, float], home: Floats) -> str:
 
 
 def controller_terms_of_compensable_effects(correction: AnyCorrection, physics: Physics | None) -> EffectsInC:
-    """EffectsInC of a calibration's effects that commands undo. Raises RigError for one that has no such form, and for
-    two plays of an axis.
+    """Controller terms (EffectsInC) of effects that commands can compensate.
+
+    Raises RigError for one that has no such form, and for two plays of an axis.
     """
     places = mechanisms.axis_place_texts(correction.fitted)
     effects = () if physics is None else physics.compensable_effects()
@@ -276,7 +284,7 @@ def controller_terms_of_compensable_effects(correction: AnyCorrection, physics: 
 
 
 def commands_of_effects(effects: EffectsInC) -> tuple[str, ...]:
-    """The functions that undo effects."""
+    """C functions that undo effects in commands."""
     if not effects.terms:
         return (c_source_part("no effects"),)
     statements = [line for term in effects.terms for line in term.statements]
@@ -295,9 +303,10 @@ def commands_of_effects(effects: EffectsInC) -> tuple[str, ...]:
 
 
 def define_remainder(tables: CTables, extension: Field | None, axis_functions: list[list[str]]) -> bool:
-    """Define the summand over the configuration space, add_remainder; returns whether there is any.
+    """Define the summand over the configuration space, add_remainder.
 
     axis_functions : names of the functions that add the remainder of each axis that has one
+    Returns whether there is any
     """
     names = [name for names in axis_functions for name in names]
     if extension is not None:

@@ -1,4 +1,7 @@
-"""Fields of a correction as functions in C99, with their tables: the summand over configurations, and maps of poses."""
+"""Fields of a correction as functions in C.
+
+In C99, with their tables: the summand over configurations, and maps of poses.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -75,7 +78,10 @@ def _nested(numbers: list[str], width: int) -> list[str]:
 
 
 def field_functions(tables: CTables, one: Field) -> list[str]:
-    """Names of the functions that add a Field, which are defined. Raises RigError for a kind that no C file states."""
+    """Names of the functions that add a Field, which are defined.
+
+    Raises RigError for a kind that no C file states.
+    """
     if isinstance(one, SummedPasses):
         return [name for part in one.fields for name in field_functions(tables, part)]
     if isinstance(one, RadialMap):
@@ -133,7 +139,10 @@ def _restricted(tables: CTables, one: RestrictedMap) -> list[str]:
 
 
 def radial_functions(tables: CTables, part: Radial) -> list[str]:
-    """Name of the function that adds a Gaussian process, its samples and weights in a table."""
+    """C functions that add a Gaussian process (radial functions).
+
+    Returns the name of the one; its samples and weights stand in a table
+    """
     own, whole = part.sizes**2
     samples = np.column_stack([part.inputs, own * part.weights, whole * part.weights])
     rates = [0.5 / float(length) ** 2 for length in part.lengths]

@@ -14,13 +14,16 @@ from rig.array_and_json_types import Floats
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, strut_length_jacobian
-from rig.planning.configuration_sets import FILL, sobol_configurations
+from rig.planning.configuration_generators import FILL, sobol_configurations
 
 AVERAGED = 256  # configurations over which a table for one joint alone is the mean
 
 
 def correction_summand_column_names(axes: int) -> tuple[str, ...]:
-    """Column names of the table of correction summands (ksf.csv): frame, x, y, k = x - y, covariance."""
+    """Column names of the table of correction summands (ksf.csv).
+
+    They are frame, x, y, k = x - y, covariance.
+    """
     triangle = tuple(f"c{i}{j}" for i in range(axes) for j in range(i, axes))
     return ("frame", *(f"{name}{i + 1}" for name in "xyk" for i in range(axes)), *triangle)
 
@@ -33,7 +36,10 @@ class CorrectionSummands(NamedTuple):
 
 
 def strut_correction_summands(samples: Samples, nominal: Parallel) -> CorrectionSummands:
-    """Correction summands of struts at samples: commands less IK of the measured poses by the nominal model."""
+    """Correction summands of struts at samples.
+
+    Commands less IK of the measured poses by the nominal model.
+    """
     A = strut_length_jacobian(samples.T_base_platform, nominal)
     return CorrectionSummands(
         samples.commanded - mechanisms.kinematics_of(nominal).inverse(samples.T_base_platform, nominal),
@@ -60,7 +66,9 @@ class JointTables(NamedTuple):
 
 
 def axis_correction_tables(correction: AnyCorrection, count: int) -> JointTables:
-    """Correction table of each axis alone: the mean of the remainder over the other axes.
+    """Correction table of each axis alone.
+
+    The mean of the remainder over the other axes.
 
     c = x + trim, c the fixed point c = x + rho(c) at the axis' own level x, the other axes all over their strokes
     """
@@ -78,9 +86,11 @@ def axis_correction_tables(correction: AnyCorrection, count: int) -> JointTables
 
 
 def grid_correction_table(correction: AnyCorrection, divisions: int, fill: float = FILL) -> tuple[Floats, Floats]:
-    """Correction table on an even grid: (x, k), both (vertices, axes) m or rad.
+    """Correction table on an even grid.
 
     x + k is to be commanded for x.
+
+    Returns (x, k), both (vertices, axes) m or rad
     Raises RigError where a vertex has no pose
     """
     strokes = mechanisms.kinematics_of(correction.nominal).travel_ranges(correction.nominal)

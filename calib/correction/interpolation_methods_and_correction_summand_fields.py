@@ -1,4 +1,6 @@
-"""Interpolation methods by name, and fields over the space that they fit to correction summands at samples.
+"""Interpolation methods by name, and fields of correction summands.
+
+The methods fit these fields over the space to correction summands at samples.
 
 KSF_PM(x) = x - IK(GDK(x)) at each sample x; KSF_KR is its Field over all of the configuration space. It stands alone,
 with the nominal model as IK, or on top of the fitted geometry, where it extends what that leaves.
@@ -38,7 +40,7 @@ from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, geometric_parameters, strut_length_jacobian
 from rig.model.pose import pose_to_entry
-from rig.planning.configuration_sets import FILL, sobol_configurations
+from rig.planning.configuration_generators import FILL, sobol_configurations
 
 SHAPES = {  # of the arrays: a axes, m outputs, the other letters any number, the same wherever they stand
     **dict.fromkeys(("linear", "simplex"), {"levels": "ragged", "values": "nm", "variances": "nm", "misfit": "m"}),
@@ -58,7 +60,10 @@ METHODS = {one.kind: one for one in (Linear, Simplex, Delaunay, AxisFunctions, R
 
 
 def fit_field(kind: str, samples: FieldSamples) -> Field:
-    """Field of a kind fitted to samples. Raises RigError for an unknown kind, and what the kind raises."""
+    """Field of a kind fitted to samples.
+
+    Raises RigError for an unknown kind, and what the kind raises.
+    """
     if kind not in METHODS:
         raise RigError(f"there is no method {kind!r} to extend corrections; available: {', '.join(METHODS)}")
     return METHODS[kind].fit(samples)
@@ -93,7 +98,10 @@ def _part(table: Entries, axes: int) -> SpacePart:
 
 
 def field_from_entries(table: Entries, axes: int) -> Field:
-    """Field over so many axes from its entries, as `field_to_dict` gives them. Raises FileError for anything else."""
+    """Field over so many axes from its entries, as `field_to_dict` gives them.
+
+    Raises FileError for anything else.
+    """
     named = table.text("kind", (*METHODS, SummedPasses.kind, RestrictedMap.kind))
     if named == SummedPasses.kind:
         return SummedPasses(tuple(field_from_entries(one, axes) for one in table.tables("fields")))
@@ -124,7 +132,10 @@ def field_from_entries(table: Entries, axes: int) -> Field:
 
 
 def gaussian_process_from_entries(table: Entries, axes: int) -> Radial:
-    """Gaussian process from its entries in a file. Raises FileError where it is none."""
+    """Gaussian process from its entries in a file.
+
+    Raises FileError where it is none.
+    """
     inputs = table.array("inputs", (None, axes))
     half, lengths = table.array("half", (axes,)), table.array("lengths", (2,))
     for name, values in (("half", half), ("lengths", lengths)):
@@ -186,7 +197,9 @@ def measured_correction_summands(samples: Samples, model: Parallel) -> FieldSamp
 def fitted_or_nominal_geometry(
     samples: Samples, nominal: Parallel, without_fit: bool, prior: Floats | None = None
 ) -> Identified:
-    """Geometry fitted to samples, or the nominal one with nothing fitted (Identified), that an extension starts from.
+    """Geometry fitted to samples, or the nominal one with nothing fitted (Identified).
+
+    That an extension starts from.
     without_fit : the owner's own, with nothing sought. prior : (p,) m, or None: as poses have it.
     """
     if not without_fit:
@@ -212,7 +225,10 @@ def fitted_or_nominal_geometry(
 
 
 def residual_correction_summands_of_geometry(samples: Samples, identified: Identified) -> FieldSamples:
-    """Residual correction summands that a fitted geometry leaves at its samples, shared errors removed."""
+    """Residual correction summands that a fitted geometry leaves at its samples.
+
+    Shared errors removed.
+    """
     kinematics = mechanisms.kinematics_of(identified.mechanism)
     return FieldSamples(
         samples.commanded,
@@ -223,8 +239,9 @@ def residual_correction_summands_of_geometry(samples: Samples, identified: Ident
 
 
 def residual_correction_summands_of_pass(samples: Samples, correction: AnyCorrection) -> FieldSamples:
-    """Residual correction summands that an earlier pass leaves: corrected strut lengths less measured ones.
+    """Residual correction summands that an earlier pass leaves.
 
+    Corrected strut lengths less measured ones.
     Source: configuration-space patent, [0035]
     """
     known = measured_correction_summands(
@@ -236,7 +253,10 @@ def residual_correction_summands_of_pass(samples: Samples, correction: AnyCorrec
 
 
 def correction_with_additional_pass(correction: AnyCorrection, field: Field | None) -> AnyCorrection:
-    """Correction with an additional pass (a Field); unchanged where the field is None."""
+    """Correction with an additional pass (a Field).
+
+    Unchanged where the field is None.
+    """
     if field is None:
         return correction
     before = correction.extension
@@ -245,7 +265,9 @@ def correction_with_additional_pass(correction: AnyCorrection, field: Field | No
 
 
 def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection) -> FieldSamples:
-    """Residual pose tangents that an earlier pass leaves: from its corrected poses to the measured ones.
+    """Residual pose tangents that an earlier pass leaves.
+
+    From its corrected poses to the measured ones.
 
     Over the coordinates in which the mechanism's poses differ, see
     `command_timing_and_pose_error_map.PoseMap`. Source:
@@ -280,7 +302,10 @@ def home_pose(mechanism: Parallel) -> RigidTransform:
 
 
 def correction_with_pose_space_map(correction: AnyCorrection, field: Field | None) -> AnyCorrection:
-    """Correction with a map in pose space (a Field) added, applied last; unchanged where the field is None."""
+    """Correction with a map in pose space (a Field) added, applied last.
+
+    Unchanged where the field is None.
+    """
     if field is None:
         return correction
     one = command_timing_and_pose_error_map.PoseMap(
@@ -310,7 +335,9 @@ def correction_with_field(
 
 
 def single_step_command_errors(correction: AnyCorrection) -> tuple[float, float]:
-    """Errors (RMS, greatest) m of strut commands corrected in a single step, not to the fixed point.
+    """Errors (RMS, greatest) m of strut commands corrected in a single step.
+
+    Not to the fixed point.
 
     The single step is X + KSF(X).
 
@@ -336,7 +363,10 @@ def pose_map_dict(pose_map: PoseMap) -> Json:
 
 
 def pose_map_from_entries(table: Entries, nominal: Parallel) -> PoseMap:
-    """PoseMap of a mechanism from its entries, as `pose_map_dict` gives them. Raises FileError for anything else."""
+    """PoseMap of a mechanism from its entries, as `pose_map_dict` gives them.
+
+    Raises FileError for anything else.
+    """
     some = pose_coordinate_indices(nominal)
     if table.texts("coordinates") != tuple(NAMES[i] for i in some):
         table.fail(

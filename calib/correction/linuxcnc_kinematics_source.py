@@ -1,4 +1,6 @@
-"""The correction of a hexapod's calibration as a kinematics module of LinuxCNC, in C for its halcompile.
+"""LinuxCNC kinematics source of a calibrated hexapod.
+
+The correction of its calibration as a kinematics module, in C for LinuxCNC's halcompile.
 
 It is the C file for controllers with LinuxCNC's interface around it, linuxcnc_kinematics.c. LinuxCNC calls kinematics
 also for poses that it only considers, so they are without memory: play is left to LinuxCNC's own BACKLASH.
@@ -25,8 +27,11 @@ MARGIN = 0.1  # share of the Jacobian's least singular value at home that must r
 def linuxcnc_kinematics_source(
     correction: AnyCorrection, physics: Physics | None, origin: str, units: str = "mm"
 ) -> CSource:
-    """CSource of LinuxCNC's kinematics module "rigkins" of a hexapod's Correction and the Physics besides, or None.
+    """LinuxCNC kinematics source (CSource) of a hexapod's correction.
 
+    LinuxCNC's kinematics module "rigkins", of the Correction and the Physics besides.
+
+    Or None.
     origin : of which file and by which version it is made; units : "mm" or "m", LinuxCNC's LINEAR_UNITS
     Raises RigError for what no C file states, and for play together with a cyclic error
     """

@@ -1,4 +1,6 @@
-"""Compensation of known physics: effects stored with a calibration, and commands that compensate them.
+"""Compensation of known physics in commands.
+
+Effects stored with a calibration, and commands that compensate them.
 
 The one forward model of motion (rig.model.motion_simulation) says what commands become, by their whole history, the
 sensors and the pose. Sought are commands that become what the geometry asks for at every wanted pose: a fixed point
@@ -22,7 +24,7 @@ from rig.errors import NotConverged, RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model import mechanisms, motion_simulation
 from rig.model import motion_simulation as machine
-from rig.model.base_tilt import GRAVITY, BaseTilt, has_gravity
+from rig.model.base_and_link_tilts import GRAVITY, BaseTilt, has_gravity
 from rig.model.design import Actuator, Design, Platform
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
@@ -166,8 +168,9 @@ class Physics:
 def samples_with_effects(
     design: Design, samples: Samples, commands: Commands, effects: Sequence[Effect], sensors: Sensors | None
 ) -> Samples:
-    """Samples with effects applied to their commands, or taken off an arm's poses beyond its joints, in place of those
-    that were before.
+    """Samples with effects applied to their commands.
+
+    Or taken off an arm's poses beyond its joints, in place of those that were before.
     """
     t, T = samples.t, samples.T_base_platform
     if is_parallel(design.mechanism):
@@ -187,7 +190,10 @@ def samples_with_effects(
 
 
 def poses_with_predicted_rotations(design: Design, samples: Samples) -> RigidTransform:
-    """Poses (n,) of samples of an arm, their rotations as the arm has them where positions alone were measured."""
+    """Poses (n,) of an arm's samples, rotations predicted.
+
+    Where positions alone were measured, rotations are as the arm has them.
+    """
     T = samples.T_base_platform
     if samples.measured != "position":
         return T
@@ -268,7 +274,9 @@ class Machine:
 
 
 def compensated_commands_at_poses(machine: Machine, T: RigidTransform, route: Route, guess: Floats) -> Floats:
-    """Commands (n, axes) m or rad at the poses T (n,) of a Route, with effects and their history compensated.
+    """Commands (n, axes) m or rad at the poses T (n,) of a Route.
+
+    With effects and their history compensated.
     guess : (n, axes), near
 
     Raises NotConverged with index, commands and residual of the poses for which none is found, to 1e-10 m or rad
@@ -299,7 +307,10 @@ def compensated_commands_at_poses(machine: Machine, T: RigidTransform, route: Ro
 
 
 def travel_until_earlier_path_is_forgotten(machine: Machine) -> Floats:
-    """Length (axes,) of path memory: travel one way after which an axis' earlier path no longer matters."""
+    """Travel (axes,) until the earlier path is forgotten.
+
+    Travel one way after which an axis' earlier path no longer matters.
+    """
     places = mechanisms.axis_place_texts(machine.correction.fitted)
     return np.max([e.axes(places) * e.forgets() for e in machine.effects] or [np.zeros(len(places))], axis=0)
 

@@ -1,4 +1,6 @@
-"""Joint fit of cameras, lenses and hexapod geometry to corners, and the correction refined by it.
+"""Simultaneous fit of cameras and geometry to corners.
+
+Cameras, lenses and hexapod geometry, and the correction refined by it.
 
 No frame has unknowns of its own: its pose is the forward kinematics of its command. Two steps (poses first,
 parameters after, calib/models/platform/identification.py) agree with this to second order where the poses' shared
@@ -27,7 +29,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 )
 from rig.model.pose import exp, skew
 from vision import lens
-from vision.bundle.unknown_priors import stated_lens_prior_sigmas
+from vision.bundle.priors_of_unknowns import stated_lens_prior_sigmas
 from vision.corner_observations import Observations
 from vision.predict import State, iterate_observed_cameras, observed_points_base, points_in_camera_frame
 from vision.recording_adjustment import Measurement
@@ -55,8 +57,9 @@ def fit_cameras_and_geometry(
     nominal: Hexapod,
     start: Hexapod | None = None,
 ) -> Joint:
-    """Simultaneous fit of cameras and geometry to corners of commanded frames, every camera fixed.
+    """Simultaneous fit of cameras and geometry to corners of commanded frames.
 
+    Every camera fixed.
     observations : Observations, outliers taken out, covariance to weigh by; commanded : (F, 6) m of its frames
     state : State to start from (cameras as adjusted); stated : Cameras as their owner has them, the lenses' prior
     nominal : Hexapod, the geometry's prior (5 mm); start : Hexapod to start from, nominal by default
@@ -128,9 +131,10 @@ def fit_cameras_and_geometry(
 
 
 def inputs_of_camera_and_geometry_fit(measured: Measurement, samples: Samples) -> tuple[Observations, Floats, State]:
-    """Inputs of the joint fit: (Observations, commanded (F, 6) m, State) in the commanded frames.
+    """Inputs of the simultaneous camera and geometry fit.
 
     measured : vision Measurement; samples : Samples of it
+    Returns (Observations, commanded (F, 6) m, State) in the commanded frames
     """
     used = measured.used()
     keep = np.isin(used.frames, samples.frame)
@@ -155,9 +159,10 @@ def _camera(camera: Camera, q: Floats) -> Camera:
 def refine_correction_with_cameras(
     sampled: Sampled, design: Design, correction: Correction[Parallel, Radial], identified: Identified
 ) -> tuple[Correction[Parallel, Radial], Identified]:
-    """Correction refined with cameras, by a simultaneous fit to a recording's corners: (Correction, Identified).
+    """Correction refined with cameras, by a simultaneous fit to a recording's corners.
 
     sampled : Sampled; design : Design as stated; correction, found : as `calibrate` gives them
+    Returns (Correction, Identified)
     Raises RigError for a machine that is not a hexapod, for poses that no camera saw, or where struts
     scatter, so that a command does not give a frame's pose
     """

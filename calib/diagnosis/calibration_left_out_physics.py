@@ -1,4 +1,6 @@
-"""Effects that a calibration omits, found by diagnosing its recording, stated in its claim.
+"""Physics that a calibration leaves out.
+
+Effects found by diagnosing its recording, stated in its claim.
 
 Good needs that nothing is unexplained, which is known where somebody has looked for it: a calibration looks as `rig
 diagnose` does.
@@ -19,7 +21,7 @@ from scipy.special import gammaincinv
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
     OfCalibrations,
-    calibration_evidence_verdict_and_claim_check,
+    calibration_evidence,
     verify_claim_on_samples,
 )
 from calib.certification.error_claim_over_workspace import Claim
@@ -62,8 +64,9 @@ class Refutation(NamedTuple):
 def calibration_with_left_out_physics(
     calibration: Calibration, recording: Recording, sampled: Sampled, progress: Progress | None = None
 ) -> Calibration:
-    """The Calibration with the effects it omits, found by diagnosing its recording, stated in its claim.
+    """The Calibration with the physics that it leaves out.
 
+    Found by diagnosing its recording, stated in its claim.
     sampled : Sampled that it was made from; progress : called with (label, done, of), or None
     """
     if calibration.claim is None or calibration.claim.after is None:
@@ -76,7 +79,10 @@ def calibration_with_left_out_physics(
 
 
 def mark_as_not_searched(calibration: Calibration) -> Calibration:
-    """The Calibration marked, in its claim, as not searched for left-out physics."""
+    """Mark a calibration as not searched for left-out physics.
+
+    In its claim.
+    """
     return _with(calibration, (NOT_SEARCHED,))
 
 
@@ -143,8 +149,9 @@ def _no_better(three: tuple[float, ...], errors: Floats, covariance: Floats) -> 
 def refuted_calibrations(
     report: Report, marks: Marks, paths: Iterable[Path], samples: Samples | None
 ) -> list[Refutation]:
-    """Calibrations of a recording that are refuted, since they leave out what a Report of it finds ([Refutation]).
+    """Calibrations of a recording that are refuted.
 
+    Since they leave out what a Report of it finds ([Refutation]).
     marks : marks of the recording; paths : files that may be calibrations, all else is passed over; samples : Samples
         of
     the recording, None where nothing was commanded
@@ -179,8 +186,11 @@ def refuted_calibrations(
 def unexplained_findings_and_refutations(
     marks: Marks, paths: Iterable[Path], include_later_refutations: bool
 ) -> OfCalibrations:
-    """What calibrations of a recording leave unexplained, and which of them are refuted, by its marks.
+    """Unexplained findings and refutations of calibrations of a recording.
 
+    What they leave unexplained, and which of them are refuted.
+
+    By its marks.
     include_later_refutations : whether what other recordings found against them counts, as for what is learnt from the
         recording itself
     """
@@ -189,7 +199,7 @@ def unexplained_findings_and_refutations(
     for path, tree in _made_from(marks, paths):
         if any(tree.get(key) for key in BEYOND):
             continue
-        known = calibration_evidence_verdict_and_claim_check(
+        known = calibration_evidence(
             calibration_file.load(path, several_hands=True),
             refutations_of_file(path) if include_later_refutations else (),
         )

@@ -1,4 +1,7 @@
-"""Findings of a diagnosis refitted with the geometry for a calibration, on platforms and arms."""
+"""Findings of a diagnosis refitted with the geometry.
+
+For a calibration, on platforms and arms.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -121,8 +124,9 @@ def findings_of_diagnosis(diagnosis: Diagnosis) -> Findings:
 def findings_with_missing_instrument_effects_added(
     findings: Findings | None, recording: Recording, sampled: Sampled
 ) -> Findings | None:
-    """Findings with the effects that an arm's instruments show by themselves (`measured_effects`), where they have none
-    of that kind at that place already.
+    """Findings with the effects that an arm's instruments show by themselves (`measured_effects`).
+
+    Where they have none of that kind at that place already.
     """
     known = Findings((), None, ()) if findings is None else findings
     places = {(effect.form, effect.place) for effect in known.effects}
@@ -136,7 +140,10 @@ def findings_with_missing_instrument_effects_added(
 
 
 def unexplained_findings(lacks_of_fit: Iterable[LackOfFit]) -> tuple[Unknown, ...]:
-    """Findings that stay unexplained: what is left over and has no name."""
+    """Findings that stay unexplained.
+
+    What is left over and has no name.
+    """
     return _one_of_each_place(
         [Unknown(str(u.place), u.magnitude, u.unit, tuple(u.depends_on), False) for u in lacks_of_fit]
     )
@@ -152,8 +159,9 @@ def _one_of_each_place(found: Sequence[Unknown]) -> tuple[Unknown, ...]:
 
 
 def load_findings(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) -> Findings:
-    """Findings loaded from the folder of a diagnosis. kinds : effects that there are
+    """Findings loaded from the folder of a diagnosis.
 
+    kinds : effects that there are
     Raises FileError for a folder that holds none, or of another rig
     """
     if folder.is_dir() and not (folder / "diagnosis.json").exists():
@@ -208,8 +216,11 @@ def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -
 def refit_platform_with_findings(
     recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None
 ) -> PlatformRefit:
-    """PlatformRefit of a recording's samples: cameras, geometry and the findings' parameters fitted together.
+    """Refit a platform with findings (PlatformRefit).
 
+    To a recording's samples.
+
+    Cameras, geometry and the findings' parameters fitted together.
     Raises RigError for a machine without struts, and what refining raises
     """
     nominal = require_parallel(recording.design.mechanism)
@@ -256,7 +267,10 @@ def _motion(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
 
 
 def sensor_medians_and_standard_deviations(recording: Recording, t: Floats) -> dict[str, tuple[float, float]]:
-    """Median and standard deviation of each sensor channel at times t (n,) s: {channel: (median, deviation)}."""
+    """Median and standard deviation of each sensor channel at times t (n,) s.
+
+    Returns {channel: (median, deviation)}
+    """
     if recording.sensors is None:
         return {}
     values = {name: recording.sensors.at(t, name) for name in recording.sensors.channels}
@@ -313,8 +327,11 @@ class ArmRefit:
 def refit_arm_with_findings(
     recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None
 ) -> ArmRefit:
-    """ArmRefit of a recording's samples: the arm's geometry and the findings' parameters fitted together.
+    """Refit an arm with findings (ArmRefit).
 
+    To a recording's samples.
+
+    The arm's geometry and the findings' parameters fitted together.
     Raises RigError where neither poses nor positions were measured, and what identifying raises
     """
     said, samples, design = progress or silent_progress, sampled.samples, recording.design

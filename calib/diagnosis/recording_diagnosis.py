@@ -1,4 +1,7 @@
-"""Diagnosis of a recording of any machine: effects, places, sizes with uncertainty, and what has no known effect."""
+"""Diagnosis of a recording of any machine.
+
+Effects, places, sizes with uncertainty, and what has no known effect.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -142,8 +145,9 @@ class Explained(NamedTuple):
 def diagnose(
     recording: Recording, options: DiagnosisOptions = DiagnosisOptions(), progress: Progress | None = None
 ) -> Diagnosis:
-    """Diagnosis of a Recording. options : DiagnosisOptions; progress : called with (label, done, of), or None
+    """Diagnosis of a Recording.
 
+    options : DiagnosisOptions; progress : called with (label, done, of), or None
     Raises NotEnoughData where too little was measured, RigError where what is assumed cannot be asked, and what
     measuring and calibrating raise
     """
@@ -174,7 +178,10 @@ def _measured_evidence(recording: Recording) -> Callable[..., Evidence[Any, Any]
 
 
 def diagnose_evidence(evidence: Evidence[Fit, C], name: str, progress: Progress | None = None) -> Diagnosis:
-    """Diagnosis of Evidence. name : of the recording"""
+    """Diagnosis of Evidence.
+
+    name : of the recording
+    """
     explained, outliers = _explained_without_outliers(evidence, progress)
     if isinstance(evidence, NoiseEstimation):
         estimated = evidence.with_estimated_noise(explained.selection)

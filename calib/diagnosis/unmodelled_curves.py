@@ -1,4 +1,6 @@
-"""Smooth curves over time, travel, history or a sensor that undo what a diagnosis leaves without a name at an axis.
+"""Choice of smooth curves for unnamed findings at axes.
+
+Curves over time, travel, history or a sensor undo what a diagnosis leaves without a name at an axis.
 
 Curves are tried at the axes that have such a finding, one after the other, the largest finding first. Each is fitted
 with geometry and effects together, and the next is asked of what it leaves.
@@ -33,7 +35,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import conserved_coordinate_sums, coordinates_of_effects
 from rig.effects.framework.effect_parameters_and_covariates import Context
-from rig.effects.framework.unmodelled_curve import covariate_words, unmodelled_curves
+from rig.effects.framework.unmodelled_curve import covariate_words, curve_classes_by_covariate
 from rig.model.motion_simulation import motion_of_commands
 
 SIZES = np.geomspace(1e-7, 1e-2, 26)  # prior standard deviations of a curve, in the axis' unit
@@ -110,8 +112,9 @@ class _Choice(NamedTuple):
 
 
 def choose_curve(views: Sequence[AxisRows], candidates: Sequence[Candidate]) -> ChosenCurve | None:
-    """The curve that explains an axis' residual best, None where none holds on held-out stretches.
+    """The curve that explains an axis' residual best.
 
+    None where none holds on held-out stretches.
     views : the same by scatters that the axis may have, which is chosen with the curve
     """
     frames = len(views[0].level)
@@ -192,7 +195,10 @@ class _Undone:
 
 
 def refinement_with_curves(refined: Refinement, unknown: Sequence[Unknown]) -> tuple[Refinement, tuple[Unknown, ...]]:
-    """(Refinement with curves for what has no name at struts, the Unknowns with what these undo)."""
+    """Refinement with curves for what has no name at struts.
+
+    Returns (Refinement, the Unknowns with what these curves undo)
+    """
     context = effect_context(refined.point)
 
     def chosen(place: str) -> ChosenCurve | None:
@@ -216,7 +222,10 @@ def refinement_with_curves(refined: Refinement, unknown: Sequence[Unknown]) -> t
 
 
 def arm_fit_with_curves(fit: JointFit, unknown: Sequence[Unknown]) -> tuple[JointFit, tuple[Unknown, ...]]:
-    """(JointFit with curves for what has no name at joints, the Unknowns with what these undo)."""
+    """JointFit of an arm with curves for what has no name at joints.
+
+    Returns (JointFit, the Unknowns with what these curves undo)
+    """
     history, samples = fit.history, fit.measured
     motion = motion_of_commands(
         history.design, history.commands, samples.t, fit.effects, history.sensors, samples.T_base_platform
@@ -285,7 +294,7 @@ def _free_directions(effects: tuple[Effect, ...]) -> Floats:
 def _candidates(place: str, context: Context) -> list[Candidate]:
     """The curves that a recording can show at an axis."""
     channels = () if context.sensors is None else tuple(context.sensors.channels)
-    return [c for kind in unmodelled_curves(channels).values() for c in kind.candidates(place, context)]
+    return [c for kind in curve_classes_by_covariate(channels).values() for c in kind.candidates(place, context)]
 
 
 def _strut_rows(model: LinearisedModel, axis: int, moved: Sequence[Floats], share: float) -> AxisRows:

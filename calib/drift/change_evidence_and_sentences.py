@@ -1,4 +1,6 @@
-"""Evidence of a change between visits: hypotheses, verdict (Shiryaev-Roberts procedure), and sentences on it.
+"""Evidence of a change between visits, and sentences on it.
+
+Hypotheses, and the verdict (Shiryaev-Roberts procedure).
 
 The likelihood of all visits with a change since visit k, over that without, averaged over what may change and how
 much, is summed over k > 1. While nothing changes the sum grows by one a visit in expectation, so that an alarm at A
@@ -158,8 +160,9 @@ def change_verdict(
     evidence: Sequence[Hypothesis],
     first_visit_count: int,
 ) -> Verdict:
-    """Verdict on changes from visits in order, the first of which may stand for several older ones.
+    """Verdict on changes from visits in order.
 
+    The first of which may stand for several older ones.
     squares : innovation and count of each visit, the last's included; scale : by which squares exceed what covariances
         say, from quiet visits
     prior : (p, p) information in the constants; first_visit_count : how many visits the first stands for

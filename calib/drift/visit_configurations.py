@@ -1,4 +1,6 @@
-"""Configurations of a visit, chosen and ordered to show and separate changes of the machine.
+"""Configurations of a visit.
+
+They are chosen and ordered to show and separate changes of the machine.
 
 D-optimal for the zeros, the nuts, growth and sag together, whatever the frame of measurement does meanwhile; a nut
 shows by the side from which its strut came, so the order is chosen with the places.
@@ -20,12 +22,12 @@ from calib.drift.visit_equations_and_reference import (
     machine_change_columns,
 )
 from calib.models.platform.identification import pose_parameter_jacobian
-from calib.models.platform.optimal_configurations import allowed_configurations
+from calib.models.platform.optimal_calibration_poses import allowed_configurations
 from calib.workspace.workspace_map_and_lost_poses import is_pose_lost
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
 from rig.model.design import Actuator, Design
-from rig.planning import configuration_sets
+from rig.planning import configuration_generators
 from rig.recording.recording_folder import Commands
 
 CANDIDATES = 400
@@ -84,7 +86,7 @@ def choose_visit_configurations(
     if not LEAST <= count <= CANDIDATES:
         raise RigError(f"--count takes {LEAST} to {CANDIDATES} poses, got {count}")
     candidates = allowed_configurations(
-        configuration_sets.sobol_configurations(mechanism.strut_range, CANDIDATES, FILL, seed),
+        configuration_generators.sobol_configurations(mechanism.strut_range, CANDIDATES, FILL, seed),
         lambda c: is_pose_lost(calibration.correction, c),
     )
     told = _VisitInformation(candidates, mechanism.strut_range.mean(axis=1), *_columns(calibration, design, candidates))

@@ -1,4 +1,6 @@
-"""Normal equations of a visit in places, geometry and machine changes, and the reference of the first visit.
+"""Normal equations of a visit, and the reference visit.
+
+Equations in places, geometry and machine changes; the first visit is the reference.
 
 Unknowns, in this order: six for each camera and target (or for the instrument), the geometry's 42, the eight of
 calib.drift.change_evidence_and_sentences.
@@ -26,7 +28,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import log, skew
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.bundle.normal_equations_and_corner_jacobians import normal_equations, whitened_residuals_and_derivatives
-from vision.bundle.unknown_priors import adjustment_unknowns
+from vision.bundle.priors_of_unknowns import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import POSE_SCALE
 from vision.corner_observations import whitener_of_observations
 from vision.lens import lens_parameter_names
@@ -120,7 +122,10 @@ AT_ORIGIN = Platform(
 
 
 def fitted_hexapod(calibration: Calibration) -> Hexapod:
-    """The fitted hexapod. Raises RigError for a calibration of another mechanism."""
+    """The fitted hexapod.
+
+    Raises RigError for a calibration of another mechanism.
+    """
     return require_hexapod(
         calibration.correction.fitted, "watching requires a hexapod, not a mechanism of kind {kind!r}"
     )
@@ -134,7 +139,10 @@ def _expected_poses(calibration: Calibration, samples: Samples) -> RigidTransfor
 def machine_change_columns(
     mechanism: Hexapod, design: Design, commands: Commands, t: Floats, T: RigidTransform
 ) -> Floats:
-    """Columns (n, 6, 8) of machine changes: pose tangents (m, rad) per unit of each change, at exposures t (n,) s."""
+    """Columns (n, 6, 8) of machine changes.
+
+    Pose tangents (m, rad) per unit of each change, at exposures t (n,) s.
+    """
     stated = (
         design.platform
         if design.platform.payload_centre_of_mass is not None and design.platform.mass is not None
@@ -199,8 +207,9 @@ class _Seen:
 def visit_equations(
     recording: Recording, calibration: Calibration, reference: Reference | None
 ) -> tuple[Equations, Reference]:
-    """Equations of a visit, and the Reference that they refer to: the visit itself where none is given.
+    """Equations of a visit, and the Reference that they refer to.
 
+    The visit itself where none is given.
     Raises RigError for another machine than the calibration's or other cameras and targets than the reference's, and
         what measuring raises
     """
@@ -240,7 +249,10 @@ def _by_instrument(samples: Samples, T: RigidTransform) -> _Seen:
 
 
 def base_motion_columns(T: RigidTransform) -> Floats:
-    """Columns (n, 6, 6) of base motion: tangents of poses T (n,) per motion of the base (m, rad)."""
+    """Columns (n, 6, 6) of base motion.
+
+    Tangents of poses T (n,) per motion of the base (m, rad).
+    """
     matrix = T.as_matrix()
     back = np.swapaxes(matrix[:, :3, :3], 1, 2)
     out = np.zeros((len(matrix), 6, 6))

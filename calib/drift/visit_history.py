@@ -1,4 +1,7 @@
-"""History of visits, kept in watch.json: each visit compared with those before, the oldest summed."""
+"""History of visits (watch.json).
+
+Each visit is compared with those before, and the oldest are summed.
+"""
 
 import json
 from dataclasses import dataclass, replace
@@ -77,8 +80,9 @@ class History:
 def add_visit_and_judge_change(
     history: History, recording: Recording, calibration: Calibration
 ) -> tuple[History, Verdict]:
-    """Add a visit to a History: (History, Verdict of the visit).
+    """Add a visit to a History, and judge whether the machine changed.
 
+    Returns (History, Verdict of the visit)
     Raises RigError for data that were taken already or that the calibration was made from, and as `visit_equations`
         does
     """
@@ -148,7 +152,10 @@ def calibration_digest(calibration: Path) -> str:
 
 
 def write_history(path: Path | str, history: History) -> None:
-    """Write a History that has visits, whole or not at all. Raises ValueError for one without."""
+    """Write a History that has visits, whole or not at all.
+
+    Raises ValueError for one without.
+    """
     r = history.reference
     if r is None:
         raise ValueError("expected a history with visits, got one without")
@@ -193,8 +200,9 @@ def write_history(path: Path | str, history: History) -> None:
 
 
 def read_history(path: Path | str, calibration: str) -> History:
-    """History of visits read from its file. calibration : SHA-256 of the file that it must be about
+    """History of visits read from its file.
 
+    calibration : SHA-256 of the file that it must be about
     Raises FileError for a file that is missing, cut off, none of these, or of another calibration
     """
     tree = json_toml_and_yaml_loading.load_json(Path(path), "history of a watch", SCHEMA)

@@ -1,4 +1,6 @@
-"""Questions that an arm's diagnosis leaves open, with predicted outcomes of a plan under each hypothesis.
+"""Open questions of an arm's diagnosis.
+
+With predicted outcomes of a plan under each hypothesis.
 
 Poses, linear about the fitted geometry.
 Poses of an instrument are as sure as its others; of cameras, as their images will tell, with what cameras and lenses

@@ -1,4 +1,7 @@
-"""Questions for an experiment (rival hypotheses, odds, predicted outcomes), and information expected of it."""
+"""Questions for an experiment, and information expected of it.
+
+A question has rival hypotheses, their odds and predicted outcomes.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -15,7 +18,7 @@ from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.design import Design
-from rig.planning.configuration_sets import grid_configurations, sobol_configurations
+from rig.planning.configuration_generators import grid_configurations, sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan
 from rig.planning.timed_plan_and_plan_csv import Plan
 
@@ -165,7 +168,10 @@ def is_ruled_out(finding: Finding[C], alternative: Alternative[C], size: int) ->
 
 
 def data_log_odds(finding: Finding[C], alternative: Alternative[C], size: int) -> float:
-    """Log odds of an alternative against its finding by the data alone, without complexity cost (-2 log)."""
+    """Log odds of an alternative against its finding by the data alone.
+
+    Without complexity cost (-2 log).
+    """
     return float(alternative.behind - alternative.score.complexity(size) + finding.score.complexity(size))
 
 
@@ -176,7 +182,9 @@ NAME = "apart"  # of the part of a plan that they become
 def discriminating_configurations(
     open_questions: Sequence[Question[object]], design: Design, count: int, seed: int
 ) -> Floats:
-    """Configurations (count, axes) that discriminate best between each question's two likeliest hypotheses.
+    """Configurations (count, axes) that discriminate best between hypotheses.
+
+    Between each question's two likeliest.
 
     A camera counts by what its image shows: configurations that bring markers where the two differ are chosen for it.
     seed : of the pool
@@ -192,8 +200,9 @@ def discriminating_configurations(
 
 
 def choose_exposures(questions: Sequence[PerFrame], count: int) -> Floats:
-    """Numbers (count,) of the exposures chosen greedily to give most information on the questions.
+    """Numbers (count,) of the exposures that give most information on questions.
 
+    They are chosen greedily.
     Raises ValueError for more than there are, or no question
     """
     if not questions or count > len(questions[0].of):
@@ -217,7 +226,10 @@ def choose_exposures(questions: Sequence[PerFrame], count: int) -> Floats:
 
 
 def camera_information_shares(open_questions: Sequence[Question[object]], plan: Plan) -> dict[str, float]:
-    """Share {camera: share} of the information on the questions that each camera's images give, the greatest first."""
+    """Share {camera: share} of the information on the questions that each camera's images give.
+
+    The greatest first.
+    """
     parts: dict[str, float] = {}
     for question in open_questions:
         for name, squares in (
@@ -244,8 +256,9 @@ class Information:
 
 
 def experiment_information(odds: Floats, predictions: Prediction, data_log_odds: Floats) -> Information:
-    """Information expected of an experiment, from drawn outcomes. odds : (h,) of the hypotheses
+    """Information expected of an experiment, from drawn outcomes.
 
+    odds : (h,) of the hypotheses
     data_log_odds : (h,) how much less likely the data so far make each, as minus twice a logarithm
     One is left alone where all others are less likely by the odds from which a diagnosis tells apart; those that do
     nearly the same, by what the data so far and the experiment say

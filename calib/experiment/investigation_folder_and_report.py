@@ -1,4 +1,6 @@
-"""Folder of an investigation (plans, recordings, diagnoses of each round), and its notebook and HTML page.
+"""Folder of an investigation, and its report.
+
+Plans, recordings and diagnoses of each round; the report is a notebook and an HTML page.
 
 The folder holds, for look n: planN.csv (what was to be done), recN (what was recorded), diagnosisN (what all recordings
 so far say, and in its next.json what would tell more). Nothing else is kept, so whatever was interrupted goes on from
@@ -14,15 +16,8 @@ import numpy as np
 from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
 from rig.formats import csv_and_parquet_tables_and_time_origin, json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
-from rig.report.pages.page_templates_and_elements import (
-    Page,
-    captioned_html,
-    heading_html,
-    list_html,
-    paragraph_html,
-    table_html,
-    write_page,
-)
+from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, list_html, paragraph_html, table_html
+from rig.report.pages.page_templates_and_index_page import Page, write_page
 from rig.report.pages.plots import COLOURS, Series, plot_panel_svg
 from rig.report.verdict_and_refutations import LOOK, Evidence, MissingEvidence, State, Verdict, judge_evidence
 
@@ -98,13 +93,19 @@ def diagnosis_path(folder: Path, number: int) -> Path:
 
 
 def duration_of_plan_in_minutes(plan: Path) -> float:
-    """Minutes that a plan takes. Raises FileError for what is no table in time."""
+    """Minutes that a plan takes.
+
+    Raises FileError for what is no table in time.
+    """
     t = csv_and_parquet_tables_and_time_origin.read_csv_table(plan, ("frame", "t")).numbers("t")
     return float(t.max() - t.min()) / 60 + SETTING_UP
 
 
 def read_investigation_rounds(folder: Path) -> list[InvestigationRound]:
-    """Investigation rounds (recording and diagnosis each) read from an investigation's folder, in order."""
+    """Investigation rounds (recording and diagnosis each) read from an investigation's folder.
+
+    In order.
+    """
     out: list[InvestigationRound] = []
     while (diagnosis_path(folder, len(out) + 1) / "next.json").exists():
         out.append(_look(folder, len(out) + 1))
@@ -169,7 +170,10 @@ def _of(finding: Entries) -> str:
 def notebook_text(
     rig: str, rounds: Sequence[InvestigationRound], budget: float, end_reason: str, final_action: Sequence[str]
 ) -> str:
-    """Laboratory notebook of an investigation, as Markdown. rig : its name; budget : min"""
+    """Laboratory notebook of an investigation, as Markdown.
+
+    rig : its name; budget : min
+    """
     out = [
         f"# Investigation of {rig}",
         "",
@@ -261,7 +265,10 @@ def write_investigation_page(
 
 
 def investigation_verdict(rounds: Sequence[InvestigationRound], end_reason: str) -> Verdict:
-    """Verdict of an investigation: good where nothing is unmodelled, to be examined otherwise."""
+    """Verdict of an investigation.
+
+    Good where nothing is unmodelled, to be examined otherwise.
+    """
     last = rounds[-1]
     named = ", ".join(last.findings) or "; ".join(last.unknown) or "nothing is unmodelled"
     left = list(last.doubts) or [

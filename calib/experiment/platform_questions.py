@@ -1,4 +1,6 @@
-"""Questions that a platform's diagnosis leaves open, with predicted outcomes of a plan under each hypothesis.
+"""Open questions of a platform's diagnosis.
+
+With predicted outcomes of a plan under each hypothesis.
 
 The rig is taken as the diagnosis has it: cameras where they were last, the geometry and every effect's numbers as sure
 as the recordings so far leave them. What is measured anew is corners with the noise that these had (poses, where an
@@ -289,8 +291,9 @@ def _prior_standard_deviations(coordinates: list[Coordinate], effects: tuple[Eff
 
 
 def platform_questions(diagnosis: Diagnosis) -> list[PlatformQuestion]:
-    """Questions ([PlatformQuestion]) that a platform's diagnosis leaves open, none where it is clear.
+    """Questions ([PlatformQuestion]) that a platform's diagnosis leaves open.
 
+    None where it is clear.
     Raises RigError for a rig of which no plan can be foretold.
     """
     d, fit = diagnosis, diagnosis.selection.fit

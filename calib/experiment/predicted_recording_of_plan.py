@@ -1,4 +1,7 @@
-"""Predicted recording of a plan by a fitted model: poses, corners with noise, sensor log."""
+"""Predicted recording of a plan by a fitted model.
+
+Poses, corners with noise, sensor log.
+"""
 
 from dataclasses import replace
 
@@ -45,7 +48,10 @@ def operating_point_with_turned_cubes(point: OperatingPoint, plan: Plan) -> Oper
 
 
 def predicted_sensor_log(log: Sensors | None, plan: Plan, temperature_rise: float) -> Sensors | None:
-    """Predicted sensor log of a plan's recording: temperatures of the first log raised, payload as planned."""
+    """Predicted sensor log of a plan's recording.
+
+    Temperatures of the first log raised, payload as planned.
+    """
     if log is None:
         return (
             sensors_with_payload(plan, Sensors(np.array([0.0, plan.commands.t[-1]]), {}))

@@ -1,4 +1,7 @@
-"""calibration.json: a calibration saved and loaded, its provenance (inputs, data, versions) and the frames it used."""
+"""Calibration file (calibration.json), saved and loaded.
+
+With its provenance (inputs, data, versions) and the frames it used.
+"""
 
 import hashlib
 import json
@@ -110,7 +113,9 @@ def calibration_provenance(
     other_files: Iterable[Path] = (),
     data: Iterable[str] = (),
 ) -> Json:
-    """Provenance of a calibration as a dict: hashes of its inputs and their data, versions, arguments and seed.
+    """Provenance of a calibration as a dict.
+
+    Hashes of its inputs and their data, versions, arguments and seed.
 
     Marks of the data: see rig.recording.frame_selection_and_content_hashes.
     recording : Recording; used_images : whether they were read; other_files : other files that were read, data : marks
@@ -151,12 +156,18 @@ def _input_digests(recording: Recording, used_images: bool) -> dict[str, str]:
 
 
 def package_versions() -> dict[str, str]:
-    """Versions {package name: version} of the packages that results depend on."""
+    """Versions of the packages that results depend on.
+
+    Returns {package name: version}
+    """
     return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 
 def additional_pass_provenance(own: Json, previous_provenance: Calibration, requested_pass: Json) -> Json:
-    """Provenance of an additional pass: its own, the passes before it, and the marks of all data."""
+    """Provenance of an additional pass.
+
+    Its own, the passes before it, and the marks of all data.
+    """
     kept = ("recording", "inputs_sha256", "arguments", "created", "pass")
     first = {name: previous_provenance.provenance[name] for name in kept if name in previous_provenance.provenance}
     passes = [*previous_provenance.provenance.get("passes", []), first]
@@ -169,7 +180,10 @@ def additional_pass_provenance(own: Json, previous_provenance: Calibration, requ
 
 
 def frames_used_in_calibration(calibration: Calibration, recording: Recording) -> list[int]:
-    """Frames of a recording that were used in a calibration, directly or through its measurement."""
+    """Frames of a recording that were used in a calibration.
+
+    Directly or through its measurement.
+    """
     return frames_with_known_hashes(content_hashes_of_frames(recording), calibration.provenance.get("data", ()))
 
 
@@ -201,8 +215,9 @@ NOT_HELD_OUT = HeldOut(
 
 
 def save(path: Path | str, calibration: Calibration) -> None:
-    """Save a Calibration as calibration.json, whole or not at all, and beside it the kinematics file it is of.
+    """Save a Calibration as calibration.json.
 
+    Whole or not at all, and beside it the kinematics file it is of.
     Raises FileError where another kinematics file of that name is there
     """
     write_kinematics_file(Path(path).parent, calibration.correction.nominal)
@@ -298,7 +313,10 @@ def _parts_in(tree: Entries, axes: int) -> list[Entries | None]:
 
 
 def covariance_from_entries(tree: Entries, count: int, key: str = "parameter_covariance") -> Floats:
-    """Covariance (count, count) from a file's entries, symmetric to rounding. Raises FileError for what is none."""
+    """Covariance (count, count) from a file's entries, symmetric to rounding.
+
+    Raises FileError for what is none.
+    """
     covariance = tree.array(key, (count, count))
     scale = np.sqrt(np.abs(np.diag(covariance)))
     if (

@@ -1,4 +1,6 @@
-"""Mechanism and physics entries of calibration.json, written, read and checked.
+"""Mechanism and physics entries of calibration.json.
+
+Written, read and checked.
 
 Pose space maps included.
 """
@@ -14,14 +16,14 @@ from calib.correction.physics_compensation import Physics, Unknown
 from rig.array_and_json_types import Booleans, Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
-from rig.effects.framework.unmodelled_curve import unmodelled_curves
+from rig.effects.framework.unmodelled_curve import curve_classes_by_covariate
 from rig.effects.texts.effect_text_parsing import Kinds
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.machine_geometry_and_effects_json_file import effect_to_dict, effects_from_entries
 from rig.formats.rig_toml.arm_branch_and_hand_entries import branch_and_hand_dicts, branches_of_tables, hands_of_tables
-from rig.formats.rig_toml.design_file import base_tilt_of_table
+from rig.formats.rig_toml.design_from_rig_toml import base_tilt_of_table
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_file
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
@@ -38,7 +40,10 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 
 
 def require_text(tree: Entries, key: str, known_texts: Sequence[str]) -> None:
-    """Raise FileError where a key's text is not one of those known: units, frames and orders."""
+    """Raise FileError where a key's text is not one of those known.
+
+    Units, frames and orders.
+    """
     found = tree.text(key)
     if found not in known_texts:
         differs = next(
@@ -55,7 +60,10 @@ def require_text(tree: Entries, key: str, known_texts: Sequence[str]) -> None:
 
 
 def require_schema_contents(tree: Entries, needed: Sequence[str], refused: Sequence[str]) -> None:
-    """Raise FileError where a file lacks contents that its schema requires, or holds what only another has."""
+    """Raise FileError where a file lacks what its schema requires.
+
+    Or holds what only another has.
+    """
     schema = tree.text("schema")
     for key in needed:
         if tree.get(key, None) is None:
@@ -109,7 +117,10 @@ def _require_plausible_struts(table: Entries, mechanism: Struts, stated: bool) -
 
 
 def require_same_ranges(tree: Entries, nominal: Commanded, fitted: Commanded) -> None:
-    """Raise FileError where nominal and fitted mechanism differ in kind, or do not have the same axis ranges."""
+    """Raise FileError where nominal and fitted mechanism have other ranges.
+
+    Where they differ in kind, or do not have the same axis ranges.
+    """
     if (fitted.kind, len(fitted.axes)) != (nominal.kind, len(nominal.axes)):
         tree.fail(
             f"fitted is of kind {fitted.kind!r} with {len(fitted.axes)} axes, nominal of kind "
@@ -168,7 +179,11 @@ def mechanism_dict(mechanism: Commanded) -> Json:
 
 
 def mechanism_from_entries(table: Entries, stated: bool = False) -> Commanded:
-    """Mechanism from its JSON entries. stated : whether it is the nominal one. Raises FileError for anything else."""
+    """Mechanism from its JSON entries.
+
+    stated : whether it is the nominal one.
+    Raises FileError for anything else.
+    """
     if "file" in table.tree:
         return file_mechanism_from_entries(table)
     if table.text("kind", (*READERS, CHAIN)) == CHAIN:
@@ -180,7 +195,10 @@ def mechanism_from_entries(table: Entries, stated: bool = False) -> Commanded:
 
 
 def file_mechanism_dict(mechanism: FileMechanism) -> Json:
-    """dict of a mechanism of a kinematics file, as JSON holds it: the file by name and hash, and its parameters."""
+    """dict of a mechanism of a kinematics file, as JSON holds it.
+
+    The file by name and hash, and its parameters.
+    """
     stated = mechanism.stated
     return {
         "kind": mechanism.kind,
@@ -192,7 +210,10 @@ def file_mechanism_dict(mechanism: FileMechanism) -> Json:
 
 
 def file_mechanism_from_entries(table: Entries) -> FileMechanism:
-    """Mechanism of a kinematics file from its JSON entries, the file beside. Raises FileError for another file."""
+    """Mechanism of a kinematics file from its JSON entries, the file beside.
+
+    Raises FileError for another file.
+    """
     table.text("kind", (FileMechanism.kind,))
     nominal = mechanism_of_file(table, "file", table.text("file"))
     if table.text("sha256") != nominal.stated.sha256:
@@ -317,7 +338,7 @@ def physics_from_entries(table: Entries, mechanism: Commanded, parameter_count: 
         name: (channels.table(name).number("median"), channels.table(name).number("sigma", least=0))
         for name in channels.tree
     }
-    known = {**kinds, **unmodelled_curves(tuple(logged))}
+    known = {**kinds, **curve_classes_by_covariate(tuple(logged))}
     effects = effects_from_entries(table, held.machine(mechanism), known, lambda entry: not _seen(entry))
     own = len(coordinates_of_effects(effects))
     covariance, cross = table.array("covariance", (own, own)), table.array("cross_covariance", (parameter_count, own))

@@ -1,4 +1,6 @@
-"""Least squares in square-root information form with bounds, robust fits, outliers and excess scatter.
+"""Least squares with bounds, and robust fits.
+
+In square-root information form; outliers and excess scatter.
 
 Over blocks of observations; folds of time blocks, for fits that leave some out.
 A problem hands over whitened residuals and their derivatives, block by block (a block: a pose, a configuration of an
@@ -30,10 +32,11 @@ NULL = 1e-11  # of the greatest eigenvalue; directions below are not stepped alo
 def bounded_least_squares_step(
     b: Floats, G: Floats, values: Floats, bounds: Floats, preserved_sums: Floats
 ) -> tuple[Floats, Floats]:
-    """Least-squares step within bounds: (step (c,), covariance (c, c), which ignores the bounds).
+    """Least-squares step within bounds.
 
     b : (c,) gradient; G : (c, c) information, priors included in both; bounds : (c, 2) bounds; preserved_sums : (k, c)
         sums that the step must not change
+    Returns (step (c,), covariance (c, c), which ignores the bounds)
     """
     low, high = bounds.T
     step, covariance = _solved(b, G, preserved_sums)
@@ -264,7 +267,10 @@ class Robust:
 
 
 def robust_fit(parts: Sequence[tuple[Floats, Floats]]) -> Robust:
-    """Robust fit of parts [(residual (n, k), columns (n, k, p))], whitened; a row has one weight in all parts."""
+    """Robust fit of parts [(residual (n, k), columns (n, k, p))], whitened.
+
+    A row has one weight in all parts.
+    """
     n = len(parts[0][0])
     free = [1 - min(columns.shape[2] / max(n * columns.shape[1], 1), 0.8) for _, columns in parts]
     weight = np.ones(n)
@@ -296,8 +302,9 @@ def _left(residual: Floats, columns: Floats, weight: Floats) -> Floats:
 
 
 def isolated_outlier_rows(scaled_residuals: Floats, t: Floats, q: Floats, gate: float) -> Booleans:
-    """Whether rows (n,) are isolated outliers: beyond the gate while no neighbour is.
+    """Whether rows (n,) are isolated outliers.
 
+    Beyond the gate while no neighbour is.
     scaled_residuals : (n, k) residuals over their scatter; t : (n,) s; q : (n, axes) where rows stand
     gate : where what is left is normal; where its tail is longer, as what is left out of a model has it, by as much
         more
@@ -320,7 +327,10 @@ def isolated_outlier_rows(scaled_residuals: Floats, t: Floats, q: Floats, gate: 
 
 
 def tail_quantile_ratio_to_normal_within_gate(scaled_residuals: Floats, gate: float) -> float:
-    """Ratio of the tail length of rows (n, k) within a gate to a normal one's; 1 at the least."""
+    """Ratio of the tail length of rows (n, k) within a gate to a normal one's.
+
+    1 at the least.
+    """
     size = np.abs(scaled_residuals).max(axis=1)
     near = size[size <= gate]
     usual = scipy.special.ndtri((1 + TAIL ** (1 / scaled_residuals.shape[1])) / 2)
@@ -328,8 +338,9 @@ def tail_quantile_ratio_to_normal_within_gate(scaled_residuals: Floats, gate: fl
 
 
 def has_several_deviating_numbers(scaled_residuals: Floats, gate: float) -> Booleans:
-    """Whether a row (n,) has several numbers that deviate, as a wrong pose has, or one grossly.
+    """Whether a row (n,) has several numbers that deviate.
 
+    As a wrong pose has, or one grossly.
     scaled_residuals : (n, k) residuals over their scatter; gate : of the greatest; half of it counts as far off in the
         second
     """
@@ -343,8 +354,9 @@ EXCESS = 3.0  # standard errors by which scatter must exceed the instrument's ow
 
 
 def excess_scatter(residuals: Floats, instrument_covariance: Floats, share: float | Floats = 0.0) -> Floats:
-    """Excess scatter (k,) m and rad beyond the instrument's own: one figure for positions, one for rotations.
+    """Excess scatter (k,) m and rad beyond the instrument's own.
 
+    One figure for positions, one for rotations.
     residuals : (m, k) residuals, m and rad; instrument_covariance : (m, k, k) the instrument's covariance; share : of
         the squares, what the
     fit took away, one figure or one for positions and one for rotations
@@ -369,10 +381,16 @@ def excess_scatter(residuals: Floats, instrument_covariance: Floats, share: floa
 
 
 def robust_weights(squared_lengths: Floats, count: int) -> Floats:
-    """Robust weights (m,) of poses by the squared length (m,) of their `count` whitened numbers."""
+    """Robust weights (m,) of poses.
+
+    By the squared length (m,) of their `count` whitened numbers.
+    """
     return np.minimum(1.0, float(chdtri(count, FAR)) / np.maximum(squared_lengths, 1e-300))
 
 
 def time_block_folds(count: int, folds: int) -> Integers:
-    """Fold number (count,) of each sample: time blocks of equal size, never single rows."""
+    """Fold number (count,) of each sample.
+
+    Time blocks of equal size, never single rows.
+    """
     return np.minimum(np.arange(count) * folds // max(count, 1), folds - 1)

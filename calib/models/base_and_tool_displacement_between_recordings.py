@@ -1,4 +1,6 @@
-"""Placement of an arm's or chain's base and tool in a further recording, estimated against a reference.
+"""Displacement of base and tool between recordings.
+
+Of an arm or chain: where they stand in a further recording, estimated against a reference.
 
 A robot stationed anew or a tracker that was moved displaces all poses of a recording by one rigid motion on the left; a
 probe that was remounted, by one on the right. Six numbers each are estimated by robust least squares, linear about
@@ -121,7 +123,10 @@ def _along(vector: Floats, covariance: Floats) -> float:
 
 
 def placement_columns(predicted: RigidTransform, origin: Floats) -> Floats:
-    """Columns (n, 6, 12): tangents of predicted poses (n,) per step of base and tool, in the predicted frames."""
+    """Columns (n, 6, 12) of base and tool placement.
+
+    Tangents of predicted poses (n,) per step of base and tool, in the predicted frames.
+    """
     back = np.swapaxes(predicted.rotation.as_matrix(), 1, 2)
     out = np.zeros((len(back), 6, 12))
     out[:, :3, :3] = out[:, 3:, 3:6] = back
@@ -174,15 +179,19 @@ def _white(predicted: RigidTransform, samples: Samples, placement: Placement, sc
 
 
 def asked_numbers(ends: tuple[bool, bool], measured: str) -> Booleans:
-    """(12,) bool, the numbers that are estimated of ends; positions tell no rotation of the tool."""
+    """Placement numbers (12,) bool that are estimated of ends.
+
+    Positions tell no rotation of the tool.
+    """
     return np.repeat([ends[0], ends[0], ends[1], ends[1] and measured == "pose"], 3)
 
 
 def estimate_placement(
     predicted: RigidTransform, samples: Samples, origin: Floats, scatter: Floats, ends: tuple[bool, bool]
 ) -> Placement:
-    """Placement of the ends asked for, by samples (n,) against predicted poses (n,), wherever they stand.
+    """Estimated placement of the ends asked for.
 
+    By samples (n,) against predicted poses (n,), wherever they stand.
     origin : (3,) m, where the base stood; scatter : (6,) m, rad beyond the poses' noise
     Its covariance is that of the noise, enlarged where the poses scatter by more
     """
@@ -228,8 +237,9 @@ def _aligned(predicted: RigidTransform, samples: Samples, none: Placement, ways:
 
 
 def tested_placement(placement: Placement, always: tuple[bool, bool], clear: bool) -> Placement:
-    """Placement of both ends, with the ends that stand elsewhere by more than chance, or are always asked for.
+    """Placement of both ends, with the ends that stand elsewhere.
 
+    By more than chance, or that are always asked for.
     always : whether base and tool are placed anew in each recording, as far as anybody states
     clear : whether a displacement does CLEAR times as much as it leaves; else only an end of `always` is asked for
     The ends are to be estimated once more where these are fewer than both
@@ -265,18 +275,24 @@ def is_clear(predicted: RigidTransform, samples: Samples, placement: Placement, 
 
 
 def has_placements(mechanism: object, measured: str) -> bool:
-    """Whether base and tool are estimated of such a machine: of arms and chains by poses, or by positions alone."""
+    """Whether base and tool placements are estimated of a machine.
+
+    Of arms and chains by poses, or by positions alone.
+    """
     return isinstance(mechanism, (Arm, Chain)) and measured in ("pose", "position")
 
 
 def base_origin(mechanism: Arm | Chain) -> Floats:
-    """(3,) m, where the base stands in the frame of poses."""
+    """Base origin (3,) m in the frame of poses."""
     first = mechanism.stages[0] if isinstance(mechanism, Chain) else mechanism
     return first.base.translation if isinstance(first, Arm) else np.zeros(3)
 
 
 def target_poses(samples: Samples, machine: Arm | Chain) -> RigidTransform:
-    """Poses (n,) that a machine as it is reaches at the effective commands of samples."""
+    """Target poses (n,) that a machine reaches at samples.
+
+    At their effective commands, the machine as it is.
+    """
     return kinematics_of(machine).forward(samples.effective, machine)
 
 
@@ -292,8 +308,9 @@ class PlacedSamples:
 
 
 def samples_without_displacement(calibration: Calibration, recording: Recording, samples: Samples) -> PlacedSamples:
-    """Samples (PlacedSamples) with the place of base and tool removed as far as these are free or stand elsewhere.
+    """Samples (PlacedSamples) with the displacement of base and tool removed.
 
+    As far as these are free or stand elsewhere.
     samples : of the recording, as measured; those returned are with the physics that is known
     What the numbers take of the noise is given back: residuals are enlarged by the share of it, of positions and of
     rotations apart. The interval of the displacement includes the calibration's own uncertainty
@@ -369,7 +386,10 @@ def _by_parameters(
 
 
 def placement_lines(placements: Sequence[Placement], names: Sequence[str]) -> list[str]:
-    """Lines on where base and tool stand in each further recording, of names (k,)."""
+    """Lines on placements of base and tool in further recordings.
+
+    Of each, of names (k,).
+    """
     out = []
     for one, name in zip(placements, names):
         for line in one.lines():

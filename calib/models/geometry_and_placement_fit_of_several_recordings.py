@@ -1,4 +1,6 @@
-"""Joint fit of an arm's or chain's geometry and of where base and tool stood in each of several recordings.
+"""Geometry and placement fit of several recordings.
+
+Joint fit of an arm's or chain's geometry and of where base and tool stood in each recording.
 
 The first recording's base and tool are the reference. What is still uncertain of the others' places goes on as an error
 that the poses of a recording share, so that all later fits, held-out and of effects too, solve for it.
@@ -134,8 +136,9 @@ def _placed_geometry(samples: Samples, start: Arm | Chain, nominal: Arm | Chain)
 
 
 def remove_base_and_tool_displacement(recording: Recording) -> tuple[Recording, list[Placement]]:
-    """Recording of an arm or a chain with each further recording's base and tool where the first one's were.
+    """Recording with the displacement of base and tool removed.
 
+    Of an arm or a chain: each further recording's base and tool where the first one's were.
     Returns it with the Placement of each further recording. Geometry and placements are fitted together; an end that
     stands where it stood has none. What is still uncertain of them is an error that the recording's poses share, so
     that later fits solve for it with all else.

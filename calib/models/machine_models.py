@@ -1,4 +1,7 @@
-"""Machine models by kind: geometric parameters, covariance of corrected poses, file entries."""
+"""Machine models by kind.
+
+Geometric parameters, covariance of corrected poses, file entries.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -192,7 +195,10 @@ MODELS: dict[str, MachineModel] = {
 
 
 def model_of(mechanism: Mechanism) -> MachineModel:
-    """The MachineModel of a mechanism. Raises RigError for a body that is moved by hand."""
+    """The MachineModel of a mechanism.
+
+    Raises RigError for a body that is moved by hand.
+    """
     return MODELS[require_axes(mechanism).kind]
 
 
@@ -276,13 +282,17 @@ def _selected_freedoms(
 
 
 def corrected_pose_covariance(calibration: Calibration, T_base_platform: RigidTransform, commands: Floats) -> Floats:
-    """Covariance (n, 6, 6) (m, rad) of the corrected poses (n,) at commands (n, axes), docs/mathematics.md (21)."""
+    """Covariance (n, 6, 6) (m, rad) of the corrected poses (n,) at commands (n, axes).
+
+    Source: docs/mathematics.md (21)
+    """
     return model_of(calibration.correction.nominal).pose_covariance(calibration, T_base_platform, commands)
 
 
 def calibration_with_workspace(calibration: Calibration) -> Calibration:
     """Calibration with its workspace computed; a chain has none, nor an arm whose hand stays or has others beside.
 
+    A chain has none, nor has an arm whose hand stays in one place.
     Raises NotConverged where no configuration closes on a pose
     """
     nominal = calibration.correction.nominal

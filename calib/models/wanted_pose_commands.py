@@ -1,4 +1,6 @@
-"""Commands for wanted poses through a calibration, with approaches and the covariance of each pose.
+"""Commands for wanted poses through a calibration.
+
+With approaches and the covariance of each pose.
 
 Also poses to command a controller that takes poses: it computes strut lengths by its own nominal geometry, that of
 rig.toml, so what is commanded is the nominal forward kinematics of the corrected lengths, in its frames and about its
@@ -230,8 +232,9 @@ AGREED = 1e-9  # m, of the lengths that a commanded pose gives
 
 
 def poses_to_command(nominal: Mechanism, lengths: Floats, wanted: RigidTransform, frames: PoseFrames) -> RigidTransform:
-    """Poses (n,) to command so that the controller's nominal kinematics gives strut lengths (n, 6) m.
+    """Poses (n,) to command a controller that has its own kinematics.
 
+    Its nominal kinematics then gives strut lengths (n, 6) m.
     wanted : T_base_platform (n,) near which they are looked for
     Raises RigError for what is no hexapod, NotConverged for lengths that no pose near the wanted one gives, and for a
     pose whose lengths are not these

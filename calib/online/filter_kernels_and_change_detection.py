@@ -1,4 +1,6 @@
-"""Compiled kernels of the square-root information filter, and detection of changes by likelihood ratio.
+"""Kernels of the on-line filter, and change detection.
+
+Compiled, of the square-root information filter; changes are detected by likelihood ratio.
 
 Every hypothesis is held to the same innovations of the last poses: it must explain what is there beyond chance, and
 what it leaves must be no more than noise. The simplest that does wins; where two equally simple ones do, the next pose
@@ -35,12 +37,18 @@ COUNTS = 4.0  # standard errors from which one strut of several counts as having
 
 
 def jump_threshold(false_alarm: float, onsets: int = WINDOW) -> float:
-    """Threshold, in standard errors, of a strut's jump at one of `onsets` poses, for a `false_alarm` chance."""
+    """Threshold of a strut's jump, in standard errors.
+
+    At one of `onsets` poses, for a `false_alarm` chance.
+    """
     return float(-ndtri(false_alarm / (2 * STRUTS * onsets)))
 
 
 def likelihood_ratio_thresholds(false_alarm: float, onsets: int = WINDOW) -> dict[int, float]:
-    """Thresholds {k: threshold} of the likelihood ratio of hypotheses with k numbers, for a `false_alarm` chance."""
+    """Thresholds {k: threshold} of the likelihood ratio of hypotheses with k numbers.
+
+    For a `false_alarm` chance.
+    """
     looks = (STRUTS + 2) * (onsets - 1)
     return {k: float(chdtri(k, false_alarm / looks)) for k in range(1, STRUTS + 1)}
 
@@ -87,7 +95,10 @@ class Evidence:
 
 
 def detect_changes(evidence: list[Evidence]) -> tuple[Change, ...]:
-    """Changes detected in the last poses. evidence : Evidence of the last 1, 2, .. poses"""
+    """Changes detected in the last poses.
+
+    evidence : Evidence of the last 1, 2, .. poses
+    """
     for hypothesis in (_strut, _joint, _several):
         found = hypothesis(evidence)
         if found is not None:
@@ -289,11 +300,12 @@ def solve_triangle_into_estimate(p: Floats, s: Floats, S: Floats) -> None:
 def add_pose_to_estimate_in_place(
     pose: Pose, machine: Machine, estimate: Estimate, onset_index: int, innovation: Floats, update_at_once: bool
 ) -> int:
-    """Add one pose to the estimate in place; returns a status: QUIET, ALARM, or REFUSED where it does not close.
+    """Add one pose to the estimate in place.
 
     pose : Pose; machine : Machine; estimate : Estimate; onset_index : the onset that begins with this pose
     innovation : (6,) gets the whitened innovation; update_at_once : whether the estimate follows at once; otherwise z
         gathers, all poses about one p
+    Returns a status: QUIET, ALARM, or REFUSED where it does not close
     """
     p, s, S, sums = estimate.p, estimate.s, estimate.S, estimate.sums
     c = len(s)

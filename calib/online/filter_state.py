@@ -1,4 +1,6 @@
-"""State of the on-line filter, the steps from one state to the next, and its JSON file.
+"""State of the on-line filter.
+
+The steps from one state to the next, and its JSON file.
 
 A step makes a new state: to go back is to keep one.
 
@@ -112,8 +114,9 @@ def state_of_new_session(state: State, common_errors: int) -> State:
 
 
 def state_with_pose(state: State, pose: Pose, start: Start, update_at_once: bool = True) -> State:
-    """State with one more pose. update_at_once : whether the estimate follows at once.
+    """State with one more pose.
 
+    update_at_once : whether the estimate follows at once.
     Raises RigError for a command that closes on no pose or a covariance that is none
     """
     before, slot, innovation = state.estimate, state.learnt % WINDOW, np.empty(6)
@@ -135,7 +138,9 @@ def state_with_pose(state: State, pose: Pose, start: Start, update_at_once: bool
 
 
 def relinearised_state(state: State, start: Start) -> State:
-    """State relinearised: all poses so far filtered again about the present estimate.
+    """State relinearised.
+
+    All poses so far filtered again about the present estimate.
 
     So the filter ends where the batch does, docs/mathematics.md (7)
     """
@@ -154,7 +159,10 @@ def relinearised_state(state: State, start: Start) -> State:
 
 
 def change_evidence(state: State) -> list[Evidence]:
-    """Evidence of changes from the last 1, 2, .. poses; none where no hypothesis can hold."""
+    """Evidence of changes from the last 1, 2, .. poses.
+
+    None where no hypothesis can hold.
+    """
     found: list[Evidence] = []
     if not state.alarm:
         return found
@@ -173,7 +181,10 @@ def change_evidence(state: State) -> list[Evidence]:
 
 
 def state_refiltered_with_changes_freed(state: State, changes: tuple[Change, ...], start: Start) -> State:
-    """Filter state with changed quantities freed: set back before the changes, later poses filtered again."""
+    """Filter state with changed quantities freed.
+
+    Set back before the changes, later poses filtered again.
+    """
     at = next(k for k in range(1, WINDOW + 1) if state.recent[-k].pose.number == changes[0].onset)
     before = state.recent[-at].before
     estimate = Estimate(before.p, before.s, before.S.copy(), np.zeros_like(before.sums))
@@ -251,7 +262,10 @@ def save_filter_state(path: Path | str, saved: Saved) -> None:
 
 
 def load_filter_state(path: Path | str) -> Saved:
-    """Load a filter's Saved state. Raises FileError for a file that is missing, cut off or of another kind."""
+    """Load a filter's Saved state.
+
+    Raises FileError for a file that is missing, cut off or of another kind.
+    """
     tree = json_toml_and_yaml_loading.load_json(Path(path), "state of on-line learning", SCHEMA)
     nominal, s = _nominal(tree.table("nominal")), tree.array("s", (None,))
     if len(s) > MOST_SHARED:

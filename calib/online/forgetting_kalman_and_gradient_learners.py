@@ -1,4 +1,6 @@
-"""Learners of the 42 parameters pose by pose (forgetting, Kalman, gradient), and their JSON file.
+"""Forgetting, Kalman and gradient learners.
+
+They learn the 42 parameters pose by pose, and are kept in a JSON file.
 
 They watch for nothing: each says how far a pose was from what it expected, and follows it.
 """
@@ -224,7 +226,10 @@ def save_learner(path: Path | str, learner: Learner) -> None:
 
 
 def load_learner(path: Path | str) -> Learner:
-    """Load a Learner from its file. Raises FileError for a file that is missing, cut off or of another kind."""
+    """Load a Learner from its file.
+
+    Raises FileError for a file that is missing, cut off or of another kind.
+    """
     tree = json_toml_and_yaml_loading.load_json(Path(path), "state of a learner", SCHEMA)
     kind = LEARNERS[tree.text("learner", tuple(LEARNERS))]
     nominal = mechanism_from_entries(tree.table("nominal"))

@@ -1,4 +1,6 @@
-"""Square-root information filter of the hexapod's 42 parameters, pose by pose, with change detection.
+"""Information filter of the hexapod's parameters.
+
+Square-root form, 42 parameters, pose by pose, with change detection.
 
 Linearised at every pose about the estimate of the moment, the first poses once more about a later one, it ends where a
 batch of the same poses does. What changed (filter_kernels_and_change_detection.py) is told within three poses; the

@@ -1,4 +1,7 @@
-"""Live learner of the geometry during a run (jumps, drift), and agreement of measuring limbs with vision."""
+"""Live learner of the geometry, and limb agreement.
+
+During a run: jumps and drift, and agreement of measuring limbs with vision.
+"""
 
 from copy import copy
 from dataclasses import dataclass, replace

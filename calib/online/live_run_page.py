@@ -1,4 +1,7 @@
-"""Live run page: verdict, figures in mm and mrad, camera images and the rig in 3-D while a run lasts."""
+"""Live page of a run.
+
+Verdict, figures in mm and mrad, camera images and the rig in 3-D while a run lasts.
+"""
 
 import math
 from collections.abc import Callable
@@ -25,7 +28,10 @@ CALIBRATE = (
 
 
 def run_verdict(state: RunState) -> Verdict:
-    """Verdict on a run so far, from its RunState: alarms, early end, deviation of the last pose."""
+    """Verdict on a run so far, from its RunState.
+
+    Alarms, early end, deviation of the last pose.
+    """
     refuted = (f"it ended prematurely: {state.ended}",) if state.ended else ()
     alarms = tuple(MissingEvidence(f"{alarm.kind}: {alarm.text}") for alarm in state.alarms)
     off = math.nan if state.seen is None else _pose_deviation_in_sigmas(state.seen)

@@ -1,4 +1,6 @@
-"""Platform poses from measuring limbs, recorded or live, checked by redundant limbs and by vision.
+"""Platform poses from measuring limbs, checked by vision.
+
+Recorded or live, checked by redundant limbs and by vision.
 
 The limbs are learnt on as struts are, from vision's poses, beginning with what their acceptance knows: then what
 detects a strut that missed steps (filter_kernels_and_change_detection.py) detects a limb that slipped. One pose of
@@ -17,10 +19,10 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification import measuring_limb_identification_and_agreement, redundant_limb_checks
 from calib.certification.redundant_limb_checks import Limbs
-from calib.online import measuring_limbs_file
+from calib.online import accepted_limbs_file
+from calib.online.accepted_limbs_file import Accepted
 from calib.online.filter_kernels_and_change_detection import Change
 from calib.online.information_filter import Online
-from calib.online.measuring_limbs_file import Accepted
 from calib.samples.pose_samples import Sampled, Samples, pair_samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
@@ -141,7 +143,10 @@ def limb_poses(recording: Recording, accepted: Accepted) -> LimbPoses:
 
 
 def samples_of_limb_poses(recording: Recording, poses: LimbPoses) -> Sampled:
-    """Samples of commands and limb poses (Sampled). Raises RigError without commands."""
+    """Samples of commands and limb poses (Sampled).
+
+    Raises RigError without commands.
+    """
     return Sampled(
         pair_samples(recording, poses.frames, poses.T_base_platform, poses.own, poses.common), SOURCE, None, None
     )
@@ -169,8 +174,9 @@ def check_limb_poses_by_redundancy_and_vision(
     check_interval: int,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Checked:
-    """Check of limb poses by redundant limbs at each, and by vision at intervals, to the first disagreement.
+    """Check of limb poses by redundant limbs at each, and by vision at intervals.
 
+    To the first disagreement.
     Raises what measuring raises
     """
     open_ = redundant_limb_checks.first_unclosed_limb(accepted.limbs, poses.lengths)
@@ -257,7 +263,10 @@ class LimbSource:
 
 
 def sample_by_limbs(recording: Recording, source: LimbSource, progress: Progress | None, notice: Notice) -> Sampled:
-    """Sampled of a recording from its measuring limbs. Raises as `checked_limb_poses` does"""
+    """Sampled of a recording from its measuring limbs.
+
+    Raises as `checked_limb_poses` does
+    """
     found, accepted = checked_limb_poses(recording, source, progress, notice)
     return replace(
         samples_of_limb_poses(recording, found), files=(source.path,), data=tuple(accepted.provenance.get("data", ()))
@@ -267,13 +276,14 @@ def sample_by_limbs(recording: Recording, source: LimbSource, progress: Progress
 def checked_limb_poses(
     recording: Recording, source: LimbSource, progress: Progress | None, notice: Notice
 ) -> tuple[LimbPoses, Accepted]:
-    """Limb poses of a recording, checked, and the accepted limbs they are from: (LimbPoses, Accepted).
+    """Limb poses of a recording, checked, and the accepted limbs they are from.
 
     notice : called with how many vision looked at
+    Returns (LimbPoses, Accepted)
     Raises RigError for limbs that were not accepted, that are others than rig.toml states, or with which vision no
         longer agrees: their acceptance is withdrawn in their file first
     """
-    accepted = measuring_limbs_file.accepted_limbs(source.path, recording.design)
+    accepted = accepted_limbs_file.accepted_limbs(source.path, recording.design)
     found = limb_poses(recording, accepted)
     checked = check_limb_poses_by_redundancy_and_vision(recording, accepted, found, source.every, progress)
     if checked.disagreement is not None and checked.frame is not None:
@@ -303,4 +313,4 @@ def write_acceptance_withdrawal(path: Path, accepted: Accepted, recording: str, 
 
     Raises FileError where that cannot be written.
     """
-    measuring_limbs_file.save_limbs(path, measuring_limbs_file.withdraw_acceptance(accepted, recording, frame, reason))
+    accepted_limbs_file.save_limbs(path, accepted_limbs_file.withdraw_acceptance(accepted, recording, frame, reason))

@@ -1,4 +1,7 @@
-"""Observer of a run's frames: each measured and learnt from as it comes, alarms raised, displays updated."""
+"""Observer of a run's frames.
+
+Each is measured and learnt from as it comes, alarms are raised, displays updated.
+"""
 
 import queue
 import sys

@@ -1,4 +1,7 @@
-"""Run options, and a run's equipment opened: kernels compiled, cameras and exposures, sensors, observer."""
+"""Run options, and a run's cameras, sensors and observer.
+
+All are opened: kernels compiled, cameras and their exposures, sensors, observer.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,10 +12,10 @@ import numpy as np
 
 from calib.certification import measuring_limb_identification_and_agreement
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.online import measuring_limbs_file
+from calib.online import accepted_limbs_file
+from calib.online.accepted_limbs_file import Accepted
 from calib.online.live_learner_and_limb_agreement import Learner
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, LiveLimbPoses, write_acceptance_withdrawal
-from calib.online.measuring_limbs_file import Accepted
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from rig.array_and_json_types import Floats
 from rig.driving.cameras import open_camera
@@ -84,7 +87,7 @@ class RunOptions:
         """The limbs that stand for vision, None where none do. Raises RigError where nothing reads them."""
         if self.limbs is None:
             return None
-        found = measuring_limbs_file.accepted_limbs(self.limbs.path, design)
+        found = accepted_limbs_file.accepted_limbs(self.limbs.path, design)
         channels = measuring_limb_identification_and_agreement.stated_limbs(design).channels
         if design.sensors is None or set(channels) - set(design.sensors.channels):
             raise RigError(
@@ -129,7 +132,10 @@ def compile_kernels_for_run(design: Design) -> None:
 
 
 def open_cameras(design: Design, clock: Clock) -> SynchronisedCameras:
-    """Open all cameras of a design. Raises CameraError where one has no source or does not open; the others close."""
+    """Open all cameras of a design.
+
+    Raises CameraError where one has no source or does not open; the others close.
+    """
     opened = []
     try:
         for camera in design.cameras:
@@ -185,10 +191,11 @@ def _move_time_profile(design: Design) -> Callable[[Floats, Floats, float, float
 def set_exposures(
     shutter: SynchronisedCameras, design: Design, stated: float | None, of_run: dict[str, float]
 ) -> tuple[dict[str, float], list[str]]:
-    """Set exposures of all cameras; returns ({camera: s}, lines of a report).
+    """Set exposures of all cameras.
 
     stated : s of all, or None; of_run : {camera: s} that the run had before, which it keeps where none is stated.
     Where there is neither, markers are made bright without clipping.
+    Returns ({camera: s}, lines of a report)
     """
     made, said, markers = dict[str, float](), [], marker_map(design)
     for source in shutter.sources:

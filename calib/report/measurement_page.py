@@ -1,4 +1,7 @@
-"""HTML page of a measurement: camera residuals, pictures of frames, platform poses and uncertainty."""
+"""HTML page of a measurement.
+
+Camera residuals, pictures of frames, platform poses and uncertainty.
+"""
 
 import base64
 import html
@@ -12,10 +15,7 @@ from rig.array_and_json_types import Floats
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
-from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, patch_means
-from rig.report.pages.page_templates_and_elements import (
-    Link,
-    Page,
+from rig.report.pages.html_and_svg_elements import (
     captioned_html,
     folding_section_html,
     heading_html,
@@ -23,8 +23,9 @@ from rig.report.pages.page_templates_and_elements import (
     note_html,
     paragraph_html,
     table_html,
-    write_page,
 )
+from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, patch_means
+from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 from vision import frame_pictures
 from vision.bundle.adjustment_validation_and_determinacy import HeldOut, NotHeldOut
@@ -112,7 +113,10 @@ CELLS = 16  # of a residual map, across the image
 
 
 def write_measurement_page(path: Path | str, result: MeasurementResult, links: Sequence[Link] = ()) -> None:
-    """Write the HTML page of a measurement: residual maps, coverage, uncertainty, cameras, unsolved frames."""
+    """Write the HTML page of a measurement.
+
+    Residual maps, coverage, uncertainty, cameras, unsolved frames.
+    """
     m, collected = result.measurement, result.collected
     rotation = np.sqrt(np.trace(m.covariance[:, 3:, 3:], axis1=1, axis2=2))
     position = np.sqrt(np.trace(m.covariance[:, :3, :3], axis1=1, axis2=2))

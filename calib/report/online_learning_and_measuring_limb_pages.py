@@ -1,4 +1,7 @@
-"""HTML pages of on-line learning and of measuring limbs compared with vision."""
+"""HTML pages of on-line learning and of measuring limbs.
+
+Limbs are compared with vision.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,9 +13,7 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import ALO
 from calib.certification.measuring_limb_identification_and_agreement import AXES, MOVES, Agreement
 from calib.samples.confounded_conditions import Confounds, confound_sentences
 from rig.array_and_json_types import Floats, Integers
-from rig.report.pages.page_templates_and_elements import (
-    Link,
-    Page,
+from rig.report.pages.html_and_svg_elements import (
     captioned_html,
     heading_html,
     list_html,
@@ -20,8 +21,8 @@ from rig.report.pages.page_templates_and_elements import (
     paragraph_html,
     section_html,
     table_html,
-    write_page,
 )
+from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
 from rig.report.verdict_and_refutations import AGREES, Evidence, MissingEvidence, Verdict, judge_evidence
 

@@ -27,11 +27,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 )
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
-from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, view_3d_scripts_if_needed
-from rig.report.pages.image_plane_and_3d_views import view_3d_html as view
-from rig.report.pages.page_templates_and_elements import (
-    Link,
-    Page,
+from rig.report.pages.html_and_svg_elements import (
     captioned_html,
     folding_section_html,
     heading_html,
@@ -40,8 +36,10 @@ from rig.report.pages.page_templates_and_elements import (
     paragraph_html,
     section_html,
     table_html,
-    write_page,
 )
+from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, view_3d_scripts_if_needed
+from rig.report.pages.image_plane_and_3d_views import view_3d_html as view
+from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.lenses.lens_calibration_from_photographs import Calibrated
@@ -55,7 +53,10 @@ def write_calibration_page(
     identified: Identified,
     links: Sequence[Link] = (),
 ) -> None:
-    """Write the HTML page of a platform's calibration: held-out errors, corrections, coverage, parameters."""
+    """Write the HTML page of a platform's calibration.
+
+    Held-out errors, corrections, coverage, parameters.
+    """
     correction = calibration.correction
     parts = [
         heading_html("Errors before and after, by pose"),
@@ -82,8 +83,9 @@ def write_calibration_page(
 def write_page_of_calibration(
     path: Path | str, recording: Recording, calibration: Calibration, parts: list[str], links: Sequence[Link]
 ) -> None:
-    """Write a calibration's page: its parts, its provenance below them, and its verdict above.
+    """Write a calibration's page.
 
+    Its parts, its provenance below them, and its verdict above.
     parts : HTML of a kind of machine; links : to other pages. Raises FileError for a path that cannot be written
     """
     judged = calibration_verdict(calibration)
@@ -97,7 +99,10 @@ def write_page_of_calibration(
 
 
 def view_3d_html(recording: Recording, calibration: Calibration, samples: Samples) -> list[str]:
-    """HTML of the 3-D view of the rig with errors before and after; empty where positions were not measured."""
+    """HTML of the 3-D view of the rig with errors before and after.
+
+    Empty where positions were not measured.
+    """
     if not samples.measured.startswith("pos"):
         return []
     before, after = errors_before_and_after_correction(calibration.correction, samples)
@@ -112,7 +117,10 @@ def view_3d_html(recording: Recording, calibration: Calibration, samples: Sample
 
 
 def evidence_html(calibration: Calibration) -> list[str]:
-    """HTML of the evidence for a calibration and its claim, and of what has no name; empty without a claim."""
+    """HTML of the evidence for a calibration and its claim, and of what has no name.
+
+    Empty without a claim.
+    """
     claim, physics = calibration.claim, calibration.physics
     if claim is None:
         return []

@@ -1,4 +1,7 @@
-"""Figures of poses for pages (plots, 3-D scenes), displacements of poses by one effect, and sketches of effects."""
+"""Figures of poses and of effects for pages.
+
+Plots and 3-D scenes of poses, displacements of poses by one effect, and sketches of effects.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -29,8 +32,8 @@ from rig.model.motion_simulation import MachineRun
 from rig.model.pose import pose, pose_difference, pose_to_vector
 from rig.recording.recording_folder import Commands, Sensors
 from rig.report.pages import image_plane_and_3d_views
+from rig.report.pages.html_and_svg_elements import captioned_html
 from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, DrawnEffect, Quads, Scene, image_plane_figure
-from rig.report.pages.page_templates_and_elements import captioned_html
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 from vision.predict import MarkerMap, Sightings, State, marker_map, predict_sightings
 
@@ -46,7 +49,10 @@ def pose_displacements_by_effect_at_several_sizes(
     effect_index: int,
     sensors: Sensors | None = None,
 ) -> image_plane_and_3d_views.DrawnEffect | None:
-    """DrawnEffect: pose displacements by one of several effects at exposures t (n,) s, in several sizes, or None"""
+    """Pose displacements (DrawnEffect) by one of several effects, at several sizes.
+
+    At exposures t (n,) s; or None.
+    """
     effect = effects[effect_index]
     if effect.stage not in MOTION_STAGES:
         return None
@@ -70,7 +76,10 @@ def pose_displacements_by_effect_at_several_sizes(
 
 
 def effect_with_size_scaled(effect: Effect, factor: float) -> Effect:
-    """Effect scaled by a factor: its size parameters multiplied, inverse ones divided."""
+    """Effect scaled by a factor.
+
+    Its size parameters multiplied, inverse ones divided.
+    """
     values = {
         p.name: _times(getattr(effect, p.name), factor if p.role != "inverse" else 1 / factor)
         for p in effect.parameters
@@ -90,7 +99,10 @@ def _times(value: float | tuple[float, ...], factor: float) -> float | tuple[flo
 
 
 def pose_coverage_figures(vectors: Floats) -> str:
-    """Figures of how poses cover the workspace: vectors (n, 6) position (m) and rotation vector (rad)."""
+    """Figures of how poses cover the workspace.
+
+    Vectors (n, 6) are position (m) and rotation vector (rad).
+    """
     mm = vectors[:, :3] * 1e3
     places = [
         plot_panel_svg(f"seen {seen}", (f"{'xyz'[i]}, mm", f"{'xyz'[j]}, mm"), [Series(mm[:, i], mm[:, j])])
@@ -105,7 +117,9 @@ def pose_coverage_figures(vectors: Floats) -> str:
 
 
 def correction_error_figures(before: Floats, after: Floats, frames: Integers, poses: str) -> str:
-    """Figures of errors (n, 6) m and rad before and after correction, frame (n,) by frame; nan is left out.
+    """Figures of errors (n, 6) before and after correction.
+
+    In m and rad, frame (n,) by frame; NaN is left out.
     poses : which they are, in words, for the caption
     """
     seen = [
@@ -201,7 +215,10 @@ def _cross() -> list[Json]:
 
 
 def fixed_rig_lines(design: Design, markers: MarkerMap | None) -> list[Json]:
-    """Lines of the fixed parts of a rig: base targets and camera sights."""
+    """Lines of the fixed parts of a rig.
+
+    Base targets and camera sights.
+    """
     parts = []
     for camera in design.cameras:
         if camera.mount != "fixed":

@@ -1,4 +1,7 @@
-"""HTML pages of a recording and of a plan: their poses in a 3-D scene, and effects on them."""
+"""HTML pages of a recording and of a plan.
+
+Their poses in a 3-D scene, and effects on them.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,9 +22,10 @@ from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Recording
+from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, list_html
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Played
 from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_3d_scripts_if_needed
-from rig.report.pages.page_templates_and_elements import Link, Page, captioned_html, heading_html, list_html, write_page
+from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 from rig.report.verdict_and_refutations import Evidence, MissingEvidence, State, Verdict, judge_evidence
 
@@ -29,8 +33,9 @@ from rig.report.verdict_and_refutations import Evidence, MissingEvidence, State,
 def write_recording_page(
     path: Path | str, recording: Recording, effects: Sequence[Effect] = (), links: Sequence[Link] = ()
 ) -> None:
-    """Write the HTML page of a recording: its poses, its commands or both.
+    """Write the HTML page of a recording.
 
+    Its poses, its commands or both.
     effects : to be tried on it, each by itself
     Raises RigError for a recording with neither, for effects on one without commands, and as their models do
     """
@@ -136,7 +141,10 @@ class PlanFigures(Protocol):
 
 
 def write_plan_page(path: Path | str, file: str, plan_result: PlanFigures, links: Sequence[Link] = ()) -> None:
-    """Write the HTML page of a plan in a file. Raises as forward kinematics does"""
+    """Write the HTML page of a plan in a file.
+
+    Raises as forward kinematics does
+    """
     if not len(plan_result.values):
         write_page(path, Page("plan", f"No plan {file}", plan_result.verdict, [], [], links))
         return

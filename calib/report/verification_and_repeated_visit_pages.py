@@ -1,4 +1,7 @@
-"""HTML pages of a verification and of repeated visits: whether a calibration's claim still holds."""
+"""HTML pages of a verification and of repeated visits.
+
+Whether a calibration's claim still holds.
+"""
 
 import math
 from collections.abc import Sequence
@@ -13,7 +16,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import (
     verification_line,
 )
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
-    calibration_evidence_verdict_and_claim_check,
+    calibration_evidence,
     evidence_with_confounds,
     evidence_with_displaced_ends,
     evidence_with_verification,
@@ -28,16 +31,9 @@ from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model.design import Design
 from rig.model.pose import pose_to_vector
+from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, paragraph_html, table_html
 from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_3d_scripts_if_needed
-from rig.report.pages.page_templates_and_elements import (
-    Link,
-    Page,
-    captioned_html,
-    heading_html,
-    paragraph_html,
-    table_html,
-    write_page,
-)
+from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
 from rig.report.verdict_and_refutations import AGREES, Evidence, MissingEvidence, Refutation, Verdict, judge_evidence
 
@@ -75,7 +71,10 @@ class Verified:
 
 
 def write_verification_page(path: Path | str, name: str, verified: Verified, links: Sequence[Link] = ()) -> None:
-    """Write the HTML page of a verification. name : of the recording"""
+    """Write the HTML page of a verification.
+
+    name : of the recording
+    """
     floor = (
         f"The uncertainty of the measured poses is {verified.held.floor[0] * 1e3:.4f} mm and "
         f"{verified.held.floor[1] * 1e3:.4f} mrad."
@@ -130,7 +129,7 @@ def verification_verdict(verified: Verified) -> Verdict:
                 ),
             )
         )
-    known = calibration_evidence_verdict_and_claim_check(
+    known = calibration_evidence(
         verified.calibration,
         verified.refutations,
         verification_line(verified.held, verified.calibration.claim, verified.found),
@@ -142,7 +141,10 @@ def verification_verdict(verified: Verified) -> Verdict:
 
 
 def refutes_claim(verified: Verified) -> bool:
-    """Whether a verification's poses, which nothing was fitted to, refute the calibration's claim."""
+    """Whether a verification refutes the calibration's claim.
+
+    By its poses, which nothing was fitted to.
+    """
     return verified.driven is None and not verified.same and verified.found is not None and verified.found.refutes
 
 
@@ -161,7 +163,7 @@ def _of_driven(v: Verified) -> Evidence:
         "times the stated standard "
         "uncertainty"
     )
-    known = calibration_evidence_verdict_and_claim_check(v.calibration, v.refutations, line, (CERTIFY,))
+    known = calibration_evidence(v.calibration, v.refutations, line, (CERTIFY,))
     beyond = f"poses are {times:.3g} times the stated standard uncertainty from those wanted"
     if times > FAR:
         return replace(known, refuted=(beyond, *known.refuted), held_out=None)
@@ -251,15 +253,15 @@ def write_visits_page(
     write_page(path, Page("watch", f"Visits to {calibration}", verdict, parts, verdict.next, links))
 
 
-def last_visit_verdict(visits: Sequence[Visit], calibration_evidence_verdict_and_claim_check: Evidence) -> Verdict:
+def last_visit_verdict(visits: Sequence[Visit], calibration_evidence: Evidence) -> Verdict:
     """Verdict of the last visit.
-    calibration_evidence_verdict_and_claim_check : Evidence of the calibration
+    calibration_evidence : Evidence of the calibration
     """
     last, steps = visits[-1], _recommended_actions(visits)
     if not last.evidence.alarm:
         return judge_evidence(
             replace(
-                calibration_evidence_verdict_and_claim_check,
+                calibration_evidence,
                 statement=f"the calibration is valid at visit {len(visits)}, {last.name}",
                 steps=tuple(steps),
             )
@@ -268,26 +270,19 @@ def last_visit_verdict(visits: Sequence[Visit], calibration_evidence_verdict_and
     if last.allowed:
         return judge_evidence(
             replace(
-                calibration_evidence_verdict_and_claim_check,
+                calibration_evidence,
                 statement=statement,
                 steps=(),
-                unexplained=(
-                    sentence_on_effect_omitted_by_calibration(last),
-                    *calibration_evidence_verdict_and_claim_check.unexplained,
-                ),
+                unexplained=(sentence_on_effect_omitted_by_calibration(last), *calibration_evidence.unexplained),
                 look=steps[0],
             )
         )
     beyond = () if last.found is None else (refutation_sentence(last.found),)
     return judge_evidence(
         replace(
-            calibration_evidence_verdict_and_claim_check,
+            calibration_evidence,
             statement=statement,
-            refuted=(
-                change_alarm_sentence(last.evidence),
-                *beyond,
-                *calibration_evidence_verdict_and_claim_check.refuted,
-            ),
+            refuted=(change_alarm_sentence(last.evidence), *beyond, *calibration_evidence.refuted),
             look=steps[0],
         )
     )
@@ -302,7 +297,10 @@ def change_alarm_sentence(changes: Changes) -> str:
 
 
 def sentence_on_effect_omitted_by_calibration(visit: Visit) -> str:
-    """Sentence that a first visit shows an effect which the calibration omits, its claim not refuted by it."""
+    """Sentence that a first visit shows an effect which the calibration omits.
+
+    Its claim not refuted by it.
+    """
     named = visit.evidence.named
     like = "" if named is None else f", likeliest {named.name}"
     return f"the calibration omits an effect{like}, present from the beginning or since; its claim is not refuted by it"

@@ -1,4 +1,6 @@
-"""Confounded conditions of a recording: direction, time, temperature or load correlated with place.
+"""Confounded conditions of a recording.
+
+Direction, time, temperature or load correlated with place.
 
 A cause that is a function of place over the poses recorded is absorbed by a correction that is one: its effect then
 looks like geometry, and held-out poses of the same plan agree. Of each axis, a cause is regressed on smooth functions
@@ -107,7 +109,10 @@ class Confounds:
 
 
 def confounds_of_samples(samples: Samples, mechanism: Parallel | Arm | Chain | Free) -> Confounds | None:
-    """Confounds of the samples of a mechanism; None where no recording states their conditions."""
+    """Confounds of the samples of a mechanism.
+
+    None where no recording states their conditions.
+    """
     known = samples.conditions
     if known is None:
         return None
@@ -117,7 +122,10 @@ def confounds_of_samples(samples: Samples, mechanism: Parallel | Arm | Chain | F
 
 
 def confounds_of_configurations(values: Floats, start: Floats, mechanism: Parallel | Arm | Chain | Free) -> Confounds:
-    """Confounds of configurations (n, axes) m or rad visited in order at even times, from start (axes,)."""
+    """Confounds of configurations (n, axes) m or rad visited in order at even times.
+
+    From start (axes,).
+    """
     way = np.sign(np.diff(np.concatenate([start[None], values]), axis=0))
     latest = np.maximum.accumulate(np.where(way != 0, np.arange(len(way))[:, None], -1), axis=0)
     direction = np.where(latest < 0, 0.0, np.take_along_axis(way, np.maximum(latest, 0), axis=0))
@@ -127,7 +135,9 @@ def confounds_of_configurations(values: Floats, start: Floats, mechanism: Parall
 
 
 def confounds_of_recordings(recordings: Sequence[Recording]) -> Confounds | None:
-    """Confounds of several recordings of one machine, in time; None where one has no commands.
+    """Confounds of several recordings of one machine, in time.
+
+    None where one has no commands.
 
     A channel counts where every recording has it.
     """
@@ -147,7 +157,10 @@ def confounds_of_recordings(recordings: Sequence[Recording]) -> Confounds | None
 
 
 def confounds_from_entries(table: Entries) -> Confounds:
-    """Confounds from their entries in a file. Raises FileError for anything else."""
+    """Confounds from their entries in a file.
+
+    Raises FileError for anything else.
+    """
     return Confounds(
         table.whole("n", 0),
         tuple(_row_in(row) for row in table.tables("rows")),
@@ -231,5 +244,8 @@ def _numbered(places: list[str]) -> str:
 
 
 def confound_sentences(confounds: Confounds | None) -> tuple[str, ...]:
-    """Sentence on the confounds of a recording's design, as a list; empty where there are none."""
+    """Sentence on the confounds of a recording's design, as a list.
+
+    Empty where there are none.
+    """
     return (confounds.line().split("; record the same")[0],) if confounds is not None and confounds.serious else ()

@@ -1,4 +1,7 @@
-"""Samples of commanded and measured poses, with their conditions: from an instrument's poses, images or poses.csv."""
+"""Samples of commanded and measured poses.
+
+With their conditions: from an instrument's poses, images or poses.csv.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +15,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.samples.exposure_conditions import Conditions, conditions_of_exposures
-from calib.samples.platform_tilts import poses_with_platform_tilts
+from calib.samples.platform_poses_with_tilts import poses_with_platform_tilts
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.arm_branches_and_hands import hand_names
-from rig.model.base_tilt import TiltReadings, gravity_at_exposures
+from rig.model.base_and_link_tilts import TiltReadings, gravity_at_exposures
 from rig.model.design import Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, nearest_reachable_poses
 from rig.recording.frame_selection_and_content_hashes import is_of_several_hands, require_one_hand_shown, select_hand
@@ -256,8 +259,9 @@ def sample_recording(
     on_corners: Callable[[Corners], None] | None = None,
     several_hands: bool = False,
 ) -> Sampled:
-    """Samples of a recording (Sampled): from its instrument's poses, its corners or images, or poses.csv.
+    """Samples of a recording (Sampled).
 
+    From its instrument's poses, its corners or images, or poses.csv.
     progress : called with (label, done, of), or None; on_corners : called with the Corners before they are measured, or
         None; several_hands : whether poses may be of several hands
     Raises RigError without commands, and for poses of several hands that may not be, NotEnoughData without poses, and

@@ -1,4 +1,7 @@
-"""Entry point (python -m calib.two_strut FOLDER) that writes the worked example's figures as SVG files."""
+"""Entry point python -m calib.two_strut FOLDER.
+
+It writes the worked example's figures as SVG files.
+"""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,6 @@
-"""Worked example of two struts and a hinge with four samples, and its figures as SVG.
+"""Four-sample example of two struts, and its figures.
+
+A worked example of two struts and a hinge; the figures are SVG.
 
 Source: configuration-space patent, [0079] to [0091]: two lengths L1 and L2 of either strut make the sample set (L1,
 L1), (L1, L2), (L2, L1), (L2, L2); each gives a theoretical and a measured pose; IK of the measured one gives (L1',
@@ -21,8 +23,8 @@ from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.model.mechanism_geometry_classes import Planar2
 from rig.model.mechanisms import two_strut_plane
-from rig.planning.configuration_sets import FILL, divided_grid_configurations
-from rig.report.pages.page_templates_and_elements import svg_text
+from rig.planning.configuration_generators import FILL, divided_grid_configurations
+from rig.report.pages.html_and_svg_elements import svg_text
 
 L1, L2 = 0.42, 0.58  # m
 NOMINAL = Planar2(np.array([[-0.3, 0.0], [0.3, 0.0]]), np.array([[L1, L2], [L1, L2]]))
@@ -66,7 +68,10 @@ def compute_worked_example() -> WorkedExample:
 
 
 def reached_hinge_positions(correction: AnyCorrection | None, wanted_positions: Floats) -> Floats:
-    """Hinge positions (n, 2) m reached for wanted ones, by the nominal model or one corrected step."""
+    """Hinge positions (n, 2) m reached for wanted ones.
+
+    By the nominal model or one corrected step.
+    """
     T = RigidTransform.from_translation(np.pad(wanted_positions, ((0, 0), (0, 1))))
     commands = two_strut_plane.inverse(T, NOMINAL) if correction is None else correction.single_step(T)
     return two_strut_plane.forward(commands, REAL).translation[:, :2]
@@ -106,7 +111,10 @@ STYLE = (
 
 
 def example_figures() -> dict[str, str]:
-    """Figures of the worked example {name: SVG}: 1 to 7 of the source, and the corrected workspace."""
+    """Figures of the worked example {name: SVG}.
+
+    1 to 7 of the source, and the corrected workspace.
+    """
     w = compute_worked_example()
     names = ("L1, L1", "L1, L2", "L2, L1", "L2, L2")
     found = {"fig1": _workspace(w)}

@@ -1,4 +1,6 @@
-"""Workspace map (cells with margins and error bounds), and lost poses: reach lost or gained by correction.
+"""Workspace map, and lost poses.
+
+Cells with margins and error bounds; reach lost or gained by correction.
 
 Source: configuration-space patent, [0029] and claim 5 (the poses that the control function can give, and those that the
     machine really takes)
@@ -23,7 +25,7 @@ from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_parallel
 from rig.model.pose import pose_difference, pose_to_vector
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 
 SAME = 1e-6  # m and rad, within which a command gives the pose that it was found for
 
@@ -40,7 +42,10 @@ class MachineReach:
 
 
 def uncorrected_machine(correction: AnyCorrection) -> AnyCorrection:
-    """The uncorrected machine: nominal, as a Correction that corrects nothing."""
+    """The uncorrected machine.
+
+    Nominal, as a Correction that corrects nothing.
+    """
     return replace(
         correction, fitted=correction.nominal, remainder=(None,) * len(correction.remainder), extension=None, posed=()
     )
@@ -55,7 +60,9 @@ def reachable_poses_and_loss(machine: AnyCorrection, other: AnyCorrection, comma
 
 
 def is_pose_lost(correction: AnyCorrection, configurations: Floats) -> Booleans:
-    """Whether the nominal pose at configurations (n, axes) is lost: out of the corrected machine's reach.
+    """Whether the nominal pose at configurations (n, axes) is lost.
+
+    Out of the corrected machine's reach.
 
     True as well for those that close on no pose
     """
@@ -253,7 +260,10 @@ COUNTED = ("believed", "lost_in", "reached", "gained_in")
 
 
 def workspace_dict(workspace: Workspace) -> Json:
-    """dict of a Workspace, as JSON holds it; what is not known is null."""
+    """dict of a Workspace, as JSON holds it.
+
+    What is not known is null.
+    """
     tree = {part.name: getattr(workspace, part.name) for part in fields(workspace)}
     return {"schema": SCHEMA} | {
         name: _plain(value) if isinstance(value, np.ndarray) else value for name, value in tree.items()
@@ -267,7 +277,10 @@ def _plain(values: Floats) -> list[object]:
 
 
 def workspace_from_entries(table: Entries) -> Workspace:
-    """Workspace from its entries, as `workspace_dict` gives them. Raises FileError for anything else."""
+    """Workspace from its entries, as `workspace_dict` gives them.
+
+    Raises FileError for anything else.
+    """
     table.text("schema", (SCHEMA,))
     index = _whole(table, "index", (None, 3))
     cells = len(index)
@@ -303,7 +316,10 @@ def _whole(table: Entries, name: str, shape: tuple[int | None, ...]) -> Integers
 
 
 def workspace_rows(workspace: Workspace) -> Iterator[str]:
-    """Rows of a workspace's table, one for each cell: middle and edge in m, counts, the rest as in Workspace."""
+    """Rows of a workspace's table, one for each cell.
+
+    Middle and edge in m, counts, the rest as in Workspace.
+    """
     for place, counts, room, singular, bound in zip(
         workspace.centre,
         zip(*(getattr(workspace, name) for name in COUNTED)),
@@ -324,7 +340,10 @@ def _number(value: float) -> str:
 
 
 def certified_cell_promises(workspace: Workspace, certificate: Entries) -> Floats:
-    """Certified promise of each cell (c, 2) m and rad, from the smallest box around its middle; NaN without one"""
+    """Certified promise of each cell (c, 2) m and rad, from the smallest box around its middle.
+
+    NaN without one.
+    """
     out = np.full((len(workspace.index), 2), np.nan)
     volume = certificate.table("volume")
     for box, promise in [

@@ -1,4 +1,7 @@
-"""HTML page of a workspace: sentences, figures of its cells, and verdict."""
+"""HTML page of a workspace.
+
+Sentences, figures of its cells, and verdict.
+"""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,9 +13,7 @@ from calib.workspace.workspace_map_and_lost_poses import SHORT, Workspace
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect_parameters_and_covariates import PLOT_UNITS
 from rig.formats.number_parsing_and_rounding import number_text
-from rig.report.pages.page_templates_and_elements import (
-    Link,
-    Page,
+from rig.report.pages.html_and_svg_elements import (
     captioned_html,
     heading_html,
     note_html,
@@ -22,14 +23,18 @@ from rig.report.pages.page_templates_and_elements import (
     svg_text_or_empty_if_too_large,
     svg_tooltip,
     table_html,
-    write_page,
 )
+from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import panel_row_html
 from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
 
 
 def workspace_lines(workspace: Workspace, unit: str) -> list[str]:
-    """Lines on a Workspace: poses lost and gained, margin, singularities, error bound. unit : of the axes"""
+    """Lines on a Workspace.
+
+    Poses lost and gained, margin, singularities, error bound.
+    unit : of the axes
+    """
     first = (
         SHORT
         if workspace.lost is None or workspace.gained is None
@@ -147,8 +152,9 @@ SINGULAR = Quantity(
 
 
 def workspace_map_quantity_of_axis_margin(unit: str) -> Quantity:
-    """Quantity to draw on the workspace map: the greatest margin to the nearest axis limit in each cell.
+    """Workspace map's quantity of the axis margin.
 
+    The greatest margin to the nearest axis limit in each cell.
     unit : of an axis, m or rad
     """
     scale, shown = PLOT_UNITS.get(unit, (1.0, unit))
@@ -167,7 +173,10 @@ def _cell_number_text(value: float) -> str:
 
 
 def cell_views(workspace: Workspace, quantity: Quantity) -> tuple[str, str]:
-    """Views (unit, SVG) of a Quantity over the cells, from above (x, y) and from the side (x, z)."""
+    """Views (unit, SVG) of a quantity over the workspace cells.
+
+    From above (x, y) and from the side (x, z).
+    """
     parts, height = [], 0.0
     span = workspace.index.max(axis=0) + 1
     planes = [
@@ -219,7 +228,9 @@ def _titled_cells_html(workspace: Workspace, quantity: Quantity) -> list[str]:
 
 
 def workspace_section_html(workspace: Workspace | None, unit: str) -> list[str]:
-    """HTML of the workspace section of a calibration's page; empty without a workspace.
+    """HTML of the workspace section of a calibration's page.
+
+    Empty without a workspace.
     unit : of an axis, m or rad.
     """
     if workspace is None:

@@ -6,7 +6,7 @@ import importlib
 from docs.make.told import in_cell
 from rig.cli.command_line import module_of_command
 from rig.cli.command_list import GROUPS
-from rig.cli.shared.argument_parser_and_common_options import SHARED
+from rig.cli.shared.common_options import SHARED
 from rig.cli.shared.worker_options_and_pool import add_worker_options
 
 HEAD = """# The commands

@@ -15,11 +15,11 @@ from docs.make.told import fields_told, headline
 from rig.formats.checked_entries import REQUIRED, Entries, Key
 from rig.formats.json_toml_and_yaml_loading import toml_value_positions
 from rig.formats.length_and_angle_units import UnitNames
-from rig.formats.rig_toml import arm_dynamics_entries, design_file
+from rig.formats.rig_toml import arm_dynamics_entries, design_from_rig_toml
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
 from rig.formats.rig_toml.mechanism_entries import Joint
 from rig.model.arm_branches_and_hands import Branch, Hand
-from rig.model.base_tilt import BaseTilt, TiltSensor
+from rig.model.base_and_link_tilts import BaseTilt, TiltSensor
 from rig.model.design import (
     Actuator,
     Arm,
@@ -316,7 +316,7 @@ def asked() -> dict[tuple[str, Key], Asked]:
     for tree in samples():
         text = tomlkit.dumps({key: value for key, value in tree.items() if value is not None})
         root = Log(tomllib.loads(text), (), Path("rig.toml"), toml_value_positions(text), found=found)
-        mechanism = design_file.design_of_entries(root).mechanism
+        mechanism = design_from_rig_toml.design_of_entries(root).mechanism
         if has_links(mechanism):
             arm_dynamics_entries.dynamics_of_table(root.table("dynamics", optional=True), axis_units(mechanism))
     return {at: what for at, what in found.items() if at[1] not in TABLE_KEYS or at == ("[instrument]", "kind")}

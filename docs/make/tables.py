@@ -89,7 +89,7 @@ def asked() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
 def _sample(folder: Path) -> Path:
     """A recording of one frame with every file that there can be."""
     (folder / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, **RIG))
-    design = recording_folder.design_file.load_design(folder / "rig.toml")
+    design = recording_folder.design_from_rig_toml.load_design(folder / "rig.toml")
     lengths = ",".join(f"{x:.4f}" for x in design.mechanism.strut_range.mean(axis=1))
     marker = design.targets[0].ids[0]
     for file, header, row in (

@@ -1,4 +1,7 @@
-"""Disagreements of a platform's commands and measured poses: wrong struts, joints, clocks, frames, conventions."""
+"""Disagreements of a platform's commands and measured poses.
+
+Wrong struts, joints, clocks, frames, conventions.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -99,7 +102,10 @@ def commands_and_measured_poses(
 
 
 def pose_columns_of_poses_csv_as_written(recording: Recording) -> Floats:
-    """Pose columns (n, 6) m and rad of poses.csv as written, rotation vectors longer than pi included."""
+    """Pose columns (n, 6) m and rad of poses.csv as written.
+
+    Rotation vectors longer than pi included.
+    """
     return csv_and_parquet_tables_and_time_origin.read_csv_table(recording.folder / "poses.csv", POSE_COLUMNS).matrix(
         POSE_COLUMNS
     )
@@ -117,7 +123,10 @@ def commands_disagree_with_poses(moves: CommandsAndPoses) -> bool:
 
 
 def command_pose_mistakes(moves: CommandsAndPoses) -> Iterator[Mistake]:
-    """Mistakes that best explain why commands disagree with poses, or the size of what none explains."""
+    """Mistakes that best explain why commands disagree with poses.
+
+    Or the size of what none explains.
+    """
     if not commands_disagree_with_poses(moves):
         return
     before = moves.miss()

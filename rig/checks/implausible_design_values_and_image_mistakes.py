@@ -1,4 +1,7 @@
-"""Implausible values of rig.toml, and image mistakes: unused cameras, duplicate images, corners outside images."""
+"""Implausible design values, and image mistakes.
+
+Values of rig.toml; unused cameras, duplicate images, corners outside images.
+"""
 
 import tomllib
 from collections import defaultdict
@@ -28,7 +31,10 @@ TANGENTIAL = 0.03
 
 
 def implausible_values(design: Design) -> Iterator[Mistake]:
-    """Mistakes of implausible values in a Design: camera matrices, lenses, an arm's rows and limits."""
+    """Mistakes of implausible values in a Design.
+
+    Camera matrices, lenses, an arm's rows and limits.
+    """
     if has_links(design.mechanism):
         yield from _arm(design.mechanism)
     for camera in design.cameras:
@@ -37,8 +43,9 @@ def implausible_values(design: Design) -> Iterator[Mistake]:
 
 
 def overlong_rotation_vectors(tree: Json) -> Iterator[Mistake]:
-    """Mistakes of overlong rotation vectors (beyond one turn, so in degrees) in the tree of a rig.toml; none where it
-    states the unit of angles.
+    """Mistakes of overlong rotation vectors (beyond one turn, so in degrees) in the tree of a rig.toml.
+
+    None where it states the unit of angles.
     """
     if stated_units(tree).angle != "rad":
         return
@@ -161,7 +168,10 @@ STILL = 1e-6  # m or rad; commands that differ by less leave the same picture
 
 
 def unused_cameras(recording: Recording) -> Iterator[Mistake]:
-    """Mistakes of unused cameras: cameras of rig.toml without any frame."""
+    """Mistakes of unused cameras.
+
+    Cameras of rig.toml without any frame.
+    """
     e, c = recording.exposures, recording.corners
     for camera in recording.design.cameras:
         if camera.name not in e.camera:
@@ -181,7 +191,10 @@ def unused_cameras(recording: Recording) -> Iterator[Mistake]:
 
 
 def duplicate_images(recording: Recording) -> Iterator[Mistake]:
-    """Mistakes of duplicate images: identical bytes in two frames, though the machine moved between them."""
+    """Mistakes of duplicate images.
+
+    Identical bytes in two frames, though the machine moved between them.
+    """
     e, sizes = recording.exposures, defaultdict(list)
     for i, name in enumerate(e.image):
         if name:
@@ -215,7 +228,10 @@ def _moved(recording: Recording, rows: list[int]) -> bool:
 
 
 def corners_outside_images(recording: Recording) -> Iterator[Mistake]:
-    """Mistakes of corners outside their images: u and v exchanged, another image size, no pixels."""
+    """Mistakes of corners outside their images.
+
+    The two coordinates u and v exchanged, another image size, no pixels.
+    """
     c = recording.corners
     if c is None or not len(c.frame):
         return

@@ -1,4 +1,6 @@
-"""Mistake of a user as a data type, sorting of mistakes, and mistakes of clocks and times.
+"""Mistake dataclass, and mistakes of clocks and times.
+
+A mistake of a user as a data type, and the sorting of mistakes.
 
 A Mistake says what is wrong in a recording or rig.toml and what to do; times may be in wrong units, repeated or apart,
 or a shift lies between frames' and commands' clocks.
@@ -28,7 +30,10 @@ class Mistake:
 
 
 def sort_mistakes(mistakes: Iterable[Mistake]) -> tuple[Mistake, ...]:
-    """Mistakes sorted, each once: those that spoil results first, of these the likeliest first."""
+    """Mistakes sorted, each once.
+
+    Those that spoil results first, of these the likeliest first.
+    """
     return tuple(sorted(dict.fromkeys(mistakes), key=lambda one: (not one.spoils, -one.proof)))
 
 
@@ -49,7 +54,9 @@ RATE = (1e-4, 5000.0)  # frames per s
 
 
 def time_unit_and_clock_origin_mistakes(times_by_file: dict[str, Floats]) -> Iterator[Mistake]:
-    """Mistakes of time units and clock origins: files whose times (n,) s do not overlap those of the frames.
+    """Mistakes of time units and clock origins.
+
+    Files whose times (n,) s do not overlap those of the frames.
 
     A file whose span is a unit's multiple of the others' is in that unit; one that does not overlap has another origin.
     """
@@ -115,8 +122,9 @@ def _zone(shift: float) -> str:
 
 
 def speed_mistakes(t: Floats, values: Floats, frames: Floats, unit: str, max_speed: float | None) -> Iterator[Mistake]:
-    """Mistakes of speed: axis speeds above any plausible maximum, or frame rates; then times are in another unit.
+    """Mistakes of speed.
 
+    Axis speeds above any plausible maximum, or frame rates; then times are in another unit.
     t : (n,) s and values : (n, axes) m or rad of the commands; frames : (F,) s; unit : "m" or "rad"; max_speed : m/s
         stated, or None
     """
@@ -162,7 +170,10 @@ def speed_mistakes(t: Floats, values: Floats, frames: Floats, unit: str, max_spe
 
 
 def repeated_time_mistakes(t: Floats) -> Iterator[Mistake]:
-    """Mistakes of repeated times: all frames, or most, have the same time t (F,) s."""
+    """Mistakes of repeated times.
+
+    All frames, or most, have the same time t (F,) s.
+    """
     if len(t) > 3:
         same = int((np.diff(t) == 0).sum())
         if same > 0.2 * len(t):
@@ -197,8 +208,9 @@ class DwellShift:
 
 
 def dwell_clock_shift(frames: Floats, t: Floats, values: Floats, need_distinct: bool = True) -> DwellShift | None:
-    """Clock shift (DwellShift) that puts the most frames into dwells of the commands; None if none is distinct.
+    """Clock shift (DwellShift) that puts the most frames into dwells of the commands.
 
+    None if none is distinct.
     frames : (m,) s; t : (n,) s of the commands, increasing; values : (n, axes) m or rad
     need_distinct : False for one that alone puts all frames there, though another may miss only few
     """
@@ -222,8 +234,9 @@ def dwell_clock_shift(frames: Floats, t: Floats, values: Floats, need_distinct: 
 
 
 def dwell_clock_offset_mistake(frames: Floats, t: Floats, values: Floats) -> Iterator[Mistake]:
-    """Mistake of a clock offset: frames taken in motion that another offset puts into dwells of the commands.
+    """Mistake of a clock offset.
 
+    Frames taken in motion that another offset puts into dwells of the commands.
     frames : (m,) s; t : (n,) s of the commands; values : (n, axes) m or rad
     """
     dwells = _dwells(t, values)

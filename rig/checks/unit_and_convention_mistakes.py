@@ -1,4 +1,7 @@
-"""Unit and convention mistakes of a recording: in sensor channels, environment values, commands and poses."""
+"""Unit and convention mistakes of a recording.
+
+In sensor channels, environment values, commands and poses.
+"""
 
 from collections.abc import Iterator
 
@@ -22,7 +25,10 @@ COLDER = 0.4  # K by which exchanged channels differ from where they ought to be
 
 
 def sensor_mistakes(log: Sensors, design: Design) -> Iterator[Mistake]:
-    """Mistakes in sensor channels of sensors.csv: another unit, or exchanged names."""
+    """Mistakes in sensor channels of sensors.csv.
+
+    Another unit, or exchanged names.
+    """
     warm = {name: values for name, values in log.channels.items() if name.endswith("_temperature_C")}
     for name, values in warm.items():
         middle = float(np.median(values))
@@ -122,7 +128,10 @@ def _load(load: Floats, room: Floats | None, design: Design) -> Iterator[Mistake
 
 
 def environment_mistakes(design: Design) -> Iterator[Mistake]:
-    """Mistakes in a design's environment: gravity of a wrong size or sign, a platform's mass in grams."""
+    """Mistakes in a design's environment.
+
+    Gravity of a wrong size or sign, a platform's mass in grams.
+    """
     g = np.asarray(design.gravity)
     size = float(np.linalg.norm(g))
     if not GRAVITY[0] <= size <= GRAVITY[1]:
@@ -164,7 +173,10 @@ MUCH = 0.1  # share of commands beyond the range by more than a tenth of it, tha
 
 
 def command_unit_mistakes(commands: Commands, design: Design) -> Iterator[Mistake]:
-    """Mistakes of the unit or origin of commands, from values (n, axes) outside the design's ranges."""
+    """Mistakes of the unit or origin of commands.
+
+    From values (n, axes) outside the design's ranges.
+    """
     m = design.mechanism
     if has_links(m):
         yield from _angles(commands.values[:, ~m.slides], m.limits[~m.slides])
@@ -297,7 +309,10 @@ def _angles(q: Floats, limits: Floats) -> Iterator[Mistake]:
 
 
 def poses_in_other_conventions(columns: Floats) -> Iterator[tuple[str, RigidTransform]]:
-    """Poses whose columns (n, 6) are read in other conventions: (convention, RigidTransform (n,))."""
+    """Poses whose columns (n, 6) are read in other conventions.
+
+    Returns (convention, RigidTransform (n,))
+    """
     p, r = columns[:, :3], columns[:, 3:]
     vectors = Rotation.from_rotvec(r)
     yield "poses are inverted (base in platform)", RigidTransform.from_components(p, vectors).inv()

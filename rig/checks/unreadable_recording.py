@@ -1,4 +1,7 @@
-"""Mistakes that make a recording unreadable, reported in place of the bare reading error."""
+"""Mistakes that make a recording unreadable.
+
+They are reported in place of the bare reading error.
+"""
 
 import tomllib
 from collections.abc import Iterator
@@ -14,7 +17,7 @@ from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
 from rig.formats.length_and_angle_units import SI, stated_units
 from rig.formats.local_and_remote_input_files import read_text
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 
 SPREAD = {
     "arm": 0.4,
@@ -25,7 +28,10 @@ FILES = ("commands.csv", "frames.csv", "sensors.csv")
 
 
 def unreadable_recording_mistakes(folder: Path, error: FileError) -> tuple[Mistake, ...]:
-    """Mistakes that make a recording's folder unreadable, from the FileError raised, in order; may be none."""
+    """Mistakes that make a recording's folder unreadable, from the FileError raised, in order.
+
+    May be none.
+    """
     found: list[Mistake] = []
     for look in (_figures, _times, _numbers, _order, _poses):
         try:
@@ -67,7 +73,7 @@ def _poses(folder: Path, complaint: str) -> Iterator[Mistake]:
     """poses.csv: positions that spread as the rig's size would in another unit."""
     if "poses.csv" not in complaint or "implausible" not in complaint:
         return
-    m = design_file.load_design(folder / "rig.toml").mechanism
+    m = design_from_rig_toml.load_design(folder / "rig.toml").mechanism
     size = m.reach
     if size is None:
         return

@@ -1,4 +1,7 @@
-"""rig arm kinematics: forward and inverse kinematics of an arm, all solutions, step by step on request."""
+"""rig arm kinematics: forward and inverse kinematics of an arm.
+
+All solutions, step by step on request.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from math import degrees
 from pathlib import Path
 
 from rig.array_and_json_types import Json
-from rig.cli.shared.argument_parser_and_common_options import add_json_option, print_json
+from rig.cli.shared.common_options import add_json_option, print_json
 
 LEAVES = 1e-9  # m or rad of a pose, from which it is said
 
@@ -30,7 +33,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig arm kinematics`: print forward or inverse kinematics of an arm."""
+    """Run `rig arm kinematics`.
+
+    Print forward or inverse kinematics of an arm.
+    """
     from calib.api.arm_kinematics import load_arm_kinematics
     from rig.formats import csv_and_parquet_tables_and_time_origin
     from rig.recording import recording_table_loading_and_writing

@@ -1,4 +1,7 @@
-"""rig arm posture: optimal posture of a redundant arm at a fixed hand pose, for sensing or exerting a force."""
+"""rig arm posture: optimal posture of a redundant arm.
+
+At a fixed hand pose, for sensing or exerting a force.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.array_and_json_types import Json
-from rig.cli.shared.argument_parser_and_common_options import (
+from rig.cli.shared.common_options import (
     add_json_option,
     add_overwrite_option,
     file_or_stdout,
-    parse_numbers,
     print_json,
     require_matplotlib,
 )
+from rig.cli.shared.option_value_parsing import parse_numbers
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.formats.output_files import write_text
@@ -124,7 +127,10 @@ def _add_exertion_options(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig arm posture`: search the best posture of an arm and print it."""
+    """Run `rig arm posture`.
+
+    Search the best posture of an arm and print it.
+    """
     from rig.formats.rig_toml import arm_dynamics_entries
     from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
     from rig.planning.layout import shipped_arms_and_layouts

@@ -1,4 +1,7 @@
-"""rig arm wrench: external wrench on an arm's hand, estimated from joint torques or motor currents, with covariance."""
+"""rig arm wrench: external wrench on an arm's hand.
+
+It is estimated from joint torques or motor currents, with covariance.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_json_result_option,
-    add_overwrite_option,
-    file_or_stdout,
-)
+from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
@@ -51,7 +50,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig arm wrench`: estimate the wrench on an arm's hand from torques and print it.
+    """Run `rig arm wrench`.
+
+    Estimate the wrench on an arm's hand from torques and print it.
 
     By a momentum observer, and by the pseudo-inverse for comparison.
     """

@@ -1,4 +1,7 @@
-"""rig calibrate: calibrate a machine from recordings; writes calibration.json with held-out errors, and a page."""
+"""rig calibrate: calibrate a machine from recordings.
+
+It writes calibration.json with held-out errors, and a page.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +9,9 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options_and_output_display
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_json_result_option,
-    add_overwrite_option,
-    file_or_stdout,
-    page_links,
-    parse_length,
-)
-from rig.cli.shared.input_options_and_output_display import (
-    Progress,
+from rig.cli.shared import input_options
+from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout, page_links
+from rig.cli.shared.input_options import (
     add_anyway_option,
     add_limb_options,
     add_recordings_argument,
@@ -23,6 +19,8 @@ from rig.cli.shared.input_options_and_output_display import (
     notice_printer,
     read_recordings,
 )
+from rig.cli.shared.option_value_parsing import parse_length
+from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -53,7 +51,7 @@ def arguments(parser: ArgumentParser) -> None:
         "geometry; rig correct compensates them",
     )
     kind.add_argument("--find", action="store_true", help="diagnose this recording first and include the effects found")
-    input_options_and_output_display.add_user_effect_files_option(parser)
+    input_options.add_user_effect_files_option(parser)
     parser.add_argument(
         "--quick",
         action="store_true",
@@ -123,7 +121,10 @@ def _write_kinematics_file(arguments: Namespace, mechanism: Mechanism) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig calibrate`: calibrate a machine from recordings and write calibration.json."""
+    """Run `rig calibrate`.
+
+    Calibrate a machine from recordings and write calibration.json.
+    """
     progress = Progress()
     progress("reading the recording", 0, 1)
     recordings, options = read_recordings(arguments), _options(arguments)
@@ -164,7 +165,7 @@ def _options(arguments: Namespace) -> CalibrateOptions:
     return CalibrateOptions(
         arguments.diagnosis,
         arguments.find,
-        input_options_and_output_display.load_effect_files(arguments),
+        input_options.load_effect_files(arguments),
         arguments.quick,
         arguments.joint,
         _extend_options(arguments),

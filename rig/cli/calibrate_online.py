@@ -1,4 +1,7 @@
-"""rig calibrate online: learn a recording's parameters pose by pose; report sudden changes of the machine."""
+"""rig calibrate online: learn parameters pose by pose.
+
+Of a recording; sudden changes of the machine are reported.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,9 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options_and_output_display
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_json_result_option,
-    add_page_option,
-    page_links,
-    page_path,
-)
-from rig.cli.shared.input_options_and_output_display import (
-    Progress,
+from rig.cli.shared import refutation_printing_and_writing
+from rig.cli.shared.common_options import add_json_result_option, add_page_option, page_links, page_path
+from rig.cli.shared.input_options import (
     add_anyway_option,
     add_limb_options,
     add_recording_argument,
@@ -22,6 +19,7 @@ from rig.cli.shared.input_options_and_output_display import (
     notice_printer,
     read_recording,
 )
+from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 
@@ -83,7 +81,10 @@ def _add_learner_options(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig calibrate online`: learn parameters from a recording pose by pose, and print sudden changes."""
+    """Run `rig calibrate online`.
+
+    Learn parameters from a recording pose by pose, and print sudden changes.
+    """
     progress = Progress()
     progress("reading the recording", 0, 1)
     limbs = limb_source(arguments)
@@ -124,7 +125,7 @@ def _options(arguments: Namespace, limbs: LimbSource | None) -> LearnOptions:
         arguments.state,
         None if start is None else calibration_file.load(start),
         str(start),
-        () if start is None else input_options_and_output_display.read_and_print_refutations(start),
+        () if start is None else refutation_printing_and_writing.read_and_print_refutations(start),
         arguments.learner,
         getattr(arguments, SETTINGS.get(arguments.learner, ""), None),
         limbs,

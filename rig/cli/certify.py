@@ -1,4 +1,7 @@
-"""rig certify: certify a calibration by held-out recordings; writes the certificate as HTML, JSON, PDF or XML."""
+"""rig certify: certify a calibration by held-out recordings.
+
+It writes the certificate as HTML, JSON, PDF or XML.
+"""
 
 from __future__ import annotations
 
@@ -9,20 +12,21 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options_and_output_display
-from rig.cli.shared.argument_parser_and_common_options import (
+from rig.cli.shared import refutation_printing_and_writing
+from rig.cli.shared.common_options import (
     SEED,
     add_json_result_option,
     add_overwrite_option,
     file_or_stdout,
     missing_matplotlib_reason,
     page_links,
-    parse_tolerance,
-    print_frames_without_pose,
     require_matplotlib,
 )
 from rig.cli.shared.hand_option import add_hand_option, recording_of_chosen_hand
-from rig.cli.shared.input_options_and_output_display import Progress, read_recording
+from rig.cli.shared.input_options import read_recording
+from rig.cli.shared.option_value_parsing import parse_tolerance
+from rig.cli.shared.output_display import Progress
+from rig.cli.shared.printing_of_held_out_errors import print_frames_without_pose
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.report.verdict_and_refutations import exit_status
@@ -37,19 +41,28 @@ KINDS = (".json", ".html", ".pdf", ".xml")
 
 
 def parse_share(text: str) -> float:
-    """Parse a share between 0 and 1. Raises ArgumentTypeError"""
+    """Parse a share between 0 and 1.
+
+    Raises ArgumentTypeError
+    """
     return _within(text, 0.5, 0.9999, "a share from 0.5 to 0.9999")
 
 
 def parse_relative_uncertainty(text: str) -> float:
-    """Parse a relative uncertainty. Raises ArgumentTypeError"""
+    """Parse a relative uncertainty.
+
+    Raises ArgumentTypeError
+    """
     return _within(
         text, 0.0, math.nextafter(0.1, 0.0), "a relative standard uncertainty from 0 to 0.1, as 20e-6 for 20 um/m"
     )
 
 
 def parse_rated_load(text: str) -> float:
-    """Parse a rated load, kg. Raises ArgumentTypeError"""
+    """Parse a rated load, kg.
+
+    Raises ArgumentTypeError
+    """
     return _within(text, 0.0, math.nextafter(1e6, 0.0), "a load in kg, 0 or more")
 
 
@@ -130,7 +143,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig certify`: certify a calibration by held-out recordings and write the certificate.
+    """Run `rig certify`.
+
+    Certify a calibration by held-out recordings and write the certificate.
 
     Exit status 3 where the verdict is bad.
     """
@@ -151,9 +166,9 @@ def run(arguments: Namespace) -> int:
     source = certificate_provenance(arguments.calibration, calibration, recordings, arguments.argv, SEED)
     result = certify(calibration, recordings, options, refuted, source, str(arguments.calibration), progress)
     progress.close()
-    input_options_and_output_display.print_refutations(arguments.calibration, refuted)
+    refutation_printing_and_writing.print_refutations(arguments.calibration, refuted)
     for name, sentence in result.refutations:
-        input_options_and_output_display.write_refutation(arguments, arguments.calibration, name, sentence)
+        refutation_printing_and_writing.write_refutation(arguments, arguments.calibration, name, sentence)
     left_out = missing_matplotlib_reason() if suffix == "" else None
     if suffix and suffix not in result.kinds:
         raise RigError(f"{arguments.out}: a certificate of directions is written as {' or '.join(result.kinds)}")

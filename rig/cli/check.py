@@ -1,9 +1,12 @@
-"""rig check: check a recording for mistakes and print them, the likeliest cause first."""
+"""rig check: check a recording for mistakes.
+
+It prints them, the likeliest cause first.
+"""
 
 import argparse
 from pathlib import Path
 
-from rig.cli.shared.argument_parser_and_common_options import add_json_option, print_json
+from rig.cli.shared.common_options import add_json_option, print_json
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,7 +19,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run `rig check`: check a recording for mistakes and print them.
+    """Run `rig check`.
+
+    Check a recording for mistakes and print them.
 
     Exit status 1 where results would mean nothing.
     """

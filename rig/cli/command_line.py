@@ -1,4 +1,7 @@
-"""Command line `rig`: lists the commands, imports the chosen one, runs it, returns its exit status."""
+"""Command line rig.
+
+It lists the commands, imports the chosen one, runs it, returns its exit status.
+"""
 
 import argparse
 import errno
@@ -15,7 +18,8 @@ from shutil import get_terminal_size
 from typing import NoReturn, TextIO, TypeVar, cast
 
 from rig.cli.command_list import COMMANDS, EARLIER_NAMES, FAMILIES
-from rig.cli.shared.argument_parser_and_common_options import Parser, add_common_options, join_negative_numbers
+from rig.cli.shared.argument_parser import Parser, join_negative_numbers
+from rig.cli.shared.common_options import add_common_options
 from rig.errors import RigError
 from rig.formats.output_files import STANDARD_OUTPUT, CommandOutputs
 
@@ -36,7 +40,10 @@ S = TypeVar("S", bound=int | str | None)  # an exit status
 
 
 def name_in_manifests(name: str) -> str:
-    """Name of a command in manifests of outputs: the earlier one if it has one, so that its earlier outputs are its."""
+    """Name of a command in manifests of outputs.
+
+    The earlier one if it has one, so that its earlier outputs are its.
+    """
     return next((earlier for earlier, present in EARLIER_NAMES.items() if present == name), name)
 
 
@@ -46,10 +53,12 @@ def module_of_command(name: str) -> str:
 
 
 def join_command_words(words: list[str]) -> tuple[list[str], str | None]:
-    """Words of a command line with the command's name as one of them: (words, the earlier name if one was used).
+    """Words of a command line with the command's name as one of them.
 
     `new design --radius 0.3` becomes `new design` and the rest, and so does `design --radius 0.3`. The second word is
     the command's where the two together are one: a file of that name is written ./design.
+
+    Returns (words, the earlier name if one was used)
     """
     at = next((i for i, word in enumerate(words) if not word.startswith("-")), None)
     if at is None:
@@ -61,11 +70,12 @@ def join_command_words(words: list[str]) -> tuple[list[str], str | None]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; returns the exit status: 0 done, 1 refused, 2 wrong usage, 130 interrupted.
+    """Run one command.
 
+    Returns the exit status: 0 done, 1 refused, 2 wrong usage, 130 interrupted
     Raises SystemExit where help was asked for or the usage is wrong
     """
-    from rig.cli.shared.input_options_and_output_display import escaped_output
+    from rig.cli.shared.output_display import escaped_output
 
     with escaped_output():
         return _main(join_negative_numbers(sys.argv[1:] if argv is None else argv))
@@ -97,7 +107,10 @@ def _main(argv: list[str]) -> int:
 
 
 def command_line_parser(expanded_commands: Collection[str], words: tuple[str, ...] = ()) -> Parser:
-    """Parser of the command line. expanded_commands : those with their own arguments; words : the words to parse"""
+    """Parser of the command line.
+
+    expanded_commands : those with their own arguments; words : the words to parse
+    """
     parser = Parser(
         prog="rig",
         usage="rig [-h] [--version] COMMAND ...",
@@ -128,7 +141,10 @@ def _grouped_commands() -> str:
 
 
 def nested_command_parser() -> Parser:
-    """Parser of all commands for completion: commands of two words are subcommands of the first."""
+    """Parser of all commands for completion.
+
+    Commands of two words are subcommands of the first.
+    """
     parser = Parser(prog="rig")
     commands = parser.add_subparsers(dest="command")
     families: dict[str, argparse._SubParsersAction[Parser]] = {}
@@ -154,7 +170,9 @@ def _add_arguments(parser: Parser, name: str) -> object:
 
 
 def run_script() -> NoReturn:
-    """Entry point of the `rig` script: run `main` and end the process with its exit status.
+    """Entry point of the `rig` script.
+
+    Run `main` and end the process with its exit status.
 
     Products of matrices take one thread unless the environment says otherwise: several wait for each other, for cores
     that other processes use, ten times as long as they save.
@@ -204,11 +222,11 @@ def _run(arguments: argparse.Namespace) -> int:
             with _reader_may_leave(name, outputs), _words(arguments), _compiling(), _workers(arguments):
                 status = arguments.run(arguments) or 0
         if outputs.pages:
-            from rig.report.pages.page_templates_and_elements import refresh_indices
+            from rig.report.pages.page_templates_and_index_page import refresh_indices
 
             refresh_indices(outputs.pages)
         if asked and arguments.result is not None:
-            from rig.cli.shared.argument_parser_and_common_options import print_json
+            from rig.cli.shared.common_options import print_json
 
             print_json(arguments.result)
         return _flushed(name, status)
@@ -237,7 +255,7 @@ def _reader_may_leave(name: str, outputs: CommandOutputs) -> Iterator[None]:
     """Within it a command that writes files finishes them though the reader of its standard output is gone, which is
     then reported.
     """
-    from rig.cli.shared.input_options_and_output_display import StandardOutput
+    from rig.cli.shared.output_display import StandardOutput
 
     out = StandardOutput(sys.stdout or io.StringIO(), lambda: outputs.in_use)
     with redirect_stdout(cast(TextIO, out)):
@@ -254,7 +272,7 @@ def _reader_may_leave(name: str, outputs: CommandOutputs) -> Iterator[None]:
 
 def _compiling() -> AbstractContextManager[None]:
     """Context in which compilation, which takes time, is announced once."""
-    from rig.cli.shared.input_options_and_output_display import print_compilation_notice
+    from rig.cli.shared.output_display import print_compilation_notice
     from rig.compute.numba_kernels_and_lazy_exports import announce_compilation
 
     return announce_compilation(print_compilation_notice)
@@ -289,7 +307,7 @@ def _for_programs(arguments: argparse.Namespace) -> bool:
 def _words(arguments: argparse.Namespace) -> Iterator[None]:
     """Within it what a command prints goes where its user wants words: nowhere with --quiet, unless it is the result
     that was asked for; to the error output where the result is printed as JSON once the command is done."""
-    from rig.cli.shared.input_options_and_output_display import Progress
+    from rig.cli.shared.output_display import Progress
 
     out, quiet = getattr(arguments, "out", ""), getattr(arguments, "quiet", False)
     aside = _for_programs(arguments)
@@ -359,7 +377,7 @@ def _flushed(name: str, status: S) -> S | int:
         message = ""
     except OSError as error:
         message = f"{name}: standard output cannot be written: {error.strerror}"
-    from rig.cli.shared.input_options_and_output_display import discard_output
+    from rig.cli.shared.output_display import discard_output
 
     discard_output(sys.stdout)
     if name and message:

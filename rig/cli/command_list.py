@@ -1,4 +1,7 @@
-"""Commands of the command line: names, groups and one line on each; earlier names and what they are now."""
+"""List of the commands of the command line.
+
+Names, groups and one line on each; earlier names and what they are now.
+"""
 
 GROUPS = {
     "prepare": {
@@ -86,7 +89,11 @@ EARLIER_NAMES = {
 
 
 def grouped_command_text(width: int) -> str:
-    """All commands by group, as the help of `rig` lists them; commands of two words below the first. width : columns"""
+    """All commands by group, as the help of `rig` lists them.
+
+    Commands of two words below the first.
+    width : columns
+    """
     from textwrap import wrap
 
     lines = []

@@ -1,4 +1,7 @@
-"""rig correct: corrected commands for wanted poses by a calibration; or corrected poses of readings."""
+"""rig correct: corrected commands for wanted poses.
+
+By a calibration; or corrected poses of readings.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options_and_output_display
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_json_result_option,
-    add_overwrite_option,
-    file_or_stdout,
-)
+from rig.cli.shared import input_options, refutation_printing_and_writing
+from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout
 from rig.cli.shared.hand_option import add_hand_option, calibration_of_chosen_hand
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
@@ -108,13 +107,16 @@ def arguments(parser: ArgumentParser) -> None:
         help="decimal sign in --poses and --out: point, commas between the cells (the default), or comma, semicolons",
     )
     add_hand_option(parser)
-    input_options_and_output_display.add_user_effect_files_option(parser)
+    input_options.add_user_effect_files_option(parser)
     add_overwrite_option(parser)
     add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig correct`: write corrected commands for wanted poses, or corrected poses of readings."""
+    """Run `rig correct`.
+
+    Write corrected commands for wanted poses, or corrected poses of readings.
+    """
     from calib.api.correct import correct
     from rig.recording.recording_folder import load_wanted_poses
     from rig.recording.recording_table_loading_and_writing import write_poses
@@ -132,11 +134,11 @@ def run(arguments: Namespace) -> None:
             "--uncorrected, --single-step, --skip-unreachable, --sensors, --as poses, --units and --decimal apply to "
             "commands for wanted poses, not to --forward"
         )
-    calibration = input_options_and_output_display.calibration_of_arguments(arguments)
+    calibration = input_options.calibration_of_arguments(arguments)
     out = arguments.outputs.file(arguments.out)
     if arguments.forward:
         return _write_read_poses(arguments, calibration_of_chosen_hand(arguments, calibration), out)
-    input_options_and_output_display.read_and_print_refutations(arguments.calibration)
+    refutation_printing_and_writing.read_and_print_refutations(arguments.calibration)
     form = _format(arguments)
     wanted = load_wanted_poses(arguments.poses, form)
     result = correct(calibration, wanted, _options(arguments, wanted, calibration, form.units))

@@ -1,4 +1,7 @@
-"""rig correct serve: answer wanted poses with corrected commands on a loopback port, for programs of this computer."""
+"""rig correct serve: serve corrected commands for wanted poses.
+
+It answers on a loopback port, for programs of this computer.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import signal
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared import input_options_and_output_display
+from rig.cli.shared import input_options, refutation_printing_and_writing
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 
 
@@ -17,15 +20,18 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--host", default="127.0.0.1", metavar="ADDRESS", help="an address of the loopback (default 127.0.0.1)"
     )
-    input_options_and_output_display.add_user_effect_files_option(parser)
+    input_options.add_user_effect_files_option(parser)
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig correct serve`: answer until interrupted or terminated."""
+    """Run `rig correct serve`.
+
+    Answer until interrupted or terminated.
+    """
     from calib.api.correction_server import CorrectionServer
 
-    calibration = input_options_and_output_display.calibration_of_arguments(arguments)
-    input_options_and_output_display.read_and_print_refutations(arguments.calibration)
+    calibration = input_options.calibration_of_arguments(arguments)
+    refutation_printing_and_writing.read_and_print_refutations(arguments.calibration)
     for ending in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
         signal.signal(ending, signal.default_int_handler)
     server = CorrectionServer(calibration, arguments.host, arguments.port)

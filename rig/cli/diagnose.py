@@ -1,4 +1,7 @@
-"""rig diagnose: diagnose recordings: which effects the model leaves out, where, how large, the evidence."""
+"""rig diagnose: diagnose recordings.
+
+Which effects the model leaves out, where, how large, the evidence.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +10,12 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options_and_output_display
-from rig.cli.shared.argument_parser_and_common_options import (
-    SEED,
-    add_json_result_option,
-    add_overwrite_option,
-    page_links,
-)
-from rig.cli.shared.input_options_and_output_display import (
-    Progress,
-    add_anyway_option,
-    add_recordings_argument,
-    notice_printer,
-    read_recordings,
-)
+from rig.cli.shared import input_options, refutation_printing_and_writing
+from rig.cli.shared.common_options import SEED, add_json_result_option, add_overwrite_option, page_links
+from rig.cli.shared.input_options import add_anyway_option, add_recordings_argument, notice_printer, read_recordings
+from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
-from rig.formats.local_and_remote_input_files import list_json_files_in_same_folders
+from rig.formats.local_and_remote_input_files import json_files_in_same_folders_as
 from rig.formats.number_parsing_and_rounding import parse_number
 
 if TYPE_CHECKING:
@@ -67,7 +60,7 @@ def arguments(parser: ArgumentParser) -> None:
         dest="before",
         help="another diagnosis: begin with its findings, each of which must be confirmed here as well",
     )
-    input_options_and_output_display.add_user_effect_files_option(parser)
+    input_options.add_user_effect_files_option(parser)
     _add_experiment_options(parser)
     add_overwrite_option(parser)
     add_anyway_option(parser)
@@ -105,7 +98,10 @@ def _add_experiment_options(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig diagnose`: diagnose recordings and write what the model leaves out."""
+    """Run `rig diagnose`.
+
+    Diagnose recordings and write what the model leaves out.
+    """
     if arguments.next is None and (arguments.standing or arguments.may):
         raise RigError("--standing and --may are for --next FILE")
     progress = Progress()
@@ -119,7 +115,7 @@ def run(arguments: Namespace) -> None:
     notice = notice_printer(progress)
     result = diagnose(recordings, options, progress, notice)
     for path, state, finding in result.against:
-        input_options_and_output_display.write_refutation(arguments, path, result.recording.name, finding, state)
+        refutation_printing_and_writing.write_refutation(arguments, path, result.recording.name, finding, state)
     result.write(out)
     result.write_page(out / "diagnosis.html", page_links(arguments, arguments.out / "diagnosis.html"))
     if experiment is not None:
@@ -143,7 +139,7 @@ def _options(arguments: Namespace, recordings: list[Recording]) -> DiagnoseOptio
     """Settings of a diagnosis, from the arguments."""
     from calib.api.diagnose import DiagnoseOptions
 
-    effects = input_options_and_output_display.load_effect_files(arguments)
+    effects = input_options.load_effect_files(arguments)
     known = arguments.calibration
     return DiagnoseOptions(
         None if arguments.only is None else tuple(arguments.only),
@@ -151,9 +147,9 @@ def _options(arguments: Namespace, recordings: list[Recording]) -> DiagnoseOptio
         tuple(arguments.assume),
         arguments.before,
         effects,
-        None if known is None else input_options_and_output_display.load_calibration(known, effects),
+        None if known is None else input_options.load_calibration(known, effects),
         str(known),
-        tuple(list_json_files_in_same_folders(recordings[0].folder, arguments.out)),
+        tuple(json_files_in_same_folders_as([recordings[0].folder, arguments.out])),
         arguments.anyway,
         _words(arguments),
     )

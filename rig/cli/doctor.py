@@ -1,8 +1,11 @@
-"""rig doctor: check this computer's installation: packages, OpenGL, cameras, ports, disk space, threads."""
+"""rig doctor: check this computer's installation.
+
+Packages, OpenGL, cameras, ports, disk space, threads.
+"""
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared.argument_parser_and_common_options import add_json_option, print_json
+from rig.cli.shared.common_options import add_json_option, print_json
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -11,7 +14,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig doctor`: check this computer's installation and print it.
+    """Run `rig doctor`.
+
+    Check this computer's installation and print it.
 
     Exit status 1 where something is missing without which a plain installation does not work.
     """

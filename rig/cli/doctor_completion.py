@@ -1,4 +1,7 @@
-"""rig doctor completion: print the completion script for bash, zsh or fish."""
+"""rig doctor completion: print the shell completion script.
+
+For bash, zsh or fish.
+"""
 
 from argparse import ArgumentParser, Namespace
 
@@ -14,7 +17,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig doctor completion`: print the completion script of a shell."""
-    from rig.cli.shared.argument_parser_and_common_options import completion_script
+    """Run `rig doctor completion`.
+
+    Print the completion script of a shell.
+    """
+    from rig.cli.shared.argument_parser import completion_script
 
     print(completion_script(arguments.all_commands(), arguments.shell))

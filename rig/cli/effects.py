@@ -1,12 +1,15 @@
-"""rig effects: list the effects of the catalogue, print one in full, or write a file for an effect of one's own."""
+"""rig effects: list the effects of the catalogue.
+
+Or print one in full, or write a file for an effect of one's own.
+"""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared import input_options_and_output_display
-from rig.cli.shared.argument_parser_and_common_options import add_json_option, add_overwrite_option, print_json
+from rig.cli.shared import input_options
+from rig.cli.shared.common_options import add_json_option, add_overwrite_option, print_json
 from rig.errors import RigError
 
 
@@ -14,7 +17,7 @@ def arguments(parser: ArgumentParser) -> None:
     """Add the arguments of `rig effects` to a parser."""
     parser.add_argument("name", metavar="NAME", nargs="?", help="one of them in full; without it a table of all")
     add_json_option(parser)
-    input_options_and_output_display.add_user_effect_files_option(parser)
+    input_options.add_user_effect_files_option(parser)
     parser.add_argument(
         "--new", metavar="NAME", help="write a file with a user-defined effect, to be edited and passed to --effects"
     )
@@ -33,20 +36,21 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig effects`: list the effects, print one in full, or write a file for a new one."""
+    """Run `rig effects`.
+
+    List the effects, print one in full, or write a file for a new one.
+    """
     if arguments.new is not None:
         return _new(arguments)
     if arguments.source is not None or arguments.place is not None or arguments.out is not None:
         raise RigError("--from, --place and --out apply to a new effect: name it with --new")
     from shutil import get_terminal_size
 
-    from rig.cli.shared.argument_parser_and_common_options import suggestion_text
+    from rig.cli.shared.argument_parser import suggestion_text
     from rig.effects.catalogue.effect_list import effect_description, effect_description_dict, effect_table
 
     width = get_terminal_size((160, 24)).columns
-    known = input_options_and_output_display.known_effects(
-        input_options_and_output_display.load_effect_files(arguments)
-    )
+    known = input_options.known_effects(input_options.load_effect_files(arguments))
     if arguments.name is None:
         if arguments.json:
             print_json([effect_description_dict(effect) for effect in known.values()])

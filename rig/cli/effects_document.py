@@ -1,11 +1,14 @@
-"""rig effects document: write the catalogue of effects as a document: model, parameters, experiment, remedy, sketch."""
+"""rig effects document: write the effects as a document.
+
+Of each effect in the catalogue: model, parameters, experiment, remedy, sketch.
+"""
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options_and_output_display
-from rig.cli.shared.argument_parser_and_common_options import add_overwrite_option, file_or_stdout
+from rig.cli.shared import input_options
+from rig.cli.shared.common_options import add_overwrite_option, file_or_stdout
 from rig.formats.output_files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
@@ -23,20 +26,21 @@ def arguments(parser: ArgumentParser) -> None:
         help="where it is written, as Markdown, with a "
         "sketch of each effect in a folder FILE next to it; printed without sketches by default",
     )
-    input_options_and_output_display.add_user_effect_files_option(parser)
+    input_options.add_user_effect_files_option(parser)
     add_overwrite_option(parser)
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig effects document`: write the catalogue of effects as a document."""
+    """Run `rig effects document`.
+
+    Write the catalogue of effects as a document.
+    """
     from rig.api import effect_catalogue
     from rig.errors import RigError
     from rig.formats.output_files import write_text
     from rig.formats.output_files.atomic_file_and_manifest import is_written_directly
 
-    kinds = input_options_and_output_display.known_effects(
-        input_options_and_output_display.load_effect_files(arguments)
-    )
+    kinds = input_options.known_effects(input_options.load_effect_files(arguments))
     out = arguments.outputs.file(arguments.out)
     printed = is_written_directly(out)
     if not printed and not arguments.out.suffix:

@@ -1,4 +1,7 @@
-"""rig emulate: emulate a controller at a pseudo-terminal or over TCP, with faults on request."""
+"""rig emulate: emulate a controller.
+
+At a pseudo-terminal or over TCP, with faults on request.
+"""
 
 from __future__ import annotations
 
@@ -87,7 +90,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig emulate`: emulate a controller until interrupted, test a protocol, or write one to begin with."""
+    """Run `rig emulate`.
+
+    Emulate a controller until interrupted, test a protocol, or write one to begin with.
+    """
     if arguments.new is not None:
         return _new(arguments)
     if arguments.conform:

@@ -1,4 +1,6 @@
-"""rig export: write a calibrated geometry, lenses or a recording in the formats of other programs.
+"""rig export: write in the formats of other programs.
+
+A calibrated geometry, lenses or a recording.
 
 Formats: genhexkins, URDF, SDF, LinuxCNC, JSON, CSV, a grid, C; of lenses OpenCV and ROS; of a recording TUM and
 Parquet.
@@ -10,12 +12,8 @@ import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_json_result_option,
-    add_overwrite_option,
-    file_or_stdout,
-)
-from rig.cli.shared.input_options_and_output_display import add_earlier_option
+from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout
+from rig.cli.shared.input_options import add_earlier_option
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
@@ -102,7 +100,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig export`: export a calibrated geometry to another format."""
+    """Run `rig export`.
+
+    Export a calibrated geometry to another format.
+    """
     from calib.api.export_to_other_programs import ExportOptions, export
 
     _require_out(arguments)

@@ -1,4 +1,7 @@
-"""rig go: move the platform to one pose through a calibration: corrected lengths, checked, read back."""
+"""rig go: move the platform to one pose.
+
+Through a calibration: corrected lengths, checked, read back.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,15 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options_and_output_display
-from rig.cli.shared.argument_parser_and_common_options import (
+from rig.cli.shared import input_options, refutation_printing_and_writing
+from rig.cli.shared.common_options import (
     add_json_result_option,
     add_port_and_trace_options,
     add_speed_option,
     add_trust_unhomed_position_option,
     add_units_option,
-    require_share,
 )
+from rig.cli.shared.option_value_parsing import require_share
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
 
@@ -45,13 +48,16 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--dry-run", action="store_true", help="print what would be commanded, and move nothing")
     add_speed_option(parser, 1.0)
     add_trust_unhomed_position_option(parser)
-    input_options_and_output_display.add_user_effect_files_option(parser)
+    input_options.add_user_effect_files_option(parser)
     add_port_and_trace_options(parser)
     add_json_result_option(parser)
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig go`: move the platform to one pose through a calibration."""
+    """Run `rig go`.
+
+    Move the platform to one pose through a calibration.
+    """
     from calib.api.pose_move import plan_pose_move, require_same_rig
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
@@ -59,8 +65,8 @@ def run(arguments: Namespace) -> None:
 
     require_share(arguments.speed)
     design = design_with_controller_port(arguments.rig, arguments.port)
-    calibration = input_options_and_output_display.calibration_of_arguments(arguments)
-    input_options_and_output_display.read_and_print_refutations(arguments.calibration)
+    calibration = input_options.calibration_of_arguments(arguments)
+    refutation_printing_and_writing.read_and_print_refutations(arguments.calibration)
     require_same_rig(design, calibration, arguments.rig, arguments.calibration)
     move = plan_pose_move(design, calibration, parse_pose(arguments.pose, arguments.units or SI), arguments.uncorrected)
     _print_plan(move)
@@ -97,7 +103,9 @@ def _print_remainder(move: PoseMove) -> None:
 
 
 def parse_pose(text: str, units: LengthAndAngleUnits) -> RigidTransform:
-    """Parse a pose, six numbers split by commas, as RigidTransform. units : of the numbers
+    """Parse a pose, six numbers split by commas, as RigidTransform.
+
+    units : of the numbers
     Raises RigError for anything else, and for a turn by more than once round
     """
     import numpy as np

@@ -1,8 +1,11 @@
-"""rig home: homing of all struts by the controller, and their positions printed."""
+"""rig home: homing of all struts.
+
+By the controller, and their positions are printed.
+"""
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared.argument_parser_and_common_options import add_controller_arguments
+from rig.cli.shared.common_options import add_controller_arguments
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -12,7 +15,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig home`: home all struts and print their positions."""
+    """Run `rig home`.
+
+    Home all struts and print their positions.
+    """
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
 

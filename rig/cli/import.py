@@ -1,15 +1,15 @@
-"""rig import: import images, tables and camera files as a recording, and write the recipe of it."""
+"""rig import: import foreign files as a recording.
+
+Images, tables and camera files; the recipe of the import is written.
+"""
 
 import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.array_and_json_types import Json
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_json_result_option,
-    add_overwrite_option,
-    parse_tolerance,
-)
+from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option
+from rig.cli.shared.option_value_parsing import parse_tolerance
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -85,7 +85,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Run `rig import`: import foreign files as a recording, and save the recipe."""
+    """Run `rig import`.
+
+    Import foreign files as a recording, and save the recipe.
+    """
     from rig.api import import_recording
     from rig.formats import importers
     from rig.formats.output_files import write_text

@@ -1,16 +1,22 @@
-"""rig investigate: plan, record and diagnose in a loop until nothing is ambiguous, then calibrate and certify."""
+"""rig investigate: plan, record and diagnose in a loop.
+
+Until nothing is ambiguous; then it calibrates and certifies.
+"""
 
 import re
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 
 from calib.experiment import FIRST, LOADED, STANDING
-from rig.cli.shared.argument_parser_and_common_options import SEED, add_json_result_option
+from rig.cli.shared.common_options import SEED, add_json_result_option
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 
 
 def parse_minutes(text: str) -> float:
-    """Parse a duration such as 2h or 90min, in minutes. Raises ArgumentTypeError for anything else"""
+    """Parse a duration such as 2h or 90min, in minutes.
+
+    Raises ArgumentTypeError for anything else
+    """
     found = re.fullmatch(r"([0-9]{1,4}(?:\.[0-9]{1,3})?)(h|min)", text)
     value = float(found[1]) * (60 if found[2] == "h" else 1) if found else 0.0
     if not 0 < value <= 6000:
@@ -65,9 +71,12 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig investigate`: plan, record and diagnose in a loop, then calibrate and certify."""
+    """Run `rig investigate`.
+
+    Plan, record and diagnose in a loop, then calibrate and certify.
+    """
     from calib.api.investigate import investigate
-    from calib.experiment.investigation_machine import InvestigateOptions
+    from calib.experiment.investigation_plan_execution import InvestigateOptions
 
     options = InvestigateOptions(
         arguments.budget,

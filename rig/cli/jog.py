@@ -1,16 +1,15 @@
-"""rig jog: move struts once, by a distance or to given lengths, checked as any move; nothing is interactive."""
+"""rig jog: move struts once.
+
+By a distance or to given lengths, checked as any move; nothing is interactive.
+"""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_controller_arguments,
-    add_speed_option,
-    add_trust_unhomed_position_option,
-    require_share,
-)
+from rig.cli.shared.common_options import add_controller_arguments, add_speed_option, add_trust_unhomed_position_option
+from rig.cli.shared.option_value_parsing import require_share
 from rig.errors import PositionLost, RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_numbers, parse_whole_number
 
@@ -41,7 +40,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig jog`: jog struts, checked as any move."""
+    """Run `rig jog`.
+
+    Jog struts, checked as any move.
+    """
     import numpy as np
 
     from rig.cli.shared.run_display_and_controller_status import print_status

@@ -1,12 +1,15 @@
-"""rig lens: calibrate one camera's lens from photographs of a board; models compared, [[camera]] block printed."""
+"""rig lens: calibrate one camera's lens.
+
+From photographs of a board; models are compared, and the [[camera]] block is printed.
+"""
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.array_and_json_types import Json
-from rig.cli.shared.argument_parser_and_common_options import add_json_result_option, add_overwrite_option, page_links
-from rig.cli.shared.input_options_and_output_display import Progress
+from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, page_links
+from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -41,7 +44,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig lens`: calibrate a camera's lens from photographs and print its [[camera]] block."""
+    """Run `rig lens`.
+
+    Calibrate a camera's lens from photographs and print its [[camera]] block.
+    """
     import sys
     from dataclasses import replace
 

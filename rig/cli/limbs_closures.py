@@ -1,4 +1,7 @@
-"""rig limbs closures: find which six legs give the pose, and the closure errors of the others."""
+"""rig limbs closures: closure errors of redundant legs.
+
+It finds which six legs give the pose; the closure errors are those of the others.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_json_result_option,
-    add_overwrite_option,
-    file_or_stdout,
-)
-from rig.cli.shared.input_options_and_output_display import add_recording_argument, read_recording
+from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout
+from rig.cli.shared.input_options import add_recording_argument, read_recording
 
 if TYPE_CHECKING:
     from calib.api.loop_closure_check_of_redundant_legs import LoopClosureResult
@@ -48,13 +47,15 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig limbs closures`: choose six of redundant limbs and print the closure errors of the others.
+    """Run `rig limbs closures`.
+
+    Choose six of redundant limbs and print the closure errors of the others.
 
     Exit status 1 where one is worse than its errors and geometry allow.
     """
     from calib.api.loop_closure_check_of_redundant_legs import LoopClosureOptions, close_loops
     from calib.files import calibration_file
-    from calib.online.measuring_limbs_file import load_limbs
+    from calib.online.accepted_limbs_file import load_limbs
 
     recording = read_recording(arguments)
     out = arguments.outputs.file(arguments.out) if arguments.out else None

@@ -1,4 +1,6 @@
-"""rig limbs test: calibrate measuring limbs in place and check them against vision; accepted ones are saved.
+"""rig limbs test: test measuring limbs against vision.
+
+Limbs are calibrated in place and checked; accepted ones are saved.
 
 Accepted limbs can replace vision as the source of poses.
 """
@@ -9,20 +11,11 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_json_result_option,
-    add_page_option,
-    length_and_angle,
-    page_links,
-    page_path,
-    print_frames_without_pose,
-)
-from rig.cli.shared.input_options_and_output_display import (
-    Progress,
-    add_recording_argument,
-    notice_printer,
-    read_recording,
-)
+from rig.cli.shared.common_options import add_json_result_option, add_page_option, page_links, page_path
+from rig.cli.shared.input_options import add_recording_argument, notice_printer, read_recording
+from rig.cli.shared.option_value_parsing import length_and_angle
+from rig.cli.shared.output_display import Progress
+from rig.cli.shared.printing_of_held_out_errors import print_frames_without_pose
 
 if TYPE_CHECKING:
     from calib.api.measuring_limb_acceptance_and_platform_poses import LimbAcceptance
@@ -63,9 +56,12 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig limbs test`: test measuring limbs against vision, and save accepted ones."""
+    """Run `rig limbs test`.
+
+    Test measuring limbs against vision, and save accepted ones.
+    """
     from calib.api.measuring_limb_acceptance_and_platform_poses import AcceptLimbsOptions, accept_limbs
-    from calib.online.measuring_limbs_file import is_limbs_file
+    from calib.online.accepted_limbs_file import is_limbs_file
     from rig.cli.shared.measurement_and_calibration_summary import print_online_learning_result
 
     names = None if arguments.use is None else tuple(arguments.use.split(","))

@@ -1,4 +1,7 @@
-"""rig measure: measure platform poses with covariance from a recording's images; cameras adjusted."""
+"""rig measure: measure platform poses from images.
+
+Of a recording, with covariance; cameras are adjusted.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +9,9 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import add_json_result_option, add_overwrite_option, page_links
+from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, page_links
 from rig.cli.shared.hand_option import add_hand_option, recording_of_chosen_hand
-from rig.cli.shared.input_options_and_output_display import (
-    Progress,
+from rig.cli.shared.input_options import (
     add_anyway_option,
     add_limb_options,
     add_recording_argument,
@@ -17,6 +19,7 @@ from rig.cli.shared.input_options_and_output_display import (
     notice_printer,
     read_recording,
 )
+from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -49,7 +52,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig measure`: measure platform poses from a recording and write them."""
+    """Run `rig measure`.
+
+    Measure platform poses from a recording and write them.
+    """
     progress = Progress()
     progress("reading the recording", 0, 1)
     hold, limbs = _hold(arguments.hold), limb_source(arguments)

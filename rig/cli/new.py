@@ -1,4 +1,7 @@
-"""rig new: create a starting rig.toml in a folder, from four questions or options."""
+"""rig new: create a starting rig.toml.
+
+In a folder, from four questions or options.
+"""
 
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
@@ -7,12 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_overwrite_option,
-    add_units_option,
-    parse_length,
-    suggestion_text,
-)
+from rig.cli.shared.argument_parser import suggestion_text
+from rig.cli.shared.common_options import add_overwrite_option, add_units_option
+from rig.cli.shared.option_value_parsing import parse_length
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -45,7 +45,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig new`: write a new rig.toml from questions or options.
+    """Run `rig new`.
+
+    Write a new rig.toml from questions or options.
 
     Prompts for missing values and prints next steps. Raises RigError where something must be asked and nobody is there.
     """
@@ -92,7 +94,7 @@ def run(arguments: Namespace) -> None:
 def _index(folder: Path) -> None:
     """Write the page of all pages of a project that begins here, where no other index.html is."""
     from rig.formats.output_files import CommandOutputs
-    from rig.report.pages.page_templates_and_elements import KIND, NAME, write_index_page
+    from rig.report.pages.page_templates_and_index_page import KIND, NAME, write_index_page
 
     if not (folder / NAME).exists():
         with CommandOutputs(KIND) as outputs:

@@ -1,16 +1,15 @@
-"""rig new design: write the rig.toml of a new design from a radius, an arm's name, its URDF or its table of rows."""
+"""rig new design: write the rig.toml of a new design.
+
+From a radius, an arm's name, its URDF or its table of rows.
+"""
 
 import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_overwrite_option,
-    add_units_option,
-    file_or_stdout,
-    parse_length,
-)
+from rig.cli.shared.common_options import add_overwrite_option, add_units_option, file_or_stdout
+from rig.cli.shared.option_value_parsing import parse_length
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
@@ -63,7 +62,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def add_own_arm_options(parser: ArgumentParser) -> None:
-    """Add the options that name a file of one's own arm: a URDF or a table of Denavit-Hartenberg rows."""
+    """Add the options that name a file of one's own arm.
+
+    A URDF or a table of Denavit-Hartenberg rows.
+    """
     parser.add_argument("--urdf", metavar="FILE.urdf", type=Path, help="your own arm, with the URDF's exact kinematics")
     parser.add_argument(
         "--tip",
@@ -84,7 +86,9 @@ def add_own_arm_options(parser: ArgumentParser) -> None:
 
 
 def arm_file_options(arguments: Namespace, units: str | None) -> "ArmFileOptions":
-    """ArmFileOptions of the arguments that `add_own_arm_options` adds. units : of --dh, None for its header's or SI
+    """ArmFileOptions of the arguments that `add_own_arm_options` adds.
+
+    units : of --dh, None for its header's or SI
     Raises RigError
     """
     from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions
@@ -103,7 +107,10 @@ def _radius(text: str) -> float:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig new design`: write the rig.toml of a new design."""
+    """Run `rig new design`.
+
+    Write the rig.toml of a new design.
+    """
     from rig.formats.importers.arm_of_urdf_or_dh_table import read_arm_file
     from rig.formats.length_and_angle_units import SI
     from rig.formats.output_files import write_text

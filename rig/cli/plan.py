@@ -1,4 +1,7 @@
-"""rig plan: plan which configurations to visit, for parameters, a promised accuracy, or to separate effects."""
+"""rig plan: plan which configurations to visit.
+
+For parameters, a promised accuracy, or to separate effects.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import (
+from rig.cli.shared.common_options import (
     SEED,
     add_json_result_option,
     add_overwrite_option,
@@ -14,9 +17,9 @@ from rig.cli.shared.argument_parser_and_common_options import (
     file_or_stdout,
     page_links,
     page_path,
-    parse_length,
 )
-from rig.cli.shared.input_options_and_output_display import Progress
+from rig.cli.shared.option_value_parsing import parse_length
+from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
@@ -90,12 +93,15 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig plan`: choose configurations to visit and write them."""
+    """Run `rig plan`.
+
+    Choose configurations to visit and write them.
+    """
     page, out = page_path(arguments), arguments.outputs.file(arguments.out)
     from calib.api.plan import plan
-    from rig.formats.rig_toml import design_file
+    from rig.formats.rig_toml import design_from_rig_toml
 
-    design, progress = design_file.load_design(arguments.design), Progress()
+    design, progress = design_from_rig_toml.load_design(arguments.design), Progress()
     made = plan(design, _options(arguments, design), progress)
     progress.close()
     made.write(out)

@@ -1,14 +1,13 @@
-"""rig print: write the marker cubes of a rig.toml as sheets to print true to scale (PDF), or as STL bodies."""
+"""rig print: write marker cubes to print.
+
+Those of a rig.toml, as sheets to print true to scale (PDF), or as STL bodies.
+"""
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_overwrite_option,
-    file_or_stdout,
-    parse_length,
-    require_matplotlib,
-)
+from rig.cli.shared.common_options import add_overwrite_option, file_or_stdout, require_matplotlib
+from rig.cli.shared.option_value_parsing import parse_length
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -40,11 +39,14 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig print`: write the sheets of a rig's markers to print, or bodies as STL."""
-    from rig.formats.rig_toml import design_file
+    """Run `rig print`.
+
+    Write the sheets of a rig's markers to print, or bodies as STL.
+    """
+    from rig.formats.rig_toml import design_from_rig_toml
 
     require_matplotlib("sheets to print")
-    design = design_file.load_design(arguments.design)
+    design = design_from_rig_toml.load_design(arguments.design)
     out = arguments.outputs.file(arguments.out)
     folder = arguments.outputs.folder(arguments.stl) if arguments.stl else None
 

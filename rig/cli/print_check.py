@@ -1,4 +1,7 @@
-"""rig print check: check a printed marker sheet by a photograph: the true side of its markers."""
+"""rig print check: check a printed marker sheet.
+
+By a photograph: the true side of its markers.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,8 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import add_json_option, parse_length, print_json
+from rig.cli.shared.common_options import add_json_option, print_json
+from rig.cli.shared.option_value_parsing import parse_length
 
 if TYPE_CHECKING:
     from rig.array_and_json_types import Floats, Json
@@ -44,11 +48,14 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig print check`: check a printed marker sheet by a photograph and print the true side of its markers."""
-    from rig.formats.rig_toml import design_file
+    """Run `rig print check`.
+
+    Check a printed marker sheet by a photograph and print the true side of its markers.
+    """
+    from rig.formats.rig_toml import design_from_rig_toml
     from vision.printed_marker_size_from_photograph import measure_printed_marker_scale
 
-    design = design_file.load_design(arguments.design)
+    design = design_from_rig_toml.load_design(arguments.design)
     found = measure_printed_marker_scale(arguments.photo, design, arguments.sheet, arguments.ruler)
     if arguments.json:
         print_json(_tree(found, design))

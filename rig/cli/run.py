@@ -1,4 +1,7 @@
-"""rig run: run a plan on the real machine: move, settle, expose, journal; frames are measured during the run."""
+"""rig run: run a plan on the real machine.
+
+Move, settle, expose, journal; frames are measured during the run.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_common_options import SEED, add_controller_arguments, length_and_angle
-from rig.cli.shared.input_options_and_output_display import add_limb_options, limb_source
+from rig.cli.shared.common_options import SEED, add_controller_arguments
+from rig.cli.shared.input_options import add_limb_options, limb_source
+from rig.cli.shared.option_value_parsing import length_and_angle
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
@@ -81,7 +85,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig run`: run a plan on the machine and record it, or resume such a run."""
+    """Run `rig run`.
+
+    Run a plan on the machine and record it, or resume such a run.
+    """
     from calib.api.machine_run import plan_run
     from rig.driving.driver_opening_and_settled_status import design_with_controller_port
 

@@ -1,4 +1,7 @@
-"""rig simulate: simulate a recording under a plan, or from a diagnosis; its truth is written separately."""
+"""rig simulate: simulate a recording under a plan.
+
+Or from a diagnosis; its truth is written separately.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,9 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options_and_output_display
-from rig.cli.shared.argument_parser_and_common_options import add_overwrite_option
-from rig.cli.shared.input_options_and_output_display import Progress
+from rig.cli.shared import input_options
+from rig.cli.shared.common_options import add_overwrite_option
+from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
@@ -55,7 +58,7 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="NAME:PLACE:PARAMETER=VALUE,..",
         help="unmodelled effect; may be repeated",
     )
-    input_options_and_output_display.add_user_effect_files_option(parser)
+    input_options.add_user_effect_files_option(parser)
     parser.add_argument(
         "--noise", type=parse_number, default=0.04, metavar="PX", help="of corners, standard deviation (default 0.04)"
     )
@@ -102,7 +105,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig simulate`: simulate a recording and write it, its truth apart."""
+    """Run `rig simulate`.
+
+    Simulate a recording and write it, its truth apart.
+    """
     if arguments.source is not None:
         return _again(arguments)
     if arguments.design is None:
@@ -127,7 +133,7 @@ def _options(arguments: Namespace) -> SimulateOptions:
     return SimulateOptions(
         arguments.plan,
         tuple(arguments.effect),
-        input_options_and_output_display.known_effects(input_options_and_output_display.load_effect_files(arguments)),
+        input_options.known_effects(input_options.load_effect_files(arguments)),
         arguments.noise,
         arguments.seed,
         arguments.secret,

@@ -1,4 +1,7 @@
-"""rig simulate blind: diagnose blind cases on simulated rigs, and score the answers."""
+"""rig simulate blind: diagnose blind cases on simulated rigs.
+
+And score the answers.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from subprocess import CompletedProcess
 
 from rig.array_and_json_types import Json
 from rig.cli.shared import blind_case_process
-from rig.cli.shared.argument_parser_and_common_options import add_json_result_option, add_overwrite_option
+from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option
 from rig.cli.shared.worker_options_and_pool import results_with_progress, worker_pool
 from rig.compute.worker_processes import run_child_process
 from rig.errors import RigError
@@ -78,7 +81,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig simulate blind`: draw blind cases, diagnose each without its truth, and score the campaign."""
+    """Run `rig simulate blind`.
+
+    Draw blind cases, diagnose each without its truth, and score the campaign.
+    """
     from synthetic.blind_campaign import Campaign, CampaignOptions, parse_case_numbers
 
     a = arguments

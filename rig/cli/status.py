@@ -1,8 +1,11 @@
-"""rig status: controller status, printed; nothing moves."""
+"""rig status: print the controller's status.
+
+Nothing moves.
+"""
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared.argument_parser_and_common_options import add_controller_arguments, add_json_result_option
+from rig.cli.shared.common_options import add_controller_arguments, add_json_result_option
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -12,7 +15,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig status`: print the status of the controller.
+    """Run `rig status`.
+
+    Print the status of the controller.
 
     Nothing moves.
     """

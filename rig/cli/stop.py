@@ -1,11 +1,13 @@
-"""rig stop: stop the struts immediately, and any process that moves them.
+"""rig stop: stop the struts immediately.
+
+And any process that moves them.
 
 Nothing that takes time is imported before the controller was sent its urgent stop.
 """
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared.argument_parser_and_common_options import add_controller_arguments
+from rig.cli.shared.common_options import add_controller_arguments
 
 PATIENCE = 10.0  # s for a process that drives to let go
 
@@ -16,7 +18,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig stop`: stop the struts, and any process that moves them.
+    """Run `rig stop`.
+
+    Stop the struts, and any process that moves them.
 
     Its run can be resumed.
     """

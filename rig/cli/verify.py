@@ -1,4 +1,7 @@
-"""rig verify: verify a calibration by a recording not used for it: error before and after correction."""
+"""rig verify: verify a calibration by another recording.
+
+One not used for it: error before and after correction.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +10,12 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options_and_output_display
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_json_option,
-    add_page_option,
-    page_links,
-    page_path,
-    print_frames_without_pose,
-    print_held_out_errors,
-    print_json,
-)
+from rig.cli.shared import input_options, refutation_printing_and_writing
+from rig.cli.shared.common_options import add_json_option, add_page_option, page_links, page_path, print_json
 from rig.cli.shared.hand_option import add_hand_option, recording_of_chosen_hand
-from rig.cli.shared.input_options_and_output_display import Progress, add_recording_argument, read_recording
+from rig.cli.shared.input_options import add_recording_argument, read_recording
+from rig.cli.shared.output_display import Progress
+from rig.cli.shared.printing_of_held_out_errors import print_frames_without_pose, print_held_out_errors
 from rig.report.verdict_and_refutations import exit_status
 
 if TYPE_CHECKING:
@@ -33,14 +30,16 @@ def arguments(parser: ArgumentParser) -> None:
     add_json_option(parser)
     add_page_option(parser)
     add_hand_option(parser)
-    input_options_and_output_display.add_user_effect_files_option(parser)
+    input_options.add_user_effect_files_option(parser)
     parser.add_argument(
         "--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were intended to take"
     )
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig verify`: verify a calibration by another recording and print its errors.
+    """Run `rig verify`.
+
+    Verify a calibration by another recording and print its errors.
 
     Exit status 3 where the verdict is bad.
     """
@@ -50,17 +49,17 @@ def run(arguments: Namespace) -> int:
 
     progress = Progress()
     progress("reading the recording", 0, 1)
-    calibration = input_options_and_output_display.calibration_of_arguments(arguments)
+    calibration = input_options.calibration_of_arguments(arguments)
     wanted = load_poses(arguments.wanted, are_commands=True) if arguments.wanted else None
     recording, page = recording_of_chosen_hand(arguments, read_recording(arguments)), page_path(arguments)
     refuted = refutations_of_file(arguments.calibration)
     result = verify(calibration, recording, wanted, refuted, progress)
     progress.close()
-    input_options_and_output_display.print_refutations(arguments.calibration, refuted)
+    refutation_printing_and_writing.print_refutations(arguments.calibration, refuted)
     if page is not None:
         result.write_page(page, page_links(arguments, arguments.page))
     if result.refutation is not None:
-        input_options_and_output_display.write_refutation(
+        refutation_printing_and_writing.write_refutation(
             arguments, arguments.calibration, recording.name, result.refutation
         )
     if arguments.json:

@@ -1,12 +1,16 @@
-"""rig view: view a recording: a picture of one frame with markers and residuals, or a 3-D page of all poses."""
+"""rig view: view a recording.
+
+A picture of one frame with markers and residuals, or a 3-D page of all poses.
+"""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.argument_parser_and_common_options import add_overwrite_option, file_or_stdout, page_links
-from rig.cli.shared.input_options_and_output_display import Progress, add_recording_argument, read_recording
+from rig.cli.shared.common_options import add_overwrite_option, file_or_stdout, page_links
+from rig.cli.shared.input_options import add_recording_argument, read_recording
+from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 
@@ -50,7 +54,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig view`: draw one frame of a recording, or all its poses in 3-D."""
+    """Run `rig view`.
+
+    Draw one frame of a recording, or all its poses in 3-D.
+    """
     from calib.api.view import ViewOptions, view
 
     _refuse_options_of_other_views(arguments)

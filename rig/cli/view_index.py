@@ -1,9 +1,12 @@
-"""rig view index: write the index page of all pages below a folder, each with its verdict."""
+"""rig view index: write an index page of pages.
+
+Of all pages below a folder, each with its verdict.
+"""
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.argument_parser_and_common_options import add_overwrite_option
+from rig.cli.shared.common_options import add_overwrite_option
 from rig.errors import RigError
 
 
@@ -21,8 +24,11 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig view index`: write the index page of all pages below a folder."""
-    from rig.report.pages.page_templates_and_elements import NAME, list_pages_below_folder, write_index_page
+    """Run `rig view index`.
+
+    Write the index page of all pages below a folder.
+    """
+    from rig.report.pages.page_templates_and_index_page import NAME, list_pages_below_folder, write_index_page
 
     if not arguments.folder.is_dir():
         raise RigError(f"{arguments.folder}: no such folder")

@@ -1,12 +1,15 @@
-"""rig watch: watch a calibration's drift by small visits: whether it still holds, what changed."""
+"""rig watch: watch a calibration's drift by small visits.
+
+Whether it still holds, what changed.
+"""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared import input_options_and_output_display
-from rig.cli.shared.argument_parser_and_common_options import (
+from rig.cli.shared import refutation_printing_and_writing
+from rig.cli.shared.common_options import (
     SEED,
     add_json_option,
     add_overwrite_option,
@@ -15,7 +18,7 @@ from rig.cli.shared.argument_parser_and_common_options import (
     page_path,
     print_json,
 )
-from rig.cli.shared.input_options_and_output_display import Progress
+from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_whole_number
 from rig.report.verdict_and_refutations import exit_status, refutations_of_file
@@ -55,7 +58,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig watch`: choose a visit's poses, or compare visits with a calibration.
+    """Run `rig watch`.
+
+    Choose a visit's poses, or compare visits with a calibration.
 
     Prints what changed. Exit status 3 where the verdict is bad.
     """
@@ -91,14 +96,14 @@ def _watch(arguments: Namespace) -> int:
     refuted = refutations_of_file(arguments.calibration)
     result = watch(calibration, loaded, history, refuted, progress)
     progress.close()
-    input_options_and_output_display.print_refutations(arguments.calibration, refuted)
+    refutation_printing_and_writing.print_refutations(arguments.calibration, refuted)
     if kept is not None:
         visit_history.write_history(kept, result.history)
     if page is not None:
         result.write_page(page, arguments.calibration.name, page_links(arguments, arguments.page))
     if result.refutation is not None:
         state, sentence = result.refutation
-        input_options_and_output_display.write_refutation(
+        refutation_printing_and_writing.write_refutation(
             arguments, arguments.calibration, result.visits[-1].name, sentence, state
         )
     if arguments.json:
@@ -113,11 +118,11 @@ def _watch(arguments: Namespace) -> int:
 def _plan(arguments: Namespace) -> None:
     from calib.drift.visit_configurations import SIGMAS, choose_visit_configurations
     from calib.files import calibration_file
-    from rig.formats.rig_toml import design_file
+    from rig.formats.rig_toml import design_from_rig_toml
     from rig.recording import recording_table_loading_and_writing
 
     calibration = calibration_file.load(arguments.calibration)
-    design = design_file.load_design(arguments.rig) if arguments.rig else None
+    design = design_from_rig_toml.load_design(arguments.rig) if arguments.rig else None
     out = arguments.outputs.file(arguments.out)
     progress = Progress()
     chosen = choose_visit_configurations(

@@ -1,19 +1,17 @@
-"""rig why: calibrate and diagnose a machine from data; print how wrong, why, how sure, what to do and measure."""
+"""rig why: why a machine is not where its model says.
+
+It calibrates and diagnoses from data, and prints how wrong, why, how sure, what to do and measure.
+"""
 
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 
 from rig.cli.new_design import add_own_arm_options, arm_file_options
-from rig.cli.shared.argument_parser_and_common_options import (
-    add_json_option,
-    add_overwrite_option,
-    page_links,
-    parse_length,
-    parse_tolerance,
-    print_json,
-)
-from rig.cli.shared.input_options_and_output_display import Progress, add_anyway_option
+from rig.cli.shared.common_options import add_json_option, add_overwrite_option, page_links, print_json
+from rig.cli.shared.input_options import add_anyway_option
+from rig.cli.shared.option_value_parsing import parse_length, parse_tolerance
+from rig.cli.shared.output_display import Progress
 from rig.report.verdict_and_refutations import exit_status
 
 
@@ -62,7 +60,9 @@ def _angle(text: str) -> float:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `rig why`: calibrate and diagnose a machine from its data, and print five lines.
+    """Run `rig why`.
+
+    Calibrate and diagnose a machine from its data, and print five lines.
 
     Exit status 3 where the verdict is bad.
     """

@@ -1,9 +1,12 @@
-"""rig workspace: reachable workspace with a calibration: poses lost and gained, limits, singularities."""
+"""rig workspace: reachable workspace with a calibration.
+
+Poses lost and gained, limits, singularities.
+"""
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.argument_parser_and_common_options import add_json_result_option, add_overwrite_option, page_links
+from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, page_links
 from rig.errors import RigError
 
 
@@ -27,7 +30,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run `rig workspace`: map the workspace of a calibration and print what it changes."""
+    """Run `rig workspace`.
+
+    Map the workspace of a calibration and print what it changes.
+    """
     from calib.api.workspace_change_by_calibration import analyse_workspace
 
     out = arguments.out

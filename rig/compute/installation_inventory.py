@@ -1,4 +1,7 @@
-"""Inventory of the installation for `rig doctor`: packages, OpenGL, cameras, serial ports, disk space, threads."""
+"""Inventory of the installation.
+
+For `rig doctor`: packages, OpenGL, cameras, serial ports, disk space, threads.
+"""
 
 import os
 import platform
@@ -78,7 +81,10 @@ def installed_packages() -> Iterator[InventoryItem]:
 
 
 def parse_requirement(requirement: str) -> tuple[str, str | None, str | None]:
-    """Parse a package requirement: (name, least version or None, extra or None)."""
+    """Parse a package requirement.
+
+    Returns (name, least version or None, extra or None)
+    """
     name = re.match(r"[\w.-]+", requirement)
     least, extra = (
         re.search(r">=\s*([\w.]+)", requirement.split(";")[0]),
@@ -92,7 +98,10 @@ def _numbers(version: str) -> tuple[int, ...]:
 
 
 def check_graphics() -> InventoryItem:
-    """Check graphics: whether OpenGL draws, tried in a child process, since a broken driver ends its process."""
+    """Check graphics.
+
+    Whether OpenGL draws, tried in a child process, since a broken driver ends its process.
+    """
     try:
         done = subprocess.run([sys.executable, "-c", CONTEXT], capture_output=True, text=True, timeout=60)
     except subprocess.TimeoutExpired:
@@ -106,7 +115,10 @@ def check_graphics() -> InventoryItem:
 
 
 def list_cameras(folder: Path = Path("/sys/class/video4linux")) -> InventoryItem:
-    """List the cameras (video devices) by name; none is opened."""
+    """List the cameras (video devices) by name.
+
+    None is opened.
+    """
     there = sorted(folder.iterdir()) if folder.is_dir() else []
     names = [f"/dev/{one.name} ({(one / 'name').read_text().strip()})" for one in there]
     return InventoryItem(

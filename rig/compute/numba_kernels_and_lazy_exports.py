@@ -1,4 +1,6 @@
-"""Numba kernels: lazy compilation and private cache folder; lazy exports of a package's names.
+"""Numba kernels, and lazy exports of packages.
+
+Kernels are compiled lazily, with a private cache folder; exports are a package's names.
 
 Files in the cache are loaded as code, so its folder must be private.
 """
@@ -38,7 +40,10 @@ class CompilerOptions(TypedDict, total=False):
 
 
 def set_kernel_cache_folder() -> None:
-    """Set numba's cache folder for compiled kernels, before numba is imported, unless the user has set one."""
+    """Set numba's cache folder for compiled kernels.
+
+    Before numba is imported, unless the user has set one.
+    """
     folder = kernel_cache_folder()
     if folder is not None:
         os.environ.setdefault("NUMBA_CACHE_DIR", str(folder))
@@ -65,7 +70,10 @@ def private_folder_or_user_cache(folder: Path) -> Path:
 
 @cache
 def is_private_folder(folder: Path) -> bool:
-    """Whether a folder is private: nobody but this user and root can write to it or replace it."""
+    """Whether a folder is private.
+
+    Nobody but this user and root can write to it or replace it.
+    """
     found = Path(os.path.realpath(folder))
     if not hasattr(os, "getuid"):  # Windows, where modes say nothing and the user's own profile is closed to others
         return found.is_relative_to(os.path.realpath(Path.home()))
@@ -76,7 +84,9 @@ def is_private_folder(folder: Path) -> bool:
 
 @cache
 def user_cache_folder(reason: str) -> Path:
-    """The user's private cache folder for compiled kernels: below the home, else a temporary one.
+    """The user's private cache folder for compiled kernels.
+
+    Below the home, else a temporary one.
     reason : why it is needed
     """
     home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
@@ -120,7 +130,10 @@ _say: Callable[[], None] | None = None  # to be called when something is compile
 
 @contextmanager
 def announce_compilation(callback: Callable[[], None]) -> Iterator[None]:
-    """Context manager: announce the first kernel compilation in this process by calling `callback`."""
+    """Announce the first kernel compilation (context manager).
+
+    In this process, by calling `callback`.
+    """
     global _say
     before, _say = _say, callback
     try:
@@ -207,7 +220,10 @@ class Kernel:
 
 
 def njit(**options: Unpack[CompilerOptions]) -> Callable[[F], F]:
-    """Decorator like numba.njit that compiles on the first call. options : of numba.njit"""
+    """Decorator like numba.njit that compiles on the first call.
+
+    options : of numba.njit
+    """
 
     def kernel(function: F) -> F:
         return cast(F, Kernel(function, options))

@@ -1,4 +1,6 @@
-"""Parallel map of a function over items: by forked processes, threads, or the workers of a Dask cluster.
+"""Parallel map of a function, and the Dask cluster.
+
+Over items: by forked processes, threads, or the workers of a cluster.
 
 Threads within the products of matrices as small as here cost more than they bring; who calls limits them to one.
 """
@@ -128,8 +130,9 @@ class Cluster:
 
 @contextmanager
 def use_cluster(address: str | None) -> Iterator[Cluster | None]:
-    """Context manager: connect to the Dask cluster whose scheduler is at an address, tcp://HOST:PORT.
+    """Use the Dask cluster at an address (context manager).
 
+    The address is that of its scheduler, tcp://HOST:PORT.
     Raises MissingLibrary without Dask, RigError where no scheduler answers or it has no worker
     """
     global _at_work
@@ -200,7 +203,9 @@ def parallel_map(
     items_per_process: int = FEW,
     on_cluster: bool = False,
 ) -> list[R]:
-    """Results of a function mapped over items in parallel, in the items' order; exceptions are raised here.
+    """Results of a function mapped over items in parallel, in the items' order.
+
+    Exceptions are raised here.
 
     It takes one process where the system cannot fork or OMP_NUM_THREADS, which limits the processes as it does threads,
     is 1, and within a process that another call of it forked. A process that is ended from outside costs what it was

@@ -1,4 +1,7 @@
-"""Worker processes: pools, their number, mapping over them; they end when their parent process ends."""
+"""Worker processes and their pools.
+
+Their number, and mapping over them; they end when their parent process ends.
+"""
 
 import ctypes
 import gc
@@ -45,7 +48,10 @@ class WorkerEnded(RigError):
 
 @contextmanager
 def temporary_worker_limit(count: int | None) -> Iterator[None]:
-    """Context manager: limit the number of worker processes to `count`; None sets no limit."""
+    """Limit the number of worker processes to `count` (context manager).
+
+    None sets no limit.
+    """
     global _asked
     before, _asked = _asked, _asked if count is None else count
     try:
@@ -55,7 +61,10 @@ def temporary_worker_limit(count: int | None) -> Iterator[None]:
 
 
 def worker_count() -> int:
-    """Number of worker processes: the limit that is set, else the CPU cores, OMP_NUM_THREADS at most."""
+    """Number of worker processes.
+
+    The limit that is set, else the CPU cores, OMP_NUM_THREADS at most.
+    """
     if _asked is not None:
         return _asked
     limit = os.environ.get("OMP_NUM_THREADS", "")
@@ -70,8 +79,9 @@ def executor_map(
     progress: Progress | None = None,
     futures: list[Future[R]] | None = None,
 ) -> list[R]:
-    """Results of a function mapped over items by an executor, in the items' order; the first exception is raised.
+    """Results of a function mapped over items by an executor, in the items' order.
 
+    The first exception is raised.
     progress : called with (done, of), or None; futures : gets the things' Futures, or None
     """
     futures, out = [] if futures is None else futures, []
@@ -116,8 +126,9 @@ def process_map(
     initializer: Callable[..., object] | None = None,
     initializer_arguments: tuple[object, ...] = (),
 ) -> list[R]:
-    """Results of a function mapped over items by a process pool; items of killed processes are repeated.
+    """Results of a function mapped over items by a process pool.
 
+    Items of killed processes are repeated.
     Raises WorkerEnded where ENDED pools in turn came to an end with nothing done
     """
     left = list(enumerate(items))
@@ -195,9 +206,11 @@ def process_pool(
 
 
 def run_child_process(command: Sequence[str | PathLike[str]], env: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    """Run a child process until it ends; returns its exit status and what it printed (CompletedProcess).
+    """Run a child process until it ends.
 
     The child itself is to call `end_when_parent_ends` with this process's id, so that it does not outlive it
+
+    Returns its exit status and what it printed (CompletedProcess)
     """
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env) as child:
         _waited_for.add(child)
@@ -218,7 +231,9 @@ def terminate_child_processes() -> None:
 
 
 def end_when_parent_ends(parent_pid: int) -> None:
-    """Make this process end when its parent process (parent_pid) ends: by the system on Linux, elsewhere by a thread.
+    """Make this process end when its parent process (parent_pid) ends.
+
+    By the system on Linux, elsewhere by a thread.
     Raises OSError where it will not. On Windows that takes a process that multiprocessing started.
     """
     if sys.platform == "linux" and ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, SIGKILL, 0, 0, 0):

@@ -1,4 +1,7 @@
-"""Clock for commands and exposures (now, sleep): the system clock, and a simulated clock for tests."""
+"""Clock for commands and exposures.
+
+It has now and sleep: the system clock, and a simulated clock for tests.
+"""
 
 import time
 from typing import Protocol

@@ -1,4 +1,6 @@
-"""Controller address as rig.toml states it, and its urgent stop, sent before anything that takes time is imported.
+"""Controller address, and its urgent stop.
+
+As rig.toml states it; the stop is sent before anything that takes time is imported.
 
 What a rig.toml states of its controller is read here as text alone; whoever goes on reads it whole, and refuses it.
 """
@@ -90,7 +92,9 @@ def _stop_bytes(protocol: str, path: Path) -> bytes | None:
 
 @contextmanager
 def urgently_stopped_controller(address: ControllerAddress, clock: Clock) -> Iterator[StoppedController]:
-    """Context manager of a StoppedController: its lock held, its urgent stop sent, its port closed at the end.
+    """Urgently stopped controller, a StoppedController (context manager).
+
+    Its lock held, its urgent stop sent, its port closed at the end.
 
     Nobody else drives it meanwhile.
 

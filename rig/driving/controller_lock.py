@@ -1,4 +1,6 @@
-"""Controller lock: one process drives a controller; who holds the lock, and how that process is stopped.
+"""Controller lock: one process drives a controller.
+
+Who holds the lock, and how that process is stopped.
 
 The lock is a listening socket, named by the device: who listens at the name holds it, until its process ends. On Linux
 sockets are in the abstract namespace: they are no files, so that no folder, environment or umask decides who sees them
@@ -61,7 +63,9 @@ class LockHolder:
 
 
 def bound_lock_socket(name: str, port: str) -> socket.socket:
-    """The listening socket of a lock, now held by this process; it does not block.
+    """The listening socket of a lock, now held by this process.
+
+    It does not block.
     port : of the controller, for messages. Raises RigError naming the process that has it
     """
     held = None
@@ -84,14 +88,19 @@ def bound_lock_socket(name: str, port: str) -> socket.socket:
     return held
 
 
-def greet(name: str, caller: socket.socket) -> None:
-    """Tell a caller who holds the lock, where the system does not. Raises OSError where the caller is gone."""
+def send_lock_holder_to_caller(name: str, caller: socket.socket) -> None:
+    """Send to a caller which process holds the lock.
+
+    Only where the system does not tell it. Raises OSError where the caller is gone.
+    """
     if not ABSTRACT:
         caller.sendall(f"{name} {os.getpid()}\n".encode())
 
 
 def connect_to_lock_holder(name: str) -> tuple[socket.socket, LockHolder] | None:
-    """A connection to the process that holds a lock, and who that is; None where nobody does.
+    """A connection to the process that holds a lock, and who that is.
+
+    None where nobody does.
     Raises RigError where it does not identify itself, or the lock's TCP port is another program's.
     """
     caller = socket.socket(socket.AF_UNIX if ABSTRACT else socket.AF_INET, socket.SOCK_STREAM)
@@ -216,8 +225,9 @@ class ControllerLock:
 
 
 def stop_lock_holder(port: str, clock: Clock, timeout: float, usb_id: str = "") -> int | None:
-    """Stop the process that holds a controller's lock: it halts the struts and ends, or is killed after `timeout`.
+    """Stop the process that holds a controller's lock.
 
+    It halts the struts and ends, or is killed after `timeout`.
     timeout : s after which one that has not is killed. It is asked by SIGTERM, as a shell's background job ignores
     SIGINT; over its lock where it is another user's or the system does not say whose
     Returns its number, or None where nobody drives. Raises RigError where it does not let go
@@ -242,7 +252,10 @@ def stop_lock_holder(port: str, clock: Clock, timeout: float, usb_id: str = "") 
 
 
 def lock_names(port: str, usb_id: str = "") -> list[str]:
-    """Names of all locks of the controller at a port: by device, path, network address and USB number."""
+    """Names of all locks of the controller at a port.
+
+    By device, path, network address and USB number.
+    """
     words = set()
     if usb_id:
         from rig.driving.serial_port import find_usb_port
@@ -328,7 +341,7 @@ def _device(path: str) -> set[str]:
 
 def _received(name: str, caller: socket.socket) -> bytes:
     try:
-        greet(name, caller)
+        send_lock_holder_to_caller(name, caller)
         return caller.recv(len(STOP))
     except OSError:  # silent, or gone
         return b""

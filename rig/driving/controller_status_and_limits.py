@@ -1,4 +1,6 @@
-"""Controller status, advice to the operator, and limits (travel, speed, acceleration) that a controller itself has.
+"""Controller status, and limits of a controller.
+
+With advice to the operator; limits are travel, speed and acceleration that a controller itself has.
 
 Moves are checked against the limits; a warning says where they are tighter than the rig.toml's.
 """
@@ -38,8 +40,9 @@ class ControllerLimits:
 
 
 def limit_warnings(limits: ControllerLimits, controller: Controller, mechanism: Hexapod | Planar2) -> list[str]:
-    """A line for each kind of limit of a controller that is tighter than the rig.toml's, with both figures of the strut
-    that it concerns most.
+    """Warnings of controller limits tighter than the rig.toml's.
+
+    A line for each kind of limit, with both figures of the strut that it concerns most.
     """
     lines, ranges = [], mechanism.strut_range
     low, high = (limits.travel + controller.zero[:, None]).T
@@ -72,8 +75,9 @@ def limit_warnings(limits: ControllerLimits, controller: Controller, mechanism: 
 
 
 def require_goals_within_limits(limits: ControllerLimits, goals: Floats, zero: Floats) -> None:
-    """Raise Unreachable for goals (k, n) m, lengths, that the controller would refuse; zero : (n,) m, length where it
-    counts 0
+    """Raise Unreachable for goals (k, n) m, lengths, that the controller would refuse.
+
+    zero : (n,) m, length where it counts 0
     """
     low, high = (limits.travel + zero[:, None]).T
     beyond = np.fmax(low - goals, goals - high)
@@ -104,7 +108,10 @@ def require_goals_within_limits(limits: ControllerLimits, goals: Floats, zero: F
 
 
 def limits_of_linuxcnc_ini(path: Path, count: int) -> ControllerLimits:
-    """Limits of the joints 0 .. count - 1 in a LinuxCNC .ini file. Raises FileError for one that cannot be read."""
+    """Limits of the joints 0 .. count - 1 in a LinuxCNC .ini file.
+
+    Raises FileError for one that cannot be read.
+    """
     sections: dict[str, dict[str, str]] = {}
     entries: dict[str, str] = {}
     for line in read_bytes(path).decode("utf-8", "replace").splitlines():
@@ -184,7 +191,9 @@ _BY_ACTIVITY = {
 
 
 def operator_advice(activity: str, can_home: bool) -> str:
-    """Advice to the operator for the controller's activity, as text after "; "; "" where it is ready.
+    """Advice to the operator for the controller's activity.
+
+    It is text after "; ", "" where it is ready.
     can_home : whether the controller can home.
     """
     if activity in ("alarm", "off") and not can_home:

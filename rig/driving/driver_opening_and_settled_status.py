@@ -1,4 +1,7 @@
-"""Driver opening for a design, locked against other processes, and settled status once no axis moves."""
+"""Driver opening for a design, and settled status.
+
+A driver is locked against other processes; status is settled once no axis moves.
+"""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -15,7 +18,7 @@ from rig.driving.serial_port import SerialPort, find_usb_port
 from rig.driving.strut_driver import Driver
 from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
 from rig.errors import FileError, RigError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Controller, Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_struts
 from rig.model.protocol_and_port_names import port_problem
@@ -26,7 +29,7 @@ def design_with_controller_port(path: Path, port: str | None) -> Design:
 
     Raises RigError for one without, and for one that names programs and is not the operator's own
     """
-    design = design_file.load_design(path)
+    design = design_from_rig_toml.load_design(path)
     require_own_rig_toml(path, design)
     if design.controller is None:
         raise RigError(f"{path} has no [controller], so there is nothing to drive: state its protocol and port there")
@@ -36,8 +39,9 @@ def design_with_controller_port(path: Path, port: str | None) -> Design:
 
 
 def address_of_controller(controller: Controller, mechanism: Mechanism) -> ControllerAddress:
-    """Address of the Controller of a design, for a rig.toml that is no local file. Raises RigError for no port, and for
-    a program of the user's own that cannot be used.
+    """Address of the Controller of a design, for a rig.toml that is no local file.
+
+    Raises RigError for no port, and for a program of the user's own that cannot be used.
     """
     c = controller
     if not (c.port or c.usb):
@@ -87,8 +91,9 @@ def _opener(design: Design, stopped: StoppedController | None, clock: Clock) -> 
 def settled_status(
     driver: Driver, clock: Clock, timeout: float = 60.0, poll_interval: float = 0.05
 ) -> ControllerStatus:
-    """Status once the axes have settled: a move that another process began is awaited.
+    """Status once the axes have settled.
 
+    A move that another process began is awaited.
     Raises RigError where they still move after so long.
     """
     status, end = driver.status(), clock.now() + timeout

@@ -1,4 +1,7 @@
-"""Operator loop of a run: move, settle, grab, journal; each journal row is on disk before the next move."""
+"""Loop of a run that moves and records.
+
+Move, settle, grab, journal; each journal row is on disk before the next move.
+"""
 
 import threading
 from collections.abc import Callable

@@ -1,4 +1,6 @@
-"""Exchange of requests and answers with a controller over a port: one at a time, with timeout and reconnection.
+"""Exchange of requests and answers with a controller.
+
+Over a port: one at a time, with timeout and reconnection.
 
 Every byte sent and received can be traced.
 """

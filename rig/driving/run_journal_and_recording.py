@@ -206,13 +206,18 @@ class Journal:
 
 
 def journal_line(number: int, row: Row) -> bytes:
-    """Line of the journal for a row. number : of the row, from 0"""
+    """Line of the journal for a row.
+
+    number : of the row, from 0
+    """
     body = json.dumps({"row": number, "kind": row.kind, **asdict(row)})
     return f'{body[:-1]}, "crc": "{zlib.crc32(body.encode()):08x}"}}\n'.encode()
 
 
 def read_journal(path: Path) -> tuple[list[Row], int]:
-    """Rows read from a journal and their length in bytes; a torn last line follows those bytes.
+    """Rows read from a journal and their length in bytes.
+
+    A torn last line follows those bytes.
     Raises FileError for damage, with the line.
     """
     try:

@@ -1,4 +1,7 @@
-"""Steps of a run from its plan, checked before motion; progress of the run from its journal."""
+"""Steps of a run, and its progress.
+
+Steps come from its plan and are checked before motion; progress is read from its journal.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -37,8 +40,9 @@ class Step:
 
 
 def steps_of_plan(plan: Plan) -> tuple[Step, ...]:
-    """Steps of a plan: each goal where its commands turn or dwell, and the number of frames exposed there.
+    """Steps of a plan.
 
+    Each goal where its commands turn or dwell, and the number of frames exposed there.
     Raises RigError for a plan that exposes while the struts move, or that changes the payload: a run waits until the
     struts stand, and nobody is asked to load the platform.
     """
@@ -87,7 +91,10 @@ def check_steps(steps: tuple[Step, ...], start: Floats, check_move: Callable[[Fl
 
 
 def step_distances(steps: tuple[Step, ...], start: Floats) -> Floats:
-    """Distance (steps,) m of each step: that of the strut that moves most."""
+    """Distance (steps,) m of each step.
+
+    That of the strut that moves most.
+    """
     goals = np.array([start, *(step.goal for step in steps)])
     return np.abs(np.diff(goals, axis=0)).max(axis=1)
 
@@ -115,7 +122,9 @@ class Progress:
 
 
 def progress_from_journal(journal_rows: list[Row], steps: tuple[Step, ...]) -> Progress:
-    """Progress of a run from its journal rows. Raises RigError for rows that do not match the planned steps.
+    """Progress of a run from its journal rows.
+
+    Raises RigError for rows that do not match the planned steps.
     Raises RigError for rows that no run of this plan leaves.
     """
     if not journal_rows or not isinstance(journal_rows[0], Began):
@@ -153,8 +162,11 @@ def progress_from_journal(journal_rows: list[Row], steps: tuple[Step, ...]) -> P
 def lost_position_reason(
     progress: Progress, position: Floats, tolerance: float, started_anew: bool, can_home: bool
 ) -> str:
-    """Why a position (axes,) m that is read when a run is resumed cannot be believed, "" where it can.
+    """Reason why a position (axes,) m counts as lost.
 
+    Where it is read when a run is resumed and cannot be believed.
+
+    "" where it can.
     tolerance : m, of a read-back; started_anew : whether the controller says that it has started since it was homed or
     confirmed; can_home : whether it can home. One that cannot shows lost zeros only by struts that read elsewhere.
     """
@@ -176,9 +188,10 @@ def lost_position_reason(
 def interrupted_move_result(
     progress: Progress, steps: tuple[Step, ...], position: Floats, tolerance: float
 ) -> tuple[str, bool]:
-    """Result of an interrupted move from the position read after a crash: (text, whether the goal is reached).
+    """Result of an interrupted move from the position read after a crash.
 
     tolerance : m, of a read-back
+    Returns (text, whether the goal is reached)
     """
 
     def near(place: object) -> bool:

@@ -1,4 +1,7 @@
-"""Sensors read from a port, a line of numbers per reading, or by a program of the user's own."""
+"""Reader of sensors during a run.
+
+From a port, a line of numbers per reading, or by a program of the user's own.
+"""
 
 from collections.abc import Callable, Mapping
 
@@ -112,5 +115,8 @@ class UserSensorReader(SensorReader):
 
 
 def open_sensors(stated: SensorPort, clock: Clock) -> SensorReader:
-    """The sensors of a rig.toml, opened. Raises LinkLost for a port, FileError or RigError for a program."""
+    """The sensors of a rig.toml, opened.
+
+    Raises LinkLost for a port, FileError or RigError for a program.
+    """
     return UserSensorReader(stated) if is_user_program(stated.port) else SensorReader(stated, clock)

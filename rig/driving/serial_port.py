@@ -1,4 +1,7 @@
-"""Serial port of a controller, opened for one process alone; it imports nothing that takes time."""
+"""Serial port of a controller.
+
+It is opened for one process alone, and imports nothing that takes time.
+"""
 
 import io
 import os
@@ -104,7 +107,9 @@ def _ends_with_us(handle: int) -> bool:
 
 
 def find_usb_port(url: str, usb_id: str) -> str:
-    """Find the port of a USB device by its id; `url` where no id is stated.
+    """Find the port of a USB device by its id.
+
+    `url` where no id is stated.
     url : its port when nothing else is known; usb_id : its serial number or a part of its hardware id, "" where none
     is stated. Raises LinkLost where it is not plugged in, or several answer to it.
     """

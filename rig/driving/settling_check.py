@@ -1,4 +1,7 @@
-"""Settling check before an exposure: by time, until images stop changing, or until limb readings agree."""
+"""Settling check before an exposure.
+
+By time, until images stop changing, or until limb readings agree.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -52,7 +55,9 @@ class Settling:
 
 
 def parse_settling(text: str) -> Settling:
-    """Settling parsed from text: "time:SECONDS", "images" or "limbs:METRES".
+    """Settling parsed from text.
+
+    "time:SECONDS", "images" or "limbs:METRES".
     Raises RigError for anything else.
     """
     by, _, amount = text.partition(":")
@@ -66,7 +71,10 @@ def parse_settling(text: str) -> Settling:
 
 
 def image_difference_relative_to_noise(first_image: Pixels, second_image: Pixels) -> float:
-    """Difference of two images of a camera relative to noise; above 1 the view has moved."""
+    """Difference of two images of a camera relative to noise.
+
+    Above 1 the view has moved.
+    """
     difference = np.abs(_blocks(first_image) - _blocks(second_image))
     noise = min(float(np.median(difference)) / 0.6745, LARGEST_NOISE)
     return float(difference.max()) / max(NOISES * noise, LEAST)

@@ -1,4 +1,7 @@
-"""Driver of struts: checks and sends each move, monitors the read-back, stops on failure."""
+"""Driver of struts.
+
+It checks and sends each move, monitors the read-back, stops on failure.
+"""
 
 import threading
 from collections.abc import Callable, Iterator

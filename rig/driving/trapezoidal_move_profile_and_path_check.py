@@ -1,4 +1,7 @@
-"""Straight moves of all axes: segment at a share of full speed, trapezoidal profile, check of the path."""
+"""Trapezoidal move profile, and path check.
+
+Moves of all axes are straight: segment at a share of full speed.
+"""
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -16,12 +19,13 @@ PIECES = 8  # straight pieces to a ramp: they leave the curve by less than a fiv
 
 
 def trapezoidal_profile(start_time: float, end_time: float, cruise_time: float, ramp_time: float | None) -> Way:
-    """Trapezoidal speed profile of a move: ((s, share of the path), ..) between start and end time.
+    """Trapezoidal speed profile of a move.
 
     cruise_time : s that the way would take at full speed alone; ramp_time : s from standing to full speed, or None
         where the
     controller keeps its acceleration to itself: then what the move took beyond `cruise_time` is taken to be the ramp
     A move too short for full speed is a triangle. What was not needed is waiting at its end.
+    Returns ((s, share of the path), ..) between start and end time
     """
     whole = end_time - start_time
     if whole <= 0 or cruise_time <= 0:
@@ -49,7 +53,9 @@ def trapezoidal_profile(start_time: float, end_time: float, cruise_time: float, 
 def straight_move_segment(
     start: Floats, target: Floats, speed_share: float, controller: Controller, mechanism: Hexapod | Planar2
 ) -> Segment:
-    """Segment of a straight move of all axes, which begin and arrive simultaneously, at a share of full speed.
+    """Segment of a straight move of all axes.
+
+    Which begin and arrive simultaneously, at a share of full speed.
     start, target : (n,) m, lengths; speed_share : of the greatest speeds, above 0 and at most 1.
     """
     way = np.abs(target - start)
@@ -66,7 +72,9 @@ FEWEST, MOST = 3, 200  # of them, beside the start
 
 
 def require_lengths_in_range(lengths: Floats, mechanism: Hexapod | Planar2) -> Floats:
-    """Require lengths (n,) m within the strut ranges, and return them; raises Unreachable for those out of range.
+    """Require lengths (n,) m within the strut ranges, and return them.
+
+    Raises Unreachable for those out of range
     Raises ValueError, Unreachable naming each strut beyond its range.
     """
     lengths = np.array(lengths, float)
@@ -86,8 +94,9 @@ def require_lengths_in_range(lengths: Floats, mechanism: Hexapod | Planar2) -> F
 def require_safe_path(
     start: Floats, target: Floats, mechanism: Hexapod | Planar2, singularity_margin: float, max_step: float | None
 ) -> None:
-    """Raise Unreachable unless the straight path is safe: ranges, largest step, workspace, singularities.
+    """Raise Unreachable unless the straight path is safe.
 
+    Ranges, largest step, workspace, singularities.
     start, target : (n,) m, start as read back, which may lie outside the range as long as the way leads inwards
     singularity_margin : least singular value of the Jacobian as a share of that at home; max_step : m, or None
     """

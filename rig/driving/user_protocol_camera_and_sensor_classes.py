@@ -1,4 +1,6 @@
-"""Classes that a user's own file, or the entry point of a package, gives for a protocol, a camera or sensors.
+"""User's own protocol, camera and sensor classes.
+
+A user's own file, or the entry point of a package, gives them.
 
 Both are programs and are run: only by what drives the controller or opens the camera, never by reading a rig.toml.
 """
@@ -24,8 +26,9 @@ RECORDED = ("journal.jsonl", "frames.csv")  # files that make a folder a recordi
 
 
 def require_own_rig_toml(path: Path, design: Design) -> None:
-    """Raise RigError where a rig.toml that names programs is behind a URL or a part of a recording: whoever wrote that
-    is not the operator of this machine.
+    """Raise RigError where a rig.toml that names programs is behind a URL or a part of a recording.
+
+    Whoever wrote that is not the operator of this machine.
     """
     sources = [design.controller.protocol if design.controller else "", *(c.source or "" for c in design.cameras)]
     sources += [design.sensors.port] if design.sensors else []
@@ -43,9 +46,10 @@ def require_own_rig_toml(path: Path, design: Design) -> None:
 
 
 def load_user_class(stated: str, base: type[T], group: str, what: str) -> tuple[type[T], str]:
-    """(class derived from a base, the file that defines it) of "file:PATH" or "package:NAME".
+    """Load a user's class of "file:PATH" or "package:NAME".
 
     group : of the package's entry points; what : the class is, for messages
+    Returns (class derived from a base, the file that defines it)
     Raises FileError with the line where a file cannot be used, RigError for a package that is not there
     """
     kind, _, place = stated.partition(":")
@@ -63,18 +67,31 @@ def load_user_class(stated: str, base: type[T], group: str, what: str) -> tuple[
 
 
 def missing_member(kind: type[object], base: type[object], members: tuple[str, ...]) -> str | None:
-    """The first of some members (methods or attributes) that a class does not have of its own; None for none."""
+    """Missing member of a user's class.
+
+    The first of some members (methods or attributes) that it does not have of its own.
+
+    None for none.
+    """
     return next((name for name in members if getattr(kind, name, None) is getattr(base, name, None)), None)
 
 
 def fail_at_class(path: str, kind: type[object], message: str, field: str | None = None) -> FileError:
-    """FileError at the line of a class of a user's file, or of a name in its body."""
+    """FileError at a class of a user's file, or at a name in its body.
+
+    With the line.
+    """
     text = Path(path).read_text(encoding="utf-8")
     return FileError(path, f"{kind.__name__} {message}", line_of_class(text, kind.__name__, field))
 
 
 def guard_call(call: Callable[P, T], path: str, error_kind: type[RigError], owner: str) -> Callable[P, T]:
-    """The same method, whose failures name the file and the line; of a dialogue each of its steps."""
+    """Guarded call of a user's method.
+
+    The same method, whose failures name the file and the line.
+
+    Of a dialogue each of its steps.
+    """
 
     def failure(error: Exception) -> RigError:
         line = line_within(error, path) or call.__code__.co_firstlineno

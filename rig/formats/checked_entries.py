@@ -1,4 +1,4 @@
-"""Entries of a TOML or JSON table, read with checks; errors name file, line, column and key."""
+"""Checked entries of a TOML or JSON table; errors name file, line, column and key."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Tables in CSV and Parquet files, read and written; the time origin of a recording.
+"""CSV and Parquet tables, and the time origin.
+
+Tables are read and written; the origin is that of a recording.
 
 Errors with line and column; the owner's clock to seconds from the start, and back, without rounding.
 A clock that counts from 1970 stands at 1.7e9 s, where a float resolves 2.4e-7 s; the start is therefore taken off in
@@ -280,8 +282,10 @@ def is_parquet(path: Path) -> bool:
 
 
 def read_parquet_cells(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
-    """Read a Parquet file as text cells: (header, rows); timestamps as nanoseconds since 1970.
+    """Read a Parquet file as text cells.
 
+    Timestamps as nanoseconds since 1970.
+    Returns (header, rows)
     Raises MissingLibrary without pyarrow, FileError for what is no such file, for other types and for cells that are
         empty
     """
@@ -310,7 +314,10 @@ def read_parquet_cells(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
 
 
 def parquet_bytes(columns: Mapping[str, Sequence[int] | Sequence[float] | Sequence[str]]) -> bytes:
-    """Bytes of a Parquet file with columns {name: values}. Raises MissingLibrary without pyarrow."""
+    """Bytes of a Parquet file with columns {name: values}.
+
+    Raises MissingLibrary without pyarrow.
+    """
     pa, parquet = _library()
     buffer = pa.BufferOutputStream()
     parquet.write_table(pa.table(dict(columns)), buffer)

@@ -1,4 +1,7 @@
-"""JSON, TOML and YAML files loaded into Entries with line and column of each value, and values as JSON data."""
+"""Loading of JSON, TOML and YAML files.
+
+Into Entries with line and column of each value; and values as JSON data.
+"""
 
 from __future__ import annotations
 
@@ -29,10 +32,12 @@ _SCALAR = re.compile(r"[^,\]}\s#]+(?: [0-9:.]+)?")
 
 
 def toml_value_positions(text: str) -> dict[tuple[str | int, ...], tuple[int, int]]:
-    """Positions of all values in a TOML text: {path: (line, column)}.
+    """Positions of all values in a TOML text.
 
     A path is a tuple of keys and indices, as in ("camera", 0, "matrix", 2, 1); lines and columns count from 1.
     The path () stands for the start of the file.
+
+    Returns {path: (line, column)}
     """
     scanner = _Scanner(text)
     scanner.document()
@@ -195,7 +200,9 @@ def first_repeated_key(text: str) -> tuple[str, Place] | None:
 
 
 def dict_without_repeated_keys(key_value_pairs: list[tuple[str, object]]) -> Json:
-    """Dict of JSON key-value pairs (json's object_pairs_hook). Raises RepeatedKey for repeated keys.
+    """Dict of JSON key-value pairs (json's object_pairs_hook).
+
+    Raises RepeatedKey for repeated keys.
     Raises RepeatedKey for a key that occurs twice.
     """
     tree = dict(key_value_pairs)
@@ -233,8 +240,9 @@ LARGEST = 1 << 26  # bytes
 
 
 def load_json(path: Path, file_kind: str, *schemas: str) -> Entries:
-    """Load the Entries of a JSON file. file_kind : as in "calibration"; schemas : accepted ones, none for any.
+    """Load the Entries of a JSON file.
 
+    file_kind : as in "calibration"; schemas : accepted ones, none for any.
     Raises FileError for a file that is missing, cut off, no JSON, nested too deep, of another schema, or with a key
         twice in one table
     """
@@ -260,7 +268,10 @@ def load_json(path: Path, file_kind: str, *schemas: str) -> Entries:
 
 
 def json_data(value: object) -> object:
-    """Value as JSON holds it: arrays and tuples as lists, dataclasses as tables of their fields, poses as entries."""
+    """JSON data of a value.
+
+    Arrays and tuples as lists, dataclasses as tables of their fields, poses as entries.
+    """
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, RigidTransform):

@@ -1,4 +1,7 @@
-"""Length and angle units that the owner of a file states ("mm, deg"), and their conversion to m and rad."""
+"""Length and angle units, and their conversion.
+
+Those that the owner of a file states ("mm, deg"), converted to m and rad.
+"""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -56,10 +59,12 @@ SI = LengthAndAngleUnits()
 
 
 def parse_length_and_angle_units(text: str) -> LengthAndAngleUnits:
-    """LengthAndAngleUnits of a text such as "mm, deg". Raises ValueError unless it is one of each, in any order.
+    """LengthAndAngleUnits of a text such as "mm, deg".
 
     >>> str(parse_length_and_angle_units("deg, mm"))
     'mm, deg'
+
+    Raises ValueError unless it is one of each, in any order.
     """
     words = [word.strip() for word in text.split(",")]
     lengths, angles = ([word for word in words if word in known] for known in (LENGTHS, ANGLES))
@@ -72,7 +77,10 @@ def parse_length_and_angle_units(text: str) -> LengthAndAngleUnits:
 
 
 def stated_units(tree: Mapping[str, object]) -> LengthAndAngleUnits:
-    """LengthAndAngleUnits that a table states by its key `units`, m and rad where it has none. Raises ValueError."""
+    """LengthAndAngleUnits that a table states by its key `units`, m and rad where it has none.
+
+    Raises ValueError.
+    """
     return parse_length_and_angle_units(str(tree.get("units", SI)))
 
 

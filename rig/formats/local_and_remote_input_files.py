@@ -1,4 +1,6 @@
-"""Local and remote input files, opened and read: in folders, or behind a URL (s3, http) by fsspec.
+"""Local and remote input files.
+
+Opened and read: in folders, or behind a URL (s3, http) by fsspec.
 
 `Path("s3://bucket/rec") / "frames.csv"` stands for s3://bucket/rec/frames.csv wherever outside data are read. Files
 come one by one as they are read and are kept nowhere; `filecache::s3://bucket/rec` is fsspec's word for keeping them.
@@ -8,7 +10,7 @@ Nothing is ever written there.
 import os
 import re
 import stat
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO, Protocol
@@ -24,7 +26,10 @@ def is_remote(path: Path) -> bool:
 
 
 def remote_url(path: Path) -> str:
-    """URL of a remote path. Raises ValueError where it stands for none."""
+    """URL of a remote path.
+
+    Raises ValueError where it stands for none.
+    """
     at = _scheme(path)
     if at is None:
         raise ValueError(f"{path} stands for no URL")
@@ -44,7 +49,9 @@ def absolute_path(path: Path) -> Path:
 
 
 def exists(path: Path) -> bool:
-    """Whether a file or a non-empty folder exists at a path. Raises FileError where that is unknown.
+    """Whether a file or a non-empty folder exists at a path.
+
+    Raises FileError where that is unknown.
     Raises FileError where that cannot be asked.
     """
     return (
@@ -55,7 +62,9 @@ def exists(path: Path) -> bool:
 
 
 def is_folder(path: Path) -> bool:
-    """Whether a path is a folder. Raises FileError where that is unknown.
+    """Whether a path is a folder.
+
+    Raises FileError where that is unknown.
     Raises FileError where that cannot be asked.
     """
     return path.is_dir() if not is_remote(path) else bool(_entries(remote_url(path)))
@@ -161,7 +170,9 @@ KINDS = (
 
 
 def open_regular_file(path: Path, missing_message: str = "no such file") -> BinaryIO:
-    """Open a regular file for reading; never waits for a pipe or device.
+    """Open a regular file for reading.
+
+    Never waits for a pipe or device.
     missing_message : what to say where there is none.
 
     Raises FileError where it is missing, no regular file or cannot be opened
@@ -267,7 +278,7 @@ def require_schema(
     raise FileError(path, f"is no {file_kind}: its schema is {shown}, not {names}", *place)
 
 
-def list_json_files_in_same_folders(*places: Path) -> list[Path]:
-    """JSON files in the same folders as the given paths, each once."""
-    folders = {place.resolve().parent for place in places}
+def json_files_in_same_folders_as(paths: Iterable[Path]) -> list[Path]:
+    """JSON files in the same folders as these paths, each once."""
+    folders = {path.resolve().parent for path in paths}
     return sorted(path for folder in folders if folder.is_dir() for path in folder.glob("*.json"))

@@ -1,4 +1,7 @@
-"""Machine and its effects as a JSON file: true or identified geometry, cameras, effects."""
+"""Machine geometry and effects as a JSON file.
+
+True or identified geometry, cameras, effects.
+"""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -26,7 +29,10 @@ LIMBS = ("base_joints", "platform_joints", "zeros")
 
 
 def machine_dict(design: Design, effects: Iterable[Effect]) -> Json:
-    """Dict of a machine for JSON: effects, geometry by name, cameras, measuring limbs."""
+    """Dict of a machine for JSON.
+
+    Effects, geometry by name, cameras, measuring limbs.
+    """
     m = design.mechanism
     out = {"effects": [effect_to_dict(effect) for effect in effects], **_geometry(m)}
     out["cameras"] = [
@@ -63,7 +69,10 @@ def _ends_of_several_hands(m: Mechanism) -> list[tuple[str, RigidTransform]]:
 
 
 def effect_to_dict(effect: Effect) -> Json:
-    """Dict {"effect", "place", "parameters"} of an effect, as truth files and diagnoses write it."""
+    """Dict of an effect.
+
+    {"effect", "place", "parameters"}, as truth files and diagnoses write it.
+    """
     return {
         "effect": effect.name,
         "place": effect.place,
@@ -76,7 +85,10 @@ def effect_to_dict(effect: Effect) -> Json:
 
 
 def effect_from_dict(tree: Json, known_effects: Kinds = BY_NAME) -> Effect:
-    """Effect from a dict as `effect_to_dict` writes it, of known kinds. Raises RigError for anything else."""
+    """Effect from a dict as `effect_to_dict` writes it, of known kinds.
+
+    Raises RigError for anything else.
+    """
     if (
         not isinstance(tree, dict)
         or not isinstance(tree.get("effect"), str)
@@ -104,9 +116,12 @@ def effect_from_dict(tree: Json, known_effects: Kinds = BY_NAME) -> Effect:
 def load_machine(
     path: Path, nominal_design: Design, effect_kinds: Kinds = BY_NAME
 ) -> tuple[Design, tuple[Effect, ...]]:
-    """Load a machine: (its Design, its effects); what the file lacks is nominal.
+    """Load a machine.
+
+    What the file lacks is nominal.
     effect_kinds : effects that there are
 
+    Returns (its Design, its effects)
     Raises FileError for a file that is none of this rig
     """
     found, limbs = json_toml_and_yaml_loading.load_json(path, "truth of this rig"), nominal_design.insitu
@@ -170,8 +185,10 @@ def _camera(camera: Camera, table: Entries) -> Camera:
 def effects_from_entries(
     table: Entries, design: Design, kinds: Kinds, has_place: Callable[[Entries], bool] = lambda entry: True
 ) -> tuple[Effect, ...]:
-    """Effects listed under "effects". Raises FileError for an unknown one, or one whose place a design has not.
+    """Effects listed under "effects".
+
     has_place : whether an entry's place is looked up in the design
+    Raises FileError for an unknown one, or one whose place a design has not.
     """
     found = []
     for number, entry in enumerate(table.tables("effects"), 1):

@@ -1,4 +1,6 @@
-"""Numbers parsed strictly from text, and rounded to significant digits with a readable unit.
+"""Parsing and rounding of numbers.
+
+Parsed strictly from text, and rounded to significant digits with a readable unit.
 
 Python takes more (1_0, nan, other scripts' digits, spaces).
 """
@@ -18,7 +20,9 @@ class NotFinite(ValueError):
 
 
 def parse_number(text: str) -> float:
-    """Parse a finite number. Raises NotFinite, or ValueError for anything else, surrounding spaces included.
+    """Parse a finite number.
+
+    Raises NotFinite, or ValueError for anything else, surrounding spaces included.
     Raises NotFinite, ValueError for anything else, spaces around it included.
     """
     if text.lower().lstrip("+-") in UNBOUNDED:
@@ -32,7 +36,9 @@ def parse_number(text: str) -> float:
 
 
 def parse_whole_number(text: str) -> int:
-    """Parse a whole number. Raises ValueError for anything else, surrounding spaces included.
+    """Parse a whole number.
+
+    Raises ValueError for anything else, surrounding spaces included.
     Raises ValueError for anything else, spaces around it included.
     """
     if len(text) > LONGEST_NUMBER or not _WHOLE.fullmatch(text):
@@ -41,7 +47,9 @@ def parse_whole_number(text: str) -> int:
 
 
 def parse_numbers(texts: Iterable[str]) -> list[float]:
-    """Parse many finite numbers. Raises ValueError where one is none.
+    """Parse many finite numbers.
+
+    Raises ValueError where one is none.
     Raises ValueError where one is no finite number.
     """
     return [parse_number(text) for text in texts]
@@ -62,7 +70,9 @@ UNITS = {
 
 
 def number_text(value: float, digits: int = 3) -> str:
-    """Text of a number rounded to significant digits; above 10^digits to the last digit before the point.
+    """Text of a number rounded to significant digits.
+
+    Above 10^digits to the last digit before the point.
 
     >>> number_text(1139.6), number_text(0.0123456), number_text(-0.5)
     ('1140', '0.0123', '-0.5')
@@ -94,7 +104,9 @@ def quantity_text(values: float | Sequence[float], unit: str) -> str:
 
 
 def range_text(low: float, high: float, unit: str) -> str:
-    """Text of a range from low to high in SI units, in readable units; high may be infinite.
+    """Text of a range from low to high in SI units, in readable units.
+
+    High may be infinite.
 
     >>> range_text(5e-6, 2e-4, "m"), range_text(1e-3, 60, "s"), range_text(0, 0.05, "m")
     ('5 to 200 µm', '1 ms to 60 s', '0 to 50 mm')

@@ -1,4 +1,6 @@
-"""A Python file of the user's own, read and run; errors name the file, the line and what is missing.
+"""A Python file of the user's own, read and run.
+
+Errors name the file, the line and what is missing.
 
 The file is run: it is a program, to be trusted as one. A file behind a URL is never run.
 """
@@ -42,7 +44,11 @@ class UserModule:
 
 
 def read_user_text(path: Path) -> tuple[str, str]:
-    """(text, SHA-256 of the bytes) of a user's Python file. Raises FileError, with the line for what is no text."""
+    """Read the text of a user's Python file.
+
+    Returns (text, SHA-256 of the bytes)
+    Raises FileError, with the line for what is no text.
+    """
     if is_remote(path):
         raise FileError(path, "is a program behind a URL, and such a program is not run: copy it to this computer")
     try:
@@ -57,7 +63,11 @@ def read_user_text(path: Path) -> tuple[str, str]:
 
 
 def run_user_text(text: str, path: Path) -> ModuleType:
-    """Module that a source text defines once it is run. path : its name in errors. Raises FileError with the line."""
+    """Module that a source text defines once it is run.
+
+    path : its name in errors.
+    Raises FileError with the line.
+    """
     module = ModuleType(f"user_file_{sha256(str(path).encode() + text.encode()).hexdigest()[:16]}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module  # dataclasses look their module up by its name
@@ -71,19 +81,28 @@ def run_user_text(text: str, path: Path) -> ModuleType:
 
 
 def run_user_file(path: Path) -> UserModule:
-    """A user's Python file, run. Raises FileError, with the line, where it cannot be read or run."""
+    """A user's Python file, run.
+
+    Raises FileError, with the line, where it cannot be read or run.
+    """
     text, digest = read_user_text(path)
     return UserModule(path, text, digest, run_user_text(text, path))
 
 
 def line_within(error: BaseException, path: Path | str) -> int | None:
-    """The last line of a file that an error came through, None for none."""
+    """Line within a file that an error came through, the last.
+
+    None for none.
+    """
     lines = [frame.lineno for frame in extract_tb(error.__traceback__) if frame.filename == str(path)]
     return lines[-1] if lines else None
 
 
 def line_of_class(text: str, name: str, field: str | None = None) -> int | None:
-    """Where a source text defines a class, or a name in its body; None where that is not at its top level."""
+    """Line where a source text defines a class, or a name in its body.
+
+    None where that is not at its top level.
+    """
     for node in ast.parse(text).body:
         if isinstance(node, ast.ClassDef) and node.name == name:
             lines = [part.lineno for part in node.body if field in _names(part)] if field else [node.lineno]
@@ -92,7 +111,10 @@ def line_of_class(text: str, name: str, field: str | None = None) -> int | None:
 
 
 def class_literal(text: str, field: str) -> object:
-    """Value of a literal (`urgent_stop = b"!"`) in the first class body of a source text that has one; None for none.
+    """Value of a literal (`urgent_stop = b"!"`) in the first class body of a source text that has one.
+
+    None for none.
+
     Nothing is run.
     """
     try:

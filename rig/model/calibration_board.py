@@ -1,4 +1,7 @@
-"""Calibration boards (ChArUco, ArUco grid, Kalibr's AprilGrid): their printed layout, parsed from their description."""
+"""Calibration boards (ChArUco, ArUco grid, AprilGrid).
+
+Kalibr's AprilGrid; their printed layout, parsed from their description.
+"""
 
 from dataclasses import dataclass
 
@@ -97,7 +100,9 @@ class Board:
 
 
 def parse_board(text: str, units: LengthAndAngleUnits = SI) -> Board:
-    """Parse a board's description text into a Board. units : of its lengths
+    """Parse a board's description text into a Board.
+
+    units : of its lengths
     Raises RigError saying what is wrong with which part.
     """
     parts = text.split(":")

@@ -1,4 +1,4 @@
-"""Design of a rig as its owner states it: mechanism, platform, controller, cameras and targets."""
+"""Design of a rig as its owner states it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.model.base_tilt import BaseTilt, TiltSensor
+from rig.model.base_and_link_tilts import BaseTilt, TiltSensor
 from rig.model.calibration_board import DICTIONARIES as DICTIONARIES
 from rig.model.calibration_board import Board
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2, freeze_array

@@ -1,4 +1,7 @@
-"""Contradictions of two designs of one rig, and cubes turned by quarters, with instructions to the operator."""
+"""Comparison of two designs, and cube turning instructions.
+
+Contradictions of two designs of one rig; cubes turned by quarters, with instructions to the operator.
+"""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,7 +29,10 @@ PAYLOAD = "a payload is no part of the platform: log it as payload_mass_kg in se
 
 
 def design_contradictions(a: Design, b: Design) -> list[str]:
-    """Contradictions of two Designs about the machine itself, in words; camera poses may differ."""
+    """Contradictions of two Designs about the machine itself, in words.
+
+    Camera poses may differ.
+    """
     found = [
         text
         for name in STATED
@@ -78,7 +84,10 @@ WORDS = ("as it was", "turned by a quarter turn", "turned by a half turn", "turn
 
 
 def find_cube(text: str, targets: Sequence[Target]) -> tuple[str, str | None]:
-    """Find the cube that a text names or numbers among targets: (name, None), or ("", problem in words)."""
+    """Find the cube that a text names or numbers among targets.
+
+    Returns (name, None), or ("", problem in words)
+    """
     names = [target.name for target in targets]
     numbered = text.isascii() and text.isdigit() and text not in names and 0 < int(text[:6]) <= len(targets)
     if text not in names and not numbered:
@@ -100,7 +109,10 @@ def find_cube(text: str, targets: Sequence[Target]) -> tuple[str, str | None]:
 
 
 def parse_cube_turn_permission(word: str, targets: Sequence[Target]) -> tuple[str, str | None]:
-    """Parse a word of [experiment] may: (permission with the cube's name, None), or ("", problem in words)."""
+    """Parse the permission of a cube turn, a word of [experiment] may.
+
+    Returns (permission with the cube's name, None), or ("", problem in words)
+    """
     if not word.startswith(TURN):
         return word, None
     name, problem = find_cube(word.removeprefix(TURN), targets)
@@ -108,7 +120,10 @@ def parse_cube_turn_permission(word: str, targets: Sequence[Target]) -> tuple[st
 
 
 def design_with_turned_cubes(design: Design, quarters: Mapping[str, int]) -> Design:
-    """The Design with cubes turned by quarters {cube: quarter turns}. Raises RigError for an unknown cube."""
+    """The Design with cubes turned by quarters {cube: quarter turns}.
+
+    Raises RigError for an unknown cube.
+    """
     for name in quarters:
         _, problem = find_cube(name, design.targets)
         if problem:
@@ -117,7 +132,10 @@ def design_with_turned_cubes(design: Design, quarters: Mapping[str, int]) -> Des
 
 
 def rig_toml_with_turns(text: str, quarters: Mapping[str, int]) -> str:
-    """The rig.toml text with the cubes' turns (quarters) stated; all else, comments too, unchanged."""
+    """The rig.toml text with the cubes' turns (quarters) stated.
+
+    All else, comments too, unchanged.
+    """
     import tomlkit
 
     if not quarters:
@@ -131,7 +149,10 @@ def rig_toml_with_turns(text: str, quarters: Mapping[str, int]) -> str:
 
 
 def turning_instructions(quarters: Mapping[str, int], present_quarters: Mapping[str, int]) -> list[str]:
-    """Instructions to the operator for turning cubes to these quarters from the present ones, in words."""
+    """Instructions to the operator for turning cubes to these quarters from the present ones.
+
+    In words.
+    """
     out = []
     for name, quarter in quarters.items():
         if present_quarters.get(name) != quarter:

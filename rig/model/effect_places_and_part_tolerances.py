@@ -1,4 +1,6 @@
-"""Places where effects act, and tolerances of markers, corner finder, thermometers and cube seats with their reasons.
+"""Places where effects act, and part tolerances.
+
+Tolerances of markers, corner finder, thermometers and cube seats, with their reasons.
 
 Files, JSON and the command line have a place's text. What lies within the tolerances may be there beyond chance and
 still is nobody's fault: a diagnosis mentions it as a remark, with its size.
@@ -76,7 +78,9 @@ def _parsed(text: str) -> Place:
 
 
 def parse_stage_place(text: str, kinds: Collection[str]) -> Place | None:
-    """Parse a Place in a stage of a chain ("stage2strut3"); None for any other text.
+    """Parse a Place in a stage of a chain ("stage2strut3").
+
+    None for any other text.
 
     Axes must be among the kinds of place.
     """
@@ -86,7 +90,12 @@ def parse_stage_place(text: str, kinds: Collection[str]) -> Place | None:
 
 @cache
 def axis_mask(effect_place: Place, places: tuple[str, ...]) -> Floats:
-    """Mask (axes,) of axes (texts of their places): 1.0 for those that a place is or includes, else 0.0."""
+    """Axis mask (axes,) of a place.
+
+    places : texts of the axes' places
+
+    1.0 for those that a place is or includes, else 0.0.
+    """
     return np.array([float(effect_place.includes(Place.parse(place))) for place in places])
 
 

@@ -10,8 +10,8 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.arm_branches_and_hands import Branch, Hand, carried_joints, hand_number, joint_parents
-from rig.model.kinematics_file import KinematicsFile
-from rig.model.kinematics_file_checks import kinematics_of_source
+from rig.model.user_kinematics_file import KinematicsFile
+from rig.model.user_kinematics_file_checks import kinematics_of_source
 
 
 def _array(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> Floats:
@@ -25,7 +25,10 @@ def _array(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> Floats
 
 
 def freeze_array(instance: object, name: str, shape: tuple[int | None, ...]) -> None:
-    """Freeze an array field of a dataclass instance: read-only floats of a shape. Raises ValueError otherwise."""
+    """Freeze an array field of a dataclass instance: read-only floats of a shape.
+
+    Raises ValueError otherwise.
+    """
     object.__setattr__(instance, name, _array(getattr(instance, name), shape, name))
 
 

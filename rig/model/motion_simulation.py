@@ -1,4 +1,7 @@
-"""Simulation of motion: poses of the machine from commands through time, with effects."""
+"""Simulation of a machine's motion.
+
+Poses of the machine from commands through time, with effects.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -48,8 +51,9 @@ def motion_of_commands(
     sensors: Sensors | None = None,
     T: RigidTransform | None = None,
 ) -> Motion:
-    """Motion of a design's commands at exposures logged at t (n,) s: clock and path under effects.
+    """Motion of a design's commands at exposures logged at t (n,) s.
 
+    Clock and path under effects.
     commands : Commands; effects : Effects; sensors : Sensors or None; T : T_base_platform (n,) there, None where it is
         not known
     """
@@ -79,8 +83,9 @@ def simulate_machine_run(
     sensors: Sensors | None = None,
     rates: bool = False,
 ) -> MachineRun:
-    """Simulate the run of a design's machine under commands, with effects: its poses and, if requested, rates.
+    """Simulate the run of a design's machine under commands, with effects.
 
+    Its poses and, if requested, rates.
     design : Design as it really is; commands : Commands; t : (n,) s, exposures as logged; effects : Effects, acting
         together
     sensors : Sensors with the channels that some effects need; rates : whether velocities are wanted too
@@ -131,7 +136,9 @@ def effective_commands(
     effects: Sequence[Effect] = (),
     sensors: Sensors | None = None,
 ) -> Floats:
-    """Effective commands (n, axes) under effects, at exposures logged at t (n,) s and poses T (n,).
+    """Effective commands (n, axes) under effects.
+
+    At exposures logged at t (n,) s and poses T (n,).
 
     Sway counts as struts' length. The machine stands at T where this is the inverse kinematics of T. Raises as
     `motion_of_commands`
@@ -149,7 +156,9 @@ def effective_commands_and_sway(
     sensors: Sensors | None = None,
     hand: Integers | None = None,
 ) -> tuple[Floats, Floats]:
-    """Effective commands (n, axes) under effects and the platform's sway (n, 6), taken at poses T (n,).
+    """Effective commands (n, axes) under effects and the platform's sway (n, 6).
+
+    Taken at poses T (n,).
 
     What joints hold is displaced along with them in ways that no joint may make up for. hand : (n,) number of the hand
     that each pose is of, None for that at which an arm is seen. Raises as `motion_of_commands`
@@ -177,7 +186,12 @@ def lean_of_base(
     effects: Sequence[Effect] = (),
     sensors: Sensors | None = None,
 ) -> Floats:
-    """Rotation vectors (n, 3) rad by which effects turn the base in the frame of poses, at poses T (n,)."""
+    """Lean of the base under effects, rotation vectors (n, 3) rad.
+
+    In the frame of poses.
+
+    At poses T (n,).
+    """
     turning = [effect for effect in effects if type(effect).lean is not Effect.lean]
     if not turning:
         return np.zeros((len(t), 3))
@@ -186,13 +200,19 @@ def lean_of_base(
 
 
 def strut_elongations_of_platform_sway(design: Design, T: RigidTransform, sway: Floats) -> Floats:
-    """Strut elongations (n, axes) m that a platform at T (n,), displaced by sway (n, 6), appears to have."""
+    """Strut elongations (n, axes) m that a swaying platform appears to have.
+
+    A platform at T (n,), displaced by sway (n, 6).
+    """
     m = require_parallel(design.mechanism, "a mechanism of kind {kind!r} is not parallel")
     return np.einsum("nij,nj->ni", mechanisms.kinematics_of(m).inverse_kinematics_jacobian(T, np.zeros(0), m), sway)
 
 
 def has_rolling_shutter(design: Design, effects: Iterable[Effect]) -> bool:
-    """Whether a camera of the design has a rolling shutter, stated or by an effect, so that velocities matter."""
+    """Whether a camera of the design has a rolling shutter.
+
+    Stated or by an effect, so that velocities matter.
+    """
     return any(camera.shutter == "rolling" for camera in design.cameras) or any(effect.rolls for effect in effects)
 
 
@@ -217,6 +237,9 @@ def _with_rates(
 def pose_rates_and_curvatures(
     T: RigidTransform, before: RigidTransform, after: RigidTransform
 ) -> tuple[Floats, Floats]:
-    """Rates (n, 6) per s of poses T (n,), and curvatures (n, 6), from poses shortly before and after."""
+    """Rates (n, 6) per s of poses T (n,), and curvatures (n, 6).
+
+    From poses shortly before and after.
+    """
     minus, plus = pose_difference(T, before), pose_difference(T, after)
     return (plus - minus) / (2 * ABOUT), (plus + minus) / ABOUT**2

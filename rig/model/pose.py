@@ -1,4 +1,6 @@
-"""Poses (SciPy's RigidTransform): tangents, translation first, covariances, vectors; rotation increments.
+"""Poses (SciPy's RigidTransform) and their tangents.
+
+Tangents, translation first, covariances, vectors; rotation increments.
 
 Frames: T_a_b maps b's coordinates to a. Tangent xi = (x, y, z, rx, ry, rz) in m and rad stands on the right:
 T = T_mean * exp(xi), so it lives in b's frame.
@@ -36,30 +38,44 @@ def pose(position: ArrayLike, rotvec: ArrayLike) -> RigidTransform:
 
 
 def pose_to_vector(T: RigidTransform) -> Floats:
-    """Pose as a vector (..., 6): position (m) and rotation vector (rad), as files have it."""
+    """Pose as a vector (..., 6).
+
+    Position (m) and rotation vector (rad), as files have it.
+    """
     return np.concatenate([T.translation, T.rotation.as_rotvec()], axis=-1)
 
 
 def exp(xi: ArrayLike) -> RigidTransform:
-    """Exponential of a tangent (..., 6), translation first (m, rad): RigidTransform (...)."""
+    """Exponential of a tangent (..., 6), translation first (m, rad).
+
+    It is a RigidTransform (...).
+    """
     xi = np.asarray(xi, float)
     return RigidTransform.from_exp_coords(np.concatenate([xi[..., 3:], xi[..., :3]], axis=-1))
 
 
 def log(T: RigidTransform) -> Floats:
-    """Logarithm of a RigidTransform (...): its tangent (..., 6), translation first (m, rad)."""
+    """Logarithm of a RigidTransform (...).
+
+    Its tangent (..., 6), translation first (m, rad).
+    """
     coords = T.as_exp_coords()
     return np.concatenate([coords[..., 3:], coords[..., :3]], axis=-1)
 
 
 def pose_to_entry(T: RigidTransform) -> dict[str, list[float]]:
-    """Pose as an entry of a file, {position, rotvec}: m and rad."""
+    """Pose as an entry of a file, {position, rotvec}.
+
+    In m and rad.
+    """
     position, rotvec = np.split(pose_to_vector(T), 2)
     return {"position": position.tolist(), "rotvec": rotvec.tolist()}
 
 
 def pose_difference(T_from: RigidTransform, T_to: RigidTransform) -> Floats:
-    """Pose difference (..., 6): position (m) and rotation vector (rad) of T_from^-1 T_to.
+    """Pose difference (..., 6).
+
+    Position (m) and rotation vector (rad) of T_from^-1 T_to.
 
     The parts are taken separately (no coupling of rotation into position), the definition used for every pose error.
     """
@@ -67,7 +83,10 @@ def pose_difference(T_from: RigidTransform, T_to: RigidTransform) -> Floats:
 
 
 def poses_pointing_along(directions: Floats) -> RigidTransform:
-    """Poses (n,) at the origin whose z axes are unit vectors (n, 3), turned about z in no special way."""
+    """Poses (n,) at the origin whose z axes are unit vectors (n, 3).
+
+    Turned about z in no special way.
+    """
     d = np.asarray(directions, float)
     across = np.cross(d, np.eye(3)[np.argmin(np.abs(d), axis=1)])
     x = across / np.linalg.norm(across, axis=1, keepdims=True)
@@ -76,7 +95,11 @@ def poses_pointing_along(directions: Floats) -> RigidTransform:
 
 
 def direction_difference(T_from: RigidTransform, T_to: RigidTransform) -> Floats:
-    """Small turn (n, 2) rad, about x and y of the poses T_from (n,), that takes their z axes to those of T_to (n,).
+    """Difference of directions, a small turn (n, 2) rad.
+
+    About x and y of the poses T_from (n,).
+
+    That takes their z axes to those of T_to (n,).
 
     On the tangent plane of the unit sphere, so that no direction is special: near the zenith an azimuth counts by the
     cosine of the elevation.
@@ -89,8 +112,9 @@ def direction_difference(T_from: RigidTransform, T_to: RigidTransform) -> Floats
 
 
 def adjoint(T: RigidTransform) -> Floats:
-    """Adjoint (..., 6, 6) of poses: T exp(xi) T^-1 = exp(adjoint(T) xi).
+    """Adjoint (..., 6, 6) of poses.
 
+    It satisfies T exp(xi) T^-1 = exp(adjoint(T) xi).
     T : RigidTransform (...,)
     Source: Barfoot, State Estimation for Robotics, 1st ed., eq. 7.37 (there translation first as well)
     """
@@ -101,7 +125,9 @@ def adjoint(T: RigidTransform) -> Floats:
 
 
 def roll_pitch_yaw(T: RigidTransform) -> Floats:
-    """Roll, pitch and yaw (..., 3) rad of a RigidTransform (...), about fixed x, y and z in this order.
+    """Roll, pitch and yaw (..., 3) rad of a RigidTransform (...).
+
+    About fixed x, y and z in this order.
 
     R = Rz(yaw) Ry(pitch) Rx(roll). At a pitch of a quarter turn roll and yaw turn alike; all of it is told as roll, yaw
     is 0
@@ -114,7 +140,10 @@ def roll_pitch_yaw(T: RigidTransform) -> Floats:
 
 
 def roll_pitch_yaw_sigmas(T: RigidTransform, covariance: Floats) -> Floats:
-    """Standard deviations (sigmas) (..., 3) rad of roll, pitch and yaw angles of poses with a covariance."""
+    """Standard deviations (..., 3) rad of roll, pitch and yaw.
+
+    Of poses with a covariance.
+    """
     roll, pitch, _ = np.moveaxis(roll_pitch_yaw(T), -1, 0)
     sr, cr, sp, cp = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
     cp = np.where(np.abs(cp) < LOCKED, np.nan, cp)
@@ -183,7 +212,10 @@ def displace_selected_poses(
 
 @njit(cache=True, nogil=True)
 def rotate_in_place(R: Floats, w: NDArray[np.floating]) -> None:
-    """Rotate R (3, 3) in place by the increment w (3,), a rotation vector: R becomes R exp(w)."""
+    """Rotate R (3, 3) in place by the increment w (3,), a rotation vector.
+
+    R becomes R exp(w).
+    """
     x, y, z = w[0], w[1], w[2]
     angle = np.sqrt(x * x + y * y + z * z)
     if angle < 1e-4:

@@ -1,4 +1,7 @@
-"""Names of controller protocols, of ports and of user programs, and their checks; imports nothing that takes time."""
+"""Names of controller protocols and of ports.
+
+And of user programs, and their checks; imports nothing that takes time.
+"""
 
 PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "linuxcnc", "struts")
 USER_PROGRAMS = ("file", "package")  # KIND:PLACE of a protocol or camera of the user's own
@@ -11,7 +14,10 @@ SCHEMES = (
 
 
 def port_problem(port: str) -> str | None:
-    """Problem with the name of a port, in words; None for a device (/dev/ttyUSB0, COM3) or an accepted URL."""
+    """Problem with the name of a port, in words.
+
+    None for a device (/dev/ttyUSB0, COM3) or an accepted URL.
+    """
     scheme, stroke, _ = port.partition("://")
     if not port.isprintable():
         return f"{port[:SHOWN]!r} is not a port: it contains unprintable characters"
@@ -23,5 +29,8 @@ def port_problem(port: str) -> str | None:
 
 
 def is_user_program(stated: str) -> bool:
-    """Whether a protocol or camera source is of the user's own: "file:mine.py" or "package:NAME"."""
+    """Whether a protocol or camera source is of the user's own.
+
+    "file:mine.py" or "package:NAME".
+    """
     return stated.partition(":")[0] in USER_PROGRAMS

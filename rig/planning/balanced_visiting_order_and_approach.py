@@ -1,4 +1,6 @@
-"""Balance of visiting order and approach side: neither time nor direction correlates with position.
+"""Balanced visiting order and approach side.
+
+Neither time nor direction correlates with position.
 
 A correction fitted to place absorbs whatever goes with place. A Sobol sequence in its own order comes to the upper half
 of a stroke from below and to the lower half from above, so that play looks like a map; a grid in serpentine order goes
@@ -25,8 +27,9 @@ SMALL = 1e-9  # of a sum of squared correlations, below which an exchange gains 
 
 
 def time_balanced_order(configurations: Floats, rng: np.random.Generator, start: Floats | None = None) -> Integers:
-    """Order (n,) of configurations in which time is balanced against position: shuffled, then exchanged in pairs.
+    """Order (n,) of configurations in which time is balanced against position.
 
+    Shuffled, then exchanged in pairs.
     start : (axes,) from which the first is reached, where the axes go straight from one to the next: then direction of
     approach goes with place the least as well; None where sides are chosen apart (see `balanced_approach_lengths`). The
     least: the sum of squared correlations over all axes
@@ -61,7 +64,9 @@ def time_balanced_order(configurations: Floats, rng: np.random.Generator, start:
 def balanced_approach_lengths(
     configurations: Floats, rng: np.random.Generator, strokes: Floats, other_variables: Sequence[Floats] = ()
 ) -> Floats:
-    """Approach lengths (n, axes) m or rad to configurations, sides balanced; positive from below.
+    """Approach lengths (n, axes) m or rad to configurations, sides balanced.
+
+    Positive from below.
 
     Sides are those of `_balanced_sides`; lengths are drawn from REACHES of the strokes (axes, 2), evenly on a
     logarithmic scale, so that what follows the size of a move differs from what follows its direction, and end before

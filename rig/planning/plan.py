@@ -1,4 +1,6 @@
-"""Plan of a recording, built from named parts: configurations to visit, their order, how long, what payload.
+"""Plan of a recording, built from named parts.
+
+Configurations to visit, their order, how long, what payload.
 
 A plan is written as parts separated by commas, each NAME or NAME:COUNT: sobol:100,ladder,moving:60 visits a hundred
 low-discrepancy configurations, then a ladder of reversals, then exposes sixty times while moving.
@@ -17,7 +19,7 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.design_comparison_and_cube_turning_instructions import find_cube
-from rig.planning.configuration_sets import (
+from rig.planning.configuration_generators import (
     FILL,
     divided_grid_configurations,
     grid_configurations,
@@ -51,8 +53,9 @@ STANDARD = "moving:30,sobol:120,ladder,zigzag:30,payload:20,sobol:100,moving:30"
 
 
 def plan_of_configurations(configurations: Floats, start: Floats, speed: float | Floats) -> Plan:
-    """Plan that visits configurations (n, axes) from start (axes,), dwells and exposes once settled.
+    """Plan that visits configurations (n, axes) from start (axes,).
 
+    Dwells and exposes once settled.
     speed : of the axes, one or (axes,) m/s or rad/s
     """
     writer = PlanWriter(np.asarray(start, float), speed)
@@ -68,7 +71,9 @@ def build_plan(
     one_sided: bool = False,
     additional_parts: Mapping[str, Floats] | None = None,
 ) -> Plan:
-    """Build the Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD.
+    """Build the Plan of a design from its text, for example "sobol:100,moving:60".
+
+    "standard" stands for STANDARD.
     one_sided : whether every configuration at which the struts settle is reached from shorter struts; own_parts :
         {part:
     configurations (n, axes) that it visits in that order}, besides these configuration at which the struts settle
@@ -80,7 +85,7 @@ def build_plan(
     and approached from sides so that neither time nor direction is a function of place (see
     rig.planning.balanced_visiting_order_and_approach). A ladder, iso9283 and commands keep their
     order and go straight.
-    Parts: sobol:N, division:Q (see rig.planning.configuration_sets.divided_grid_configurations), grid:PER_AXIS,
+    Parts: sobol:N, division:Q (see rig.planning.configuration_generators.divided_grid_configurations), grid:PER_AXIS,
     simplices:SHELLS, axes:PER_AXIS, combined:PER_PAIR, ladder:STEPS,
     payload:N, moving:N, zigzag:N, warmup:N, repeat:N, dwell:N, wait:MINUTES, iso9283:CYCLES, turn:CUBE (before all
     others: the cube is taken off and put back turned by a quarter turn from where its pose is stated)
@@ -322,7 +327,10 @@ TEXTS = ("commands", "division", "turn")  # parts that take more than a number
 
 
 def axis_strokes(design: Design) -> Floats:
-    """Strokes (axes, 2) m or rad of the axes: the lowest and highest command of each."""
+    """Strokes (axes, 2) m or rad of the axes.
+
+    The lowest and highest command of each.
+    """
     return mechanisms.kinematics_of(design.mechanism).travel_ranges(design.mechanism)
 
 

@@ -1,4 +1,7 @@
-"""Construction of a Plan in time (moves, dwells, exposures, payload), and plans as CSV tables."""
+"""Timed Plan, and plans as CSV.
+
+Construction of a Plan in time: moves, dwells, exposures, payload.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -132,10 +135,10 @@ ROWS = 5  # of a table in time for each exposure: leave, turn, arrive, hold
 
 
 def plan_of_time_table(design: Design, path: str) -> Plan | None:
-    """Plan of a table with times (frame,t,l1..l6); None for a table without times.
-    Raises FileError with line and column for what is no such table. it; None for a table without times. Raises
-    FileError with line and column for what is no
-    such table.
+    """Plan of a table with times (frame,t,l1..l6).
+
+    None for a table without times.
+    Raises FileError with line and column for what is no such table.
     """
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(
         Path(path), ("frame", *design.mechanism.axes), (PAYLOAD,)
@@ -183,7 +186,9 @@ def _cubes(rows: csv_and_parquet_tables_and_time_origin.Table, design: Design) -
 
 
 def require_commands_in_range(table: csv_and_parquet_tables_and_time_origin.Table, design: Design) -> Floats:
-    """Commands (n, axes) m or rad of a table, required in range. Raises FileError with the line of one that is not.
+    """Commands (n, axes) m or rad of a table, required in range.
+
+    Raises FileError with the line of one that is not.
     Raises FileError with the line of what is out of the axes' range.
     """
     values = table.matrix(design.mechanism.axes)

@@ -1,4 +1,6 @@
-"""Force transmission of an arm's posture to its joints, and the wrench it can exert within torque limits.
+"""Force transmission of an arm, and exertable wrench.
+
+How a posture transmits forces to the joints; the wrench it can exert within torque limits.
 
 Torques within their limits, less what the arm's own weight takes, are a box; forces that map into it by J^T are a
 polytope, so that the greatest force along a direction is where the ray leaves it, the least greatest force the radius
@@ -93,7 +95,10 @@ class ExertionObjective:
 
 
 def joint_torques_for_wrench(q: Floats, arm: Arm, wrench: Floats) -> Floats:
-    """Joint torques (..., n) N m that exert a wrench (6,) N, N m on the surroundings, weight excluded."""
+    """Joint torques (..., n) N m that exert a wrench (6,) N, N m on the surroundings.
+
+    Weight excluded.
+    """
     return np.swapaxes(mechanism.jacobian(q, arm, "base"), -1, -2) @ wrench
 
 
@@ -106,8 +111,9 @@ def greatest_load_multiple(load: Floats, low: Floats, high: Floats) -> Floats:
 
 
 def force_polytope_corners(A: Floats, low: Floats, high: Floats) -> Floats:
-    """Corners (k, 3) N of the force polytope low <= A f <= high, A (n, 3) m, low and high (n,) N m.
+    """Corners (k, 3) N of the force polytope.
 
+    low <= A f <= high, with A (n, 3) m, low and high (n,) N m.
     Raises RigError where some force loads no joint, so that the posture bears any amount of it
     """
     if np.linalg.matrix_rank(A, tol=FELT * np.abs(A).max()) < 3:
@@ -131,7 +137,10 @@ def force_polytope_corners(A: Floats, low: Floats, high: Floats) -> Floats:
 
 
 def weakest_force_and_direction(A: Floats, low: Floats, high: Floats) -> tuple[float, Floats]:
-    """Weakest force direction: (force N exertable in every direction, (3,) direction of no more)."""
+    """Weakest force direction.
+
+    Returns (force N exertable in every direction, (3,) direction of no more)
+    """
     size = np.linalg.norm(A, axis=1)
     bearing = np.where(size > FELT * size.max(), np.minimum(high, -low) / np.maximum(size, 1e-300), np.inf)
     i = int(bearing.argmin())
@@ -189,7 +198,10 @@ def transmission_measure(q: Floats, arm: Arm, objective: TransmissionObjective |
 
 
 def torque_norms_by_direction(q: Floats, arm: Arm, objective: TransmissionObjective) -> Floats:
-    """Norms (..., k) m of joint torques per unit force in each direction: columns of J^T."""
+    """Norms (..., k) m of joint torques per unit force in each direction.
+
+    Columns of J^T.
+    """
     J = _scaled_jacobian(q, arm, objective)
     return np.linalg.norm(J[..., objective.rows or list(range(6)), :], ord=objective.norm, axis=-1)
 
@@ -263,7 +275,9 @@ ROUND = 181  # points of an ellipse
 
 
 def force_polytope_svg(A: Floats, limits: Floats, corners: Floats, wanted_force: Floats) -> str:
-    """SVG of the force polytope, corners (k, 3) N, and ellipsoid of A (n, 3) m with torque limits (n,) N m.
+    """SVG of the force polytope.
+
+    Corners (k, 3) N, and ellipsoid of A (n, 3) m with torque limits (n,) N m.
     wanted_force : (3,) N
     """
     figure = Figure(figsize=(11, 3.9), layout="constrained")

@@ -1,4 +1,6 @@
-"""Arm motion between postures: hand still, hand on a straight line, or to the best posture visited.
+"""Arm motion between postures.
+
+Hand still, hand on a straight line, or to the best posture visited.
 
 Source: patent on force measurement with redundant manipulators, [0021], [0022].
 
@@ -26,7 +28,10 @@ THERE = 1e-9  # rad; end of a motion
 
 
 def motion_with_hand_still(q: Floats, goal: Floats, arm: Arm, fixed_hand_part: str = "pose") -> Floats:
-    """Motion (k, n) rad from posture q (n,) to goal (n,) with the hand still. Raises RigError where none exists."""
+    """Motion (k, n) rad from posture q (n,) to goal (n,) with the hand still.
+
+    Raises RigError where none exists.
+    """
     if np.abs(goal - q).max() < THERE:
         return np.array([q])
     if null_space_search.redundant_joint_count(arm, fixed_hand_part) != 1:
@@ -86,7 +91,9 @@ def _greatest_difference_text(apart: Floats, arm: Arm) -> str:
 
 
 def motion_with_straight_hand(q: Floats, goal: Floats, arm: Arm, steps: int = STEPS) -> Floats:
-    """Motion (k, n) rad from posture q (n,) to goal (n,) with the hand on a straight line, turning evenly.
+    """Motion (k, n) rad from posture q (n,) to goal (n,) with the hand on a straight line.
+
+    Turning evenly.
 
     What the elbow has not done when the hand arrives, it does at the end. Raises RigError where the way leaves the
     joint limits or passes too near a singularity to be followed
@@ -150,7 +157,9 @@ def best_visited_posture_and_motion_to_it(
     fixed_hand_part: str,
     wanted_hand_pose: RigidTransform | None = None,
 ) -> VisitedPostures:
-    """Best posture visited in a recording with the hand where it is wanted, and the motion back to it.
+    """Best posture visited in a recording, and the motion back to it.
+
+    With the hand where it is wanted.
     wanted_hand_pose : T_base_platform of the hand, by default that of the first exposure
 
     Raises RigError for an arm of other joints, without commands, and where no posture, or one alone, has the hand there

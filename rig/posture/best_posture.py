@@ -1,4 +1,7 @@
-"""Best posture of a redundant arm at a fixed hand pose, and the motion into it: searched for, or of those visited."""
+"""Best posture of a redundant arm at a fixed hand pose.
+
+And the motion into it: searched for, or of those visited.
+"""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -250,7 +253,10 @@ def _figures(arm: Arm, objective: Objective, q: Floats, start: Floats, values: t
 
 
 def exertion_dict(q: Floats, arm: Arm, exertion: ExertionObjective) -> Json:
-    """Dict of an exertion at posture q (n,) rad for JSON: torques, margins, greatest multiple, extreme directions."""
+    """Dict of an exertion at posture q (n,) rad for JSON.
+
+    Torques, margins, greatest multiple, extreme directions.
+    """
     strength = exertion.strength
     weight, load = strength.weight(q, arm), joint_torques_for_wrench(q, arm, exertion.wrench)
     low, high = strength.box(q, arm)

@@ -1,4 +1,7 @@
-"""External wrench on an arm's hand from a torque table of its joints, by momentum observer and pseudo-inverse."""
+"""External wrench on an arm's hand from a torque table.
+
+Of its joints, by momentum observer and pseudo-inverse.
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -121,8 +124,9 @@ class WrenchResult(OneLineRepr):
 
 
 def measure_wrench(arm_path: Path, torques: Path, options: WrenchOptions = WrenchOptions()) -> WrenchResult:
-    """WrenchResult of a table of torques, as `rig arm wrench` makes it. arm_path : rig.toml of an arm with [dynamics]
+    """WrenchResult of a table of torques, as `rig arm wrench` makes it.
 
+    arm_path : rig.toml of an arm with [dynamics]
     Raises FileError for a table that cannot be read, RigError for dynamics that are not stated
     """
     design, dynamics = load_arm_dynamics(arm_path)

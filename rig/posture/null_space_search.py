@@ -1,4 +1,6 @@
-"""Search in the null space for a better posture: by gradient, samples or the whole self-motion, hand still.
+"""Search in the null space for a better posture.
+
+By gradient, samples or the whole self-motion, hand still.
 
 Three ways: along the gradient, projected on the null space; over postures sampled at random; and over the whole
 self-motion, traced densely from end to end, which says how good the others' answer is.
@@ -115,7 +117,9 @@ def sampled_search(
     count: int = 200,
     spread: float = 0.6,
 ) -> SearchResult:
-    """SearchResult of a sampled search: best of `count` random postures about each start (m, n) in the null space.
+    """SearchResult of a sampled search.
+
+    Best of `count` random postures about each start (m, n) in the null space.
     spread : rad, of one step; rng : numpy Generator
     """
     q = _starts(q, arm, fixed_hand_part)
@@ -144,7 +148,9 @@ def sampled_search(
 def global_search(
     q: Floats, arm: Arm, objective: TransmissionObjective | ExertionObjective, fixed_hand_part: str = "pose"
 ) -> SearchResult:
-    """SearchResult of a global search: best posture of the whole self-motion through each start (m, n) rad.
+    """SearchResult of a global search.
+
+    Best posture of the whole self-motion through each start (m, n) rad.
 
     Steps of TRACE rad; the best one is polished by the gradient. Raises RigError where the null space is not
     one-dimensional
@@ -226,7 +232,10 @@ def _starts(q: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
 
 
 def redundant_joint_count(arm: Arm, fixed_hand_part: str) -> int:
-    """Count of an arm's redundant joints beyond those that fix the hand; 0 or less for none."""
+    """Count of an arm's redundant joints beyond those that fix the hand.
+
+    It is 0 or less for none.
+    """
     return len(arm.axes) - (FIXED_ROWS[fixed_hand_part].stop - FIXED_ROWS[fixed_hand_part].start)
 
 
@@ -235,7 +244,10 @@ def _rows(q: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
 
 
 def null_space_projectors(q: Floats, arm: Arm, fixed_hand_part: str, fixed_joints: Floats | None = None) -> Floats:
-    """Projectors (m, n, n) on the null space at postures q (m, n) rad; joints in fixed (m, n) do not move."""
+    """Projectors (m, n, n) on the null space at postures q (m, n) rad.
+
+    Joints in fixed (m, n) do not move.
+    """
     J = _rows(q, arm, fixed_hand_part)
     if fixed_joints is not None:
         J = np.concatenate([J, np.eye(q.shape[1]) * fixed_joints[:, :, None]], axis=1)
@@ -263,7 +275,10 @@ def _uphill(q: Floats, arm: Arm, wish: TransmissionObjective | ExertionObjective
 
 
 def return_hand_to_target(q: Floats, target: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
-    """Joint angles near q (m, n) that return the hand to its target (m, 4, 4), by Newton's method."""
+    """Joint angles near q (m, n) that return the hand to its target (m, 4, 4).
+
+    By Newton's method.
+    """
     for _ in range(6):
         frames = mechanism.joint_frames(q, arm)
         e = _error(frames.tip, target, fixed_hand_part)

@@ -1,4 +1,6 @@
-"""Wrench at an arm's hand estimated from joint torques: by least squares, or in motion by a momentum observer.
+"""Wrench estimation at an arm's hand from joint torques.
+
+By least squares, or in motion by a momentum observer.
 
 A Kalman filter whose state is (joint values, momentum, error of the last torques, wrench): a torque's error acts before
 and after its reading.
@@ -84,7 +86,10 @@ class ObservedWrench:
 def momentum_observer_model(
     motion: ArmMotion, arm: Arm, links: LinkMasses, gravity: Floats, sigmas: tuple[Floats, Floats, Floats]
 ) -> ObserverModel:
-    """Model of the momentum observer for an ArmMotion, computed once; sigmas : (n,) of torque, angle, speed."""
+    """Model of the momentum observer for an ArmMotion, computed once.
+
+    sigmas : (n,) of torque, angle, speed
+    """
     inverse = np.linalg.inv(arm_dynamics_and_step_by_step_kinematics.mass_matrix(motion.q, arm, links))
     push = motion.torque + arm_dynamics_and_step_by_step_kinematics.torque_free_momentum_rate(
         motion.q, motion.speed, arm, links, gravity
@@ -96,9 +101,10 @@ def momentum_observer_model(
 
 
 def observe_wrench(model: ObserverModel, rates: Floats) -> ObservedWrench:
-    """Observe the external wrench over time by an ObserverModel: ObservedWrench.
+    """Observe the external wrench over time by an ObserverModel.
 
     rates : (6,) N/sqrt(s), Nm/sqrt(s), of the wrench's random walk
+    Returns ObservedWrench
     """
     records, count, n = model.motion.q.shape
     size = 3 * n + 6
@@ -166,7 +172,10 @@ def _corrected(m: ObserverModel, k: int, state: Floats, P: Floats) -> tuple[Floa
 
 
 def most_likely_random_walk_rates(model: ObserverModel) -> Floats:
-    """Most likely rates (6,) N/sqrt(s), Nm/sqrt(s) of the wrench's random walk for an ObserverModel's readings."""
+    """Most likely rates (6,) of the wrench's random walk.
+
+    In N/sqrt(s), Nm/sqrt(s), for an ObserverModel's readings.
+    """
     motion = model.motion
     part = slice(0, PART)
     short = ObserverModel(
@@ -209,8 +218,9 @@ class TorqueRecord:
 
 
 def load_torque_table(path: Path, arm: Arm, dynamics: ArmDynamics, source: Path) -> TorqueRecord:
-    """TorqueRecord loaded from a table t, q1.., tau1.. (N m) or i1.. (A), with speeds v1.. if present.
+    """TorqueRecord loaded from a table of torques.
 
+    Columns t, q1.., tau1.. (N m) or i1.. (A), with speeds v1.. if present.
     source : the arm's file, for what its [dynamics] lacks. Raises FileError with line and column for what cannot be
     used, RigError where currents come without torque_constants
     """
@@ -288,8 +298,9 @@ class EstimatedWrench:
 def external_joint_torques(
     measured: Floats, q: Floats, speed: Floats, acceleration: Floats, arm: Arm, links: LinkMasses, gravity: Floats
 ) -> Floats:
-    """External joint torques (..., n) N m: measured ones less those of weight and motion, tau = J^T f.
+    """External joint torques (..., n) N m.
 
+    Measured ones less those of weight and motion, tau = J^T f.
     measured : (..., n) Nm, what the joints exert; f is what the surroundings do to the hand. Others as of
         dynamics.torques
     """

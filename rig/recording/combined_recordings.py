@@ -1,4 +1,6 @@
-"""Combined recordings of one rig: one timeline, moved cameras and remounted cubes as separate ones.
+"""Combined recordings of one rig.
+
+One timeline, moved cameras and remounted cubes as separate ones.
 
 What the machine is stays shared. Each recording keeps its own poses, its log and its own beginning: effects that
 remember (a play's side, a lag, how long it has been warm, how far a clock has run) know nothing of the recording
@@ -57,8 +59,11 @@ def require_one_rig(recordings: Sequence[Recording]) -> None:
             )
 
 
-def camera_owner_recordings(recordings: Sequence[Recording]) -> Owners:
-    """Owner recording of each camera: the one that introduced it, a new one where lens or mount differs."""
+def first_recording_by_camera(recordings: Sequence[Recording]) -> Owners:
+    """First recording with each camera as it is, by camera.
+
+    It is a new one where lens or mount differs.
+    """
     out: list[dict[str, int]] = []
     for k, recording in enumerate(recordings):
         out.append(
@@ -96,7 +101,7 @@ def join_recordings(recordings: Sequence[Recording], owners: Owners) -> Recordin
         for camera in recording.design.cameras:
             name = combined_camera_name(camera.name, own)
             cameras.setdefault(name, replace(camera, name=name))
-    seats = target_owner_recordings([recording.design for recording in recordings])
+    seats = last_remount_recording_by_target([recording.design for recording in recordings])
     design = replace(first.design, cameras=tuple(cameras.values()), targets=_targets(recordings, seats))
     skipped = tuple(one for r in recordings for one in r.skipped)
     return replace(
@@ -114,7 +119,11 @@ def join_recordings(recordings: Sequence[Recording], owners: Owners) -> Recordin
 
 
 def combined_camera_name(camera: str, owners: dict[str, int]) -> str:
-    """Name of a camera among the combined recordings: NAME or NAME@k. owners : of its recording."""
+    """Name of a camera among the combined recordings.
+
+    NAME or NAME@k.
+    owners : of its recording.
+    """
     return camera if owners[camera] == 0 else f"{camera}@{owners[camera] + 1}"
 
 
@@ -175,8 +184,11 @@ def _exposures(parts: Sequence[RecordingPart], owners: Owners) -> Exposures:
     )
 
 
-def target_owner_recordings(designs: Sequence[Design]) -> Owners:
-    """Owner recording of each target: the one in which it was last remounted."""
+def last_remount_recording_by_target(designs: Sequence[Design]) -> Owners:
+    """Recording in which each target was last remounted, by target.
+
+    It is the first recording for a target that was never remounted.
+    """
     out: list[dict[str, int]] = []
     for k, design in enumerate(designs):
         own = {}

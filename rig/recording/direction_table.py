@@ -1,4 +1,7 @@
-"""Table of directions, as of a telescope at stars: azimuth and elevation, or unit vectors."""
+"""Table of directions, as of a telescope at stars.
+
+Azimuth and elevation, or unit vectors.
+"""
 
 from pathlib import Path
 
@@ -13,9 +16,10 @@ UNIT_LENGTH = 1e-6  # that a direction's length may differ from one
 
 
 def read_direction_table(path: str | Path, form: TableFormat = PLAIN) -> tuple[Table, Floats]:
-    """(Table, unit vectors (n, 3)) of a poses.csv with columns azimuth and elevation (rad), or x, y and z.
+    """Table of directions read from a poses.csv.
 
     form : of the file
+    Returns (Table, unit vectors (n, 3)) of columns azimuth and elevation (rad), or x, y and z
     Raises FileError with line and column for a missing column, angles that no circle has and vectors that are not of
     length one
     """
@@ -43,7 +47,10 @@ def read_direction_table(path: str | Path, form: TableFormat = PLAIN) -> tuple[T
 
 
 def directions_of_angles(angles: Floats) -> Floats:
-    """Unit vectors (..., 3) of azimuth and elevation (..., 2) rad, in a frame with x north, y east and z down."""
+    """Unit vectors (..., 3) of azimuth and elevation (..., 2) rad.
+
+    In a frame with x north, y east and z down.
+    """
     azimuth, elevation = np.moveaxis(np.asarray(angles, float), -1, 0)
     level = np.cos(elevation)
     return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), -np.sin(elevation)], axis=-1)

@@ -1,4 +1,6 @@
-"""Frame selection of a recording by numbers, and content hashes by which its frames are recognised.
+"""Frame selection of a recording, and content hashes.
+
+Selected by numbers; its frames are recognised by hashes.
 
 What one camera saw in one frame is marked by its content: the image file's bytes, the corners found in it (marker,
 corner, u, v), or, of an outside instrument, the pose's numbers; what measuring limbs read at it likewise. Neither the
@@ -39,7 +41,9 @@ FRAME = re.compile(r"\s*([0-9]{1,18})(?:\s*-\s*([0-9]{1,18}))?\s*")
 
 
 def parse_frame_ranges(text: str) -> tuple[tuple[int, int], ...]:
-    """Frame ranges ((first, last), ..) parsed from text like 3,7-9. Raises RigError.
+    """Frame ranges ((first, last), ..) parsed from text like 3,7-9.
+
+    Raises RigError.
     Raises RigError for anything else.
     """
     parts = [FRAME.fullmatch(part) for part in text.split(",")]
@@ -52,8 +56,9 @@ def parse_frame_ranges(text: str) -> tuple[tuple[int, int], ...]:
 
 
 def remove_frames(recording: Recording, frame_ranges: str) -> Recording:
-    """The Recording with frames removed, by ranges like 3,7-9; its commands remain.
+    """The Recording with frames removed, by ranges like 3,7-9.
 
+    Its commands remain.
     Raises RigError for what is no such list and for what names no frame of the recording, NotEnoughData where no frame
         is left
     """
@@ -71,7 +76,9 @@ def remove_frames(recording: Recording, frame_ranges: str) -> Recording:
 
 
 def select_frames(recording: Recording, frames: Integers) -> Recording:
-    """The Recording with only the selected frames (f,); its commands remain.
+    """The Recording with only the selected frames (f,).
+
+    Its commands remain.
     Raises NotEnoughData where it has none of them.
     """
     every = recording.exposures.times()[0]
@@ -139,7 +146,9 @@ Marks = dict[int, frozenset[str]]  # of each frame that has any
 
 
 def content_hashes_of_frames(recording: Recording) -> Marks:
-    """Content hashes of a recording's frames, and of the data they were measured from. Raises FileError.
+    """Content hashes of a recording's frames, and of the data they were measured from.
+
+    Raises FileError.
     Raises FileError for an image that cannot be read.
     """
     if recording.parts:
@@ -154,7 +163,10 @@ def content_hashes_of_frames(recording: Recording) -> Marks:
 
 @contextmanager
 def start_content_hashing(recording: Recording) -> Iterator[Callable[[], Marks]]:
-    """Start hashing a recording's frames in background threads; returns a function that gives the hashes."""
+    """Start hashing a recording's frames in background threads.
+
+    Returns a function that gives the hashes
+    """
     paths = [recording.folder / name for name in recording.exposures.image if name]
     if worker_count() < 2:
         yield lambda: _marks(recording, dict(zip(paths, map(file_digest, paths))))

@@ -1,4 +1,7 @@
-"""Check of an image file before decoding: format, size, completeness, location; and its reading."""
+"""Check of an image file, and its reading.
+
+Before decoding: format, size, completeness, location.
+"""
 
 import os
 import re
@@ -42,7 +45,8 @@ def image_file_problem(path: Path, camera: Camera | None = None) -> str | None:
 
 
 def open_image_file_problem(file: BinaryIO, camera: Camera | None = None, max_pixels: int = MOST_PIXELS) -> str | None:
-    """Problem of an open image file as text, or None. max_pixels : px that it may have.
+    """Problem of an open image file as text, or None.
+
     max_pixels : px that it may have. Raises OSError where it cannot be read.
     """
     head = file.read(HEAD)
@@ -122,7 +126,10 @@ def _size_of_tiff(file: BinaryIO, order: str, head: bytes) -> tuple[int, int] | 
 
 
 def image_path_problem(folder: Path, name: str) -> str | None:
-    """Problem of an image's path as text, or None: it must lie in the recording's folder."""
+    """Problem of an image's path as text, or None.
+
+    It must lie in the recording's folder.
+    """
     if not name.isprintable() or len(name) > 1000:
         return "is not a file name"
     if local_and_remote_input_files.is_remote(folder):
@@ -164,7 +171,7 @@ def unusable_images_error(unusable: list[UnreadableImage]) -> FileError:
 
 
 def undecodable_image_problem(path: Path) -> str | None:
-    """Why an image cannot be decoded, or None."""
+    """Problem of an undecodable image, or None."""
     try:
         read_image(path)
     except FileError as error:
@@ -182,8 +189,9 @@ def read_image(path: Path, max_pixels: int = MOST_PIXELS) -> Pixels:
 
 
 def decode_image(data: bytes, path: Path, max_pixels: int = MOST_PIXELS) -> Pixels:
-    """Decode the bytes of an image file to (rows, columns) or (rows, columns, 3). path : its name in errors.
+    """Decode the bytes of an image file to (rows, columns) or (rows, columns, 3).
 
+    path : its name in errors.
     Raises FileError for one that has more than `max_pixels` or cannot be decoded
     """
     import cv2

@@ -1,4 +1,4 @@
-"""Loading of a recording's folder into arrays (Recording): commands, exposures, sensors, corners, poses; checked."""
+"""Folder of a recording, loaded into arrays (Recording) and checked."""
 
 import re
 from collections.abc import Sequence
@@ -21,9 +21,9 @@ from rig.formats.csv_and_parquet_tables_and_time_origin import (
 )
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import require_complete_folder, write_bytes, write_text
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.arm_branches_and_hands import hand_names
-from rig.model.base_tilt import GRAVITY, BaseTilt, gravity_channels, has_gravity, times_between_small_turns
+from rig.model.base_and_link_tilts import GRAVITY, BaseTilt, gravity_channels, has_gravity, times_between_small_turns
 from rig.model.design import Design, Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
 from rig.recording.image_file_check_and_reading import UnreadableImage
@@ -186,7 +186,7 @@ def load_recording(folder: str | Path, skip_unreadable: bool = False) -> Recordi
     require_complete_folder(folder)
     if local_and_remote_input_files.is_empty(folder):
         raise FileError(folder, "is an empty folder; a recording has at least rig.toml and frames.csv")
-    design = design_file.load_design(folder / "rig.toml")
+    design = design_from_rig_toml.load_design(folder / "rig.toml")
     commanded = _command_rows(folder / "commands.csv", design)
     exposed = csv_and_parquet_tables_and_time_origin.read_csv_table(
         folder / "frames.csv", ("frame", "t", "camera", "image")

@@ -1,4 +1,4 @@
-"""Loading, with checks, and writing of a recording's tables: exposures, corners, poses and configurations (CSV)."""
+"""Loading and writing of a recording's tables (CSV), with checks."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

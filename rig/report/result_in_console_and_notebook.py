@@ -1,4 +1,7 @@
-"""How a result shows itself: one line in a console, HTML in a notebook."""
+"""Display of results in console and notebook.
+
+One line in a console, HTML in a notebook.
+"""
 
 from collections.abc import Iterable, Sequence
 from html import escape
@@ -14,7 +17,10 @@ class OneLineRepr:
 
 
 def result_html(heading: str, lines: Iterable[str] = (), table: Sequence[Sequence[str]] = ()) -> str:
-    """HTML of a result for notebooks: heading, sentences, a table whose first row is its header; text is escaped."""
+    """HTML of a result for notebooks.
+
+    Heading, sentences, a table whose first row is its header; text is escaped.
+    """
     parts = [f"<strong>{escape(heading)}</strong>", *(f"<p style='margin:.2em 0'>{escape(line)}</p>" for line in lines)]
     if table:
         head, *rows = table

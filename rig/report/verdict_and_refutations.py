@@ -1,4 +1,6 @@
-"""Verdict of a result, judged from its evidence; refutations of result files by later recordings, loaded and added.
+"""Verdict of a result, and refutations of result files.
+
+A verdict is judged from its evidence; refutations, by later recordings, are loaded and added.
 
 Good needs all of it: a held-out error within AGREES of what noise and claim allow, nothing unexplained, and nothing
 stated beyond what the design of the recording supports. Bad is what was refuted: by a later recording, by an error
@@ -100,7 +102,7 @@ class Evidence:
 
 
 def judge_evidence(evidence: Evidence) -> Verdict:
-    """Judge evidence: its Verdict."""
+    """Judge evidence into a Verdict."""
     beyond = (
         [f"held-out error is {evidence.held_out:.3g} times what noise and claim allow"]
         if _beyond(evidence, AGREES)
@@ -140,12 +142,18 @@ def judge_evidence(evidence: Evidence) -> Verdict:
 
 
 def worst_state(states: Sequence[State]) -> State:
-    """Worst of several states of verdicts; CHECK where there is none."""
+    """Worst of several states of verdicts.
+
+    CHECK where there is none.
+    """
     return next((state for state in WORST if state in states), State.CHECK)
 
 
 def exit_status(verdict: Verdict) -> int:
-    """Exit status of a command that examines an earlier result: REFUTED where the verdict is bad, else 0."""
+    """Exit status of a command that examines an earlier result.
+
+    REFUTED where the verdict is bad, else 0.
+    """
     return REFUTED if verdict.state == State.BAD else 0
 
 
@@ -184,7 +192,10 @@ class Refutation:
 
 
 def load_refutations(folder: Path) -> tuple[Refutation, ...]:
-    """Load the refutations of a folder, () where there are none. Raises FileError for an invalid file."""
+    """Load the refutations of a folder, () where there are none.
+
+    Raises FileError for an invalid file.
+    """
     path = folder / NAME
     try:
         tree = json.loads(path.read_bytes().decode("utf-8"))
@@ -200,15 +211,19 @@ def load_refutations(folder: Path) -> tuple[Refutation, ...]:
 
 
 def refutations_of_file(path: Path) -> tuple[Refutation, ...]:
-    """Refutations of a result file, by its SHA-256, oldest first. Raises FileError as `load_refutations` does."""
+    """Refutations of a result file, by its SHA-256, oldest first.
+
+    Raises FileError as `load_refutations` does.
+    """
     known = load_refutations(path.parent)
     own = file_digest(path) if known else ""
     return tuple(one for one in known if one.sha256 == own)
 
 
 def add_refutation(refutations_file: Path, folder: Path, new_refutation: Refutation) -> None:
-    """Add a refutation to those of a folder; it replaces one of the same file by the same command and recording.
+    """Add a refutation to those of a folder.
 
+    It replaces one of the same file by the same command and recording.
     refutations_file : where the file waits to be put into the folder as NAME
     """
     kept = [

@@ -13,7 +13,7 @@ import numpy as np
 
 from rig.checks import Mistake
 from rig.checks.implausible_design_values_and_image_mistakes import mistakes_found_without_looking_at_images
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Camera
 from rig.model.pose import exp
 from rig.planning import plan
@@ -57,7 +57,7 @@ def setup(number: int, folder: Path, frames: int | None = None) -> Setup:
     )
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "rig.toml").write_text(text)
-    stated = design_file.load_design(folder / "rig.toml")
+    stated = design_from_rig_toml.load_design(folder / "rig.toml")
     secret = secret_machine_and_truth_file.draw_machine(stated, rng, float(rng.uniform(0.5, 3.0)))
     cameras = tuple(_real(camera, rng, lensless, min(1.0, radius / 0.3)) for camera in secret.true.cameras)
     secret = replace(secret, true=replace(secret.true, cameras=cameras))

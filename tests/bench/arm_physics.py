@@ -23,11 +23,11 @@ from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.pose_samples import sample_recording
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text_parsing import parse_effect
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
 from rig.planning import plan
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import shipped_arms_and_layouts
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
@@ -101,7 +101,7 @@ def ways(folder: Path, name: str, seed: int) -> Ways:
 def _recorded(folder: Path, text: str, seed: int, effects: tuple[Effect, ...]) -> tuple[Recording, World]:
     folder.mkdir(parents=True)
     (folder / "rig.toml").write_text(text)
-    design, rng = design_file.load_design(folder / "rig.toml"), np.random.default_rng(seed)
+    design, rng = design_from_rig_toml.load_design(folder / "rig.toml"), np.random.default_rng(seed)
     secret = secret_machine_and_truth_file.draw_machine(design, rng, 1.0, effects)
     recording_simulation.write_recording(
         recording_simulation.simulate_world(secret, plan.build_plan(design, ROUTE, seed), rng),

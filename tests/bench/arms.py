@@ -15,7 +15,7 @@ from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations, instrument_placement
 from calib.models.arm.error_model_and_observations import pose_observations
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics, closed_form_and_numerical_arm_inverse
 from rig.posture import arm_force_transmission_and_exertable_wrench, null_space_search, wrench_estimation_from_torques
@@ -27,7 +27,7 @@ from tests.rig import pinocchio_arm
 from tests.rig.arms import SEVEN, UR10, configurations, random_arm
 from tests.rig.model.mechanisms.test_six_joint_inverse import ARMS, check, near_singular
 
-PANDA = design_file.load_design(files("rig") / "arms" / "panda.toml").mechanism
+PANDA = design_from_rig_toml.load_design(files("rig") / "arms" / "panda.toml").mechanism
 
 
 def rows() -> Iterator[tuple[str, str, str]]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.pose_error_promise_and_conformity import CONFORMS, FAILS
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib.certificate.trials import share_kept, trial, wrong_decisions
 
@@ -30,7 +30,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3))
-        design = design_file.load_design(path)
+        design = design_from_rig_toml.load_design(path)
     for name, (level, kinds, noise) in CASES.items():
         start = time.process_time()
         trials = [trial(design, seed, level, SIZES, kinds, noise) for seed in range(RIGS)]

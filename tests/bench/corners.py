@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Marker, Sensor, Target
 from rig.model.pose import pose, pose_difference
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -38,7 +38,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3))
-        design = design_file.load_design(path)
+        design = design_from_rig_toml.load_design(path)
         if SHARED.is_dir():
             yield from _first_light(Path(folder) / "first-light")
         else:
@@ -186,7 +186,7 @@ def _speed(folder):
         (folder / "rig.toml").write_text(
             hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, width=width, height=height)
         )
-        design = design_file.load_design(folder / "rig.toml")
+        design = design_from_rig_toml.load_design(folder / "rig.toml")
         markers, home = marker_map(design), design.mechanism.home
         try:
             renderer = Renderer(scenes.rig_parts(design), design)

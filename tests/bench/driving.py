@@ -14,7 +14,7 @@ from rig.driving.emulators.controller_emulator_opening_and_ports import home_len
 from rig.driving.protocols.protocol_interface import Segment
 from rig.driving.serial_port import SerialPort
 from rig.driving.strut_driver import Driver
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
 
 COUNT = 300
@@ -26,7 +26,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
         path = Path(folder) / "rig.toml"
         text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3)
         path.write_text(text + '\n[controller]\nprotocol = "grblhal"\nport = "set below"\nmax_speed = 0.01\n')
-        zero = home_lengths(design_file.load_design(path).mechanism).tolist()
+        zero = home_lengths(design_from_rig_toml.load_design(path).mechanism).tolist()
         path.write_text(path.read_text() + f"zero = {zero}\n")
         emulator = subprocess.Popen(
             [
@@ -44,7 +44,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
         try:
             port = emulator.stdout.readline().split()[1]
             path.write_text(path.read_text().replace("set below", port))
-            yield from _timed(design_file.load_design(path), port)
+            yield from _timed(design_from_rig_toml.load_design(path), port)
         finally:
             emulator.terminate()
             emulator.wait()

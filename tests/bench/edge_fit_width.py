@@ -5,9 +5,8 @@ Corners of the same pictures are fitted with every candidate, the spread learnt 
 measure` does.
 Each kind of picture (exact ones and the renderer's, blurs, defocus, a halo, sharpening) gives the RMS of a candidate's
 corner errors (without the largest, see SOUND) over the least any candidate has there; a candidate's score is the
-geometric mean over the kinds. vision/corners/edge_pixels.py's REACH and vision/corners/edge_spread.py's KNOTS are the
-smallest reach, then the fewest knots, whose score is
-within MARGIN of the best one's.
+geometric mean over the kinds. vision/corners/edge_pixels.py's REACH and vision/corners/edge_spread_function.py's KNOTS
+are the smallest reach, then the fewest knots, whose score is within MARGIN of the best one's.
 """
 
 import json
@@ -22,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import correlate1d
 
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Marker, Sensor, Target
 from rig.model.pose import exp, pose
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -68,7 +67,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
         )
     best = min(key for key in mean if mean[key] <= (1 + MARGIN) * min(mean.values()))
     from vision.corners import edge_pixels
-    from vision.corners import edge_spread as spread
+    from vision.corners import edge_spread_function as spread
 
     yield "reach and knots by the rule; as they are", f"{best}; {(edge_pixels.REACH, spread.KNOTS)}", "equal"
     for kind in least:
@@ -135,7 +134,7 @@ def _rendered(design, rng):
 
 def _score(pictures, markers):
     """{kind: px, RMS per axis of corners fitted with a spread learnt from the pictures themselves}."""
-    from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, empty_residual_profile, learn_edge_spread
+    from vision.corners.edge_spread_function import PLAIN_EDGE_SPREAD, empty_residual_profile, learn_edge_spread
     from vision.corners.marker_detection_and_corner_fit import ReadMarkers, fit_read_markers, grey_image_at_full_depth
     from vision.reading.recording_corners import ROUNDS
 
@@ -170,13 +169,13 @@ def _main(reach):
     from vision.corners import edge_pixels
 
     edge_pixels.REACH = reach
-    from vision.corners import edge_spread as spread
+    from vision.corners import edge_spread_function as spread
     from vision.predict import marker_map
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3))
-        design = design_file.load_design(path)
+        design = design_from_rig_toml.load_design(path)
     listed = tuple(Marker(k, 1.0, pose([0, 0, 0], [0, 0, 0]), 0.9 / 7) for k in range(PICTURES))
     sheet = marker_map(replace(design, targets=(Target("t", "platform", NAME, listed=listed),)))
     rng = np.random.default_rng(0)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib import unlisted_laws
 from tests.calib.diagnose_recording import diagnosis_of
@@ -39,7 +39,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(text := hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3))
-        design = design_file.load_design(path)
+        design = design_from_rig_toml.load_design(path)
         for number, law in enumerate(unlisted_laws.LAWS):
             hits, ratios = [], []
             for k in range(RIGS):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Hexapod
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp
@@ -20,7 +20,7 @@ def mechanism_of_bench() -> Hexapod:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3))
-        return design_file.load_design(path).mechanism
+        return design_from_rig_toml.load_design(path).mechanism
 
 
 def rows() -> Iterator[tuple[str, str, str]]:

@@ -21,7 +21,7 @@ from calib.correction.interpolation_methods_and_correction_summand_fields import
 from calib.diagnosis.findings_refit import findings_of_diagnosis
 from calib.samples.pose_samples import sample_recording
 from rig.effects.texts.effect_text_parsing import parse_effect
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.rigs_with_unmodelled_physics import ASKED, driven, learnt, write
@@ -48,7 +48,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(text := hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3))
-        design, effects = design_file.load_design(path), [parse_effect(one) for one in EFFECTS]
+        design, effects = design_from_rig_toml.load_design(path), [parse_effect(one) for one in EFFECTS]
         recording, secret = write(Path(folder) / "rec", design, text, SEED, effects, ROUTE)
         sampled = sample_recording(recording)
         cube, _ = write(

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnosis.effect_signal_and_separation import platform_effect_signal_to_noise
+from calib.diagnosis.effect_signal_to_noise_and_separation import platform_effect_signal_to_noise
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
     diagnosis_report,
     write_diagnosis_json_and_simulation_files,

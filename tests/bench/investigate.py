@@ -27,7 +27,7 @@ from calib.experiment.experiment_questions_and_information import NAME
 from calib.experiment.platform_questions import platform_questions as questions
 from rig.effects.texts.effect_text_parsing import parse_effect, require_existing_place
 from rig.errors import RigError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design
 from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -258,7 +258,7 @@ def _rig(path, kind) -> tuple[Design, str]:
     if kind == "heavy":
         text = re.sub(r"mass = [\d.]+", f"mass = {HEAVY}", text, count=1)
     path.write_text(text)
-    return design_file.load_design(path), text
+    return design_from_rig_toml.load_design(path), text
 
 
 def names(found) -> list[str]:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.calibration_board import parse_board
 from rig.model.design import Camera
 from rig.model.pose import exp
@@ -26,7 +26,7 @@ from tests.vision.drawn_observations import scene
 from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_adjustment
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.marker_displacements import compare_stated_and_adjusted_places
-from vision.bundle.unknown_priors import adjustment_unknowns
+from vision.bundle.priors_of_unknowns import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated, update_estimate
 from vision.corner_observations import observations_from_corners, whitener_of_observations
 from vision.corners.marker_detection_and_corner_fit import detect_markers
@@ -135,7 +135,7 @@ def _adjustment():
                 0.3, cameras=3, width=1280, height=1024, cubes=4
             )
         )
-        design = design_file.load_design(path)
+        design = design_from_rig_toml.load_design(path)
     observations, stated, _, T = scene(design, 1, frames=380)
     observations = replace(
         observations, covariance=np.tile(0.04**2 * np.eye(2), (len(observations), 1, 1))

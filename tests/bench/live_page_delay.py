@@ -23,7 +23,7 @@ from rig.driving.move_and_record_loop import RunEquipment, RunOperator
 from rig.driving.run_journal_and_recording import Began, Journal
 from rig.driving.run_steps_and_progress import steps_of_plan
 from rig.driving.settling_check import parse_settling
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Sensor
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
@@ -79,7 +79,11 @@ def _run(folder):
     """{frame: s from its exposure to its event at the page}"""
     text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=3, width=1280, height=1024)
     (folder / "rig.toml").write_text(text)
-    design, rng, plan = design_file.load_design(folder / "rig.toml"), np.random.default_rng(1), f"sobol:{FRAMES}"
+    design, rng, plan = (
+        design_from_rig_toml.load_design(folder / "rig.toml"),
+        np.random.default_rng(1),
+        f"sobol:{FRAMES}",
+    )
     done = recording_simulation.simulate_world(
         secret_machine_and_truth_file.draw_machine(design, rng), build_plan(design, plan), rng
     )

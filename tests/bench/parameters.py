@@ -14,16 +14,16 @@ from calib.certification import measuring_limb_identification_and_agreement
 from calib.correction import simultaneous_camera_and_geometry_fit
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import PLAUSIBLE, parameter_combinations
 from calib.models.platform.identification import PRIOR, identify_platform, pose_parameter_jacobian
-from calib.models.platform.optimal_configurations import CRITERIA, choose_d_optimal_configurations
+from calib.models.platform.optimal_calibration_poses import CRITERIA, choose_d_optimal_configurations
 from calib.online.forgetting_kalman_and_gradient_learners import Drifting, FirstOrder, Forgetting
 from calib.online.information_filter import Online
 from calib.samples.pose_samples import sample_recording
 from rig.formats.exporters import geometry_and_camera_files
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, mechanism_with_parameters
 from rig.model.pose import exp, pose_difference
-from rig.planning import configuration_sets, plan
+from rig.planning import configuration_generators, plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine_and_truth_file
@@ -42,7 +42,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3))
-        design = design_file.load_design(path)
+        design = design_from_rig_toml.load_design(path)
     yield "J_p against differences, 1000 random machines and poses, worst", f"{worst_jacobian(1000, 0):.1e}", "<= 1e-6"
     yield from _batch(design)
     yield from _scatter(design)
@@ -183,7 +183,7 @@ def _jumps(design):
 
 def _exports(design):
     true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(0)).true
-    commands = configuration_sets.sobol_configurations(true.mechanism.strut_range, 200, 0.9)
+    commands = configuration_generators.sobol_configurations(true.mechanism.strut_range, 200, 0.9)
     theirs = genhex_forward(
         geometry_and_camera_files.genhexkins_settings(true.mechanism), commands, design.mechanism.home, 1e3
     )
@@ -202,7 +202,7 @@ def _limbs():
             Path(folder) / "rig.toml",
         )
         path.write_text(text)
-        design, rng = design_file.load_design(path), np.random.default_rng(0)
+        design, rng = design_from_rig_toml.load_design(path), np.random.default_rng(0)
         done = recording_simulation.simulate_world(
             secret_machine_and_truth_file.draw_machine(design, rng), plan.build_plan(design, "axes:9,sobol:150"), rng
         )
@@ -233,7 +233,7 @@ def _limbs():
     learner, true = Online(read.design.mechanism, shared=42), done.world.true.mechanism
     for each in zip(read.commanded()[2], T, *limbs.uncertainty(T)):
         learner.update(*each)
-    spread = configuration_sets.sobol_configurations(true.strut_range, 500, 0.9)
+    spread = configuration_generators.sobol_configurations(true.strut_range, 500, 0.9)
     error = pose_difference(hexapod.forward(spread, true), hexapod.forward(spread, learner.hexapod))
     before = pose_difference(hexapod.forward(spread, true), hexapod.forward(spread, design.mechanism))
     rms = [np.sqrt((e[:, :3] ** 2).sum(axis=1).mean()) * 1e6 for e in (before, error)]

@@ -15,7 +15,7 @@ import numpy as np
 
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib.rigs_with_unmodelled_physics import three_ways
 
@@ -57,7 +57,7 @@ def measured(name, rigs=RIGS, route=ROUTE, text=None) -> np.ndarray:
         path = Path(folder) / "rig.toml"
         text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3) if text is None else text
         path.write_text(text)
-        design = design_file.load_design(path)
+        design = design_from_rig_toml.load_design(path)
         for k in range(rigs):
             seed = 100 * list(SIZES).index(name) + k
             ways = three_ways(

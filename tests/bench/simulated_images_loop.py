@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from rig.effects.texts.effect_text_parsing import parse_effect
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Sensor
 from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -30,7 +30,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
         folder = Path(name)
         text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3)
         (folder / "rig.toml").write_text(text)
-        design = design_file.load_design(folder / "rig.toml")
+        design = design_from_rig_toml.load_design(folder / "rig.toml")
         yield from _accuracy(design)
         yield from _speed(folder, design)
         yield from _corner_level(design, folder, text)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.drift.visit_history import History, add_visit_and_judge_change
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib.daily_visits import SIX, changed, rig
 
@@ -25,7 +25,7 @@ def rows(rigs=RIGS, quiet=QUIET) -> Iterator[tuple[str, str, str]]:
     with tempfile.TemporaryDirectory() as folder:
         base = Path(folder)
         (base / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3))
-        design, text = design_file.load_design(base / "rig.toml"), (base / "rig.toml").read_text()
+        design, text = design_from_rig_toml.load_design(base / "rig.toml"), (base / "rig.toml").read_text()
         for seed in range(rigs):
             one, rng = rig(design, text, seed, base / f"{seed}"), np.random.default_rng([seed, 1])
             history = week = History("")

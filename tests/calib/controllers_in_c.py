@@ -29,7 +29,7 @@ from calib.models.arm.correction import ArmCorrection
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose, pose_to_vector
-from rig.planning import configuration_sets
+from rig.planning import configuration_generators
 from rig.recording.recording_folder import Sensors
 from synthetic import secret_machine_and_truth_file
 from tests.calib.correction.test_physics import physics_of
@@ -162,7 +162,7 @@ def field_samples(design, kind):
         x = np.stack(np.meshgrid(*np.linspace(strokes[:, 0], strokes[:, 1], 3, axis=1), indexing="ij"), -1)
         x = x.reshape(-1, 6)
     else:
-        x = configuration_sets.sobol_configurations(strokes, 120, 1.0, 5)
+        x = configuration_generators.sobol_configurations(strokes, 120, 1.0, 5)
     return FieldSamples(x, summand(design, x), np.full(x.shape, 1e-14), strokes)
 
 
@@ -190,7 +190,7 @@ def pose_map(design, kind, amplitude=3e-5):
     """A field in pose space, of some 30 um and 30 urad."""
     home = home_pose(design.mechanism)
     size = np.array([0.05] * 3 + [0.15] * 3)
-    u = configuration_sets.sobol_configurations(np.tile([-1.0, 1.0], (6, 1)), 150, 1.0, 8)
+    u = configuration_generators.sobol_configurations(np.tile([-1.0, 1.0], (6, 1)), 150, 1.0, 8)
     x = u * size + np.r_[home.translation, np.zeros(3)]
     values = amplitude * np.sin(2 * u + u[:, ::-1])
     return fit_field(kind, FieldSamples(x, values, np.full(x.shape, 1e-14), np.stack([x.min(0), x.max(0)], 1)))
@@ -240,7 +240,7 @@ CALIBRATIONS = {
 
 def wanted(design, count, seed=11, fill=0.9):
     """Poses (count,) all over the workspace, as numbers of a file have them: vectors there and back."""
-    lengths = configuration_sets.sobol_configurations(design.mechanism.strut_range, count, fill, seed)
+    lengths = configuration_generators.sobol_configurations(design.mechanism.strut_range, count, fill, seed)
     found = pose_to_vector(hexapod.forward(lengths, design.mechanism))
     return pose(found[:, :3], found[:, 3:])
 

@@ -7,7 +7,7 @@ import numpy as np
 from calib.samples.pose_samples import Samples
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
-from rig.planning import configuration_sets
+from rig.planning import configuration_generators
 from synthetic import secret_machine_and_truth_file
 
 OWN = np.array([6e-6, 6e-6, 6e-6, 4e-5, 4e-5, 4e-5])  # m, rad
@@ -23,7 +23,7 @@ def sampled(design, seed, count=120, deviation=None, noisy=True, commands=None, 
     rng = np.random.default_rng(seed)
     true = secret_machine_and_truth_file.draw_machine(design, rng).true.mechanism
     commands = (
-        configuration_sets.sobol_configurations(design.mechanism.strut_range, count, 0.9, seed)
+        configuration_generators.sobol_configurations(design.mechanism.strut_range, count, 0.9, seed)
         if commands is None
         else commands
     )
@@ -52,7 +52,7 @@ def real(commands, true, deviation=None):
 
 def workspace(design, count=300, seed=99):
     """Wanted poses all over the workspace."""
-    lengths = configuration_sets.sobol_configurations(design.mechanism.strut_range, count, 0.85, seed)
+    lengths = configuration_generators.sobol_configurations(design.mechanism.strut_range, count, 0.85, seed)
     return hexapod.forward(lengths, design.mechanism)
 
 

@@ -10,7 +10,7 @@ from calib.online.information_filter import Online
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, mechanism_with_parameters
 from rig.model.pose import exp
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from synthetic import secret_machine_and_truth_file
 from tests.calib.noisy_samples import OWN
 

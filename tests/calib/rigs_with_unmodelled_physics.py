@@ -16,7 +16,7 @@ from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES
 from rig.model import mechanisms, motion_simulation
 from rig.model.pose import pose_difference
-from rig.planning import configuration_sets, plan
+from rig.planning import configuration_generators, plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine_and_truth_file
@@ -72,7 +72,7 @@ def driven(calibration, secret, seed, sensed=True, approach="auto", poses=POSES)
     rng = np.random.default_rng([seed, 1])
     m = secret.stated.mechanism
     T = mechanisms.kinematics_of(m).forward(
-        configuration_sets.sobol_configurations(m.strut_range, poses, 0.75, seed=int(rng.integers(1 << 30))), m
+        configuration_generators.sobol_configurations(m.strut_range, poses, 0.75, seed=int(rng.integers(1 << 30))), m
     )
     t = 30 + np.cumsum(rng.uniform(8, 40, poses))
     true, log = secret_machine_and_truth_file.draw_temperatures(t[-1], rng)

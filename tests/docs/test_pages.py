@@ -19,7 +19,7 @@ import pytest
 from docs.make import commands, messages, rig_toml, tables
 from rig.cli.command_line import join_command_words, module_of_command
 from rig.cli.command_list import COMMANDS
-from rig.cli.shared.argument_parser_and_common_options import add_common_options
+from rig.cli.shared.common_options import add_common_options
 from rig.errors import FileError
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 from rig.recording.recording_folder import load_recording

@@ -23,7 +23,7 @@ WATCHED = (
     "rig.recording.image_file_check_and_reading",
     "rig.recording.recording_table_loading_and_writing",
     "rig.recording.recording_folder",
-    "rig.formats.rig_toml.design_file",
+    "rig.formats.rig_toml.design_from_rig_toml",
     "rig.formats.number_parsing_and_rounding",
     "rig.formats.output_files.atomic_file_and_manifest",
     "rig.driving.cameras.opencv_camera",

@@ -16,7 +16,7 @@ from rig.errors import RigError
 from rig.formats.json_toml_and_yaml_loading import Places, first_repeated_key, toml_entries
 from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
 from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Actuator
 from rig.model.protocol_and_port_names import SCHEMES, port_problem
 from rig.report.pages import run_page_server
@@ -59,7 +59,7 @@ def a_key(path: Path) -> None:
     table = table if table in TABLES else "actuator"
     quoted = json.dumps(key)
     try:
-        design_file.design_of_entries(toml_entries(_toml(table, f"{quoted} = 0.001\n"), path))
+        design_from_rig_toml.design_of_entries(toml_entries(_toml(table, f"{quoted} = 0.001\n"), path))
     except RigError:
         return
     assert key in TABLES[table], key

@@ -17,10 +17,10 @@ from rig.effects.catalogue.effect_list import ALL
 from rig.effects.texts.effect_text_parsing import parse_effect, require_existing_place, require_known_effect
 from rig.errors import RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin, importers
-from rig.formats.importers import image_file_frames as frames
+from rig.formats.importers import exposures_from_image_names as frames
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import calibration_board
 from rig.model.pose import TRIANGLE
 from rig.planning import plan
@@ -51,7 +51,7 @@ def readers(folder: Path) -> list[Reader]:
     """All of them. folder : where what they read beside their input is kept"""
     text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=2, width=640, height=480, cubes=2)
     (folder / "rig.toml").write_text(text)
-    design = design_file.load_design(folder / "rig.toml")
+    design = design_from_rig_toml.load_design(folder / "rig.toml")
     rng = np.random.default_rng(1)
     done = recording_simulation.simulate_world(
         secret_machine_and_truth_file.draw_machine(design, rng, 1.0, (parse_effect("backlash:strut2:gap=4e-5"),)),
@@ -90,7 +90,7 @@ def _files(folder, design, held):
         b'[instrument]\nbase = "free"\ntool = "rig"\nposition_sigma = 1e-5\n'
     )
     return [
-        Reader("rig.toml", (*seed("rig.toml"), arm), design_file.load_design),
+        Reader("rig.toml", (*seed("rig.toml"), arm), design_from_rig_toml.load_design),
         Reader("frames.csv", seed("frames.csv"), frames),
         Reader("commands.csv", seed("commands.csv"), commands),
         Reader(

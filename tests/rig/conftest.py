@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.model.base_tilt import GRAVITY
+from rig.model.base_and_link_tilts import GRAVITY
 from rig.model.design import PROTOCOLS, Controller
 from tests.conftest import ROOT
 

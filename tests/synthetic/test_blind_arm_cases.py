@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.effect_signal_and_separation import arm_effect_signal_to_noise
+from calib.diagnosis.effect_signal_to_noise_and_separation import arm_effect_signal_to_noise
 from rig.cli import command_line
 from rig.recording import recording_folder
 from synthetic import blind_arm_cases

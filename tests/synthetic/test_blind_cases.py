@@ -335,7 +335,7 @@ def test_what_is_no_campaign_is_said(tmp_path):
 
 
 def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_text, tmp_path):
-    from calib.diagnosis.effect_signal_and_separation import platform_effect_signal_to_noise
+    from calib.diagnosis.effect_signal_to_noise_and_separation import platform_effect_signal_to_noise
 
     effects = (parse_effect("backlash:strut2:gap=5e-5"), parse_effect("scale_error:strut3:scale=1e-12"))
     rng = np.random.default_rng(8)

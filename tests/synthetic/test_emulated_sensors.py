@@ -83,12 +83,12 @@ def test_history_is_read_as_it_grows_and_standing_takes_no_room(tmp_path):
 
 
 def test_measuring_limbs_read_the_pose(design, told, tmp_path):
-    from rig.formats.rig_toml import design_file
+    from rig.formats.rig_toml import design_from_rig_toml
     from rig.planning.layout import hexapod_layout_and_camera_placement
 
     (tmp_path / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6))
     secret = secret_machine_and_truth_file.draw_machine(
-        design_file.load_design(tmp_path / "rig.toml"), np.random.default_rng(3)
+        design_from_rig_toml.load_design(tmp_path / "rig.toml"), np.random.default_rng(3)
     )
     shown = emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, lambda: told, SimulatedClock(105.0))
     limbs, T = secret.true.insitu, shown.pose(105.0)

@@ -10,7 +10,7 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.errors import RigError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from synthetic import cube_nets_and_stl, print_sheets
 from synthetic.cube_nets_and_stl import FRAMES, NET, PARTITIONS, SIDES, Size, arrange_net, net_pieces
 from synthetic.sheet_rulers_and_assembly_page import target_outline_from_above, usable_area
@@ -101,7 +101,7 @@ def test_sheets_of_a_rig_are_on_the_paper_asked_for(two_cubes, tmp_path, capsys)
 
 
 def test_a_face_too_large_names_the_paper_that_would_do(two_cubes):
-    target = replace(design_file.load_design(two_cubes).targets[0], edge=0.25, marker=0.2)
+    target = replace(design_from_rig_toml.load_design(two_cubes).targets[0], edge=0.25, marker=0.2)
     with pytest.raises(RigError, match="it fits --paper A3"):
         print_sheets.sheets_of_target(target, "A4")
 
@@ -111,14 +111,14 @@ def test_bodies_are_smaller_by_the_paper(two_cubes):
 
     import trimesh
 
-    design = design_file.load_design(two_cubes)
+    design = design_from_rig_toml.load_design(two_cubes)
     body = trimesh.load_mesh(io.BytesIO(cube_nets_and_stl.cube_stl_files(design, 2e-4)["P1"]), file_type="stl")
     np.testing.assert_allclose(body.extents, (design.targets[0].edge - 4e-4) * 1e3, rtol=1e-6)
     assert body.is_watertight
 
 
 def test_a_cube_from_above_has_its_edge_and_place(two_cubes):
-    target = design_file.load_design(two_cubes).targets[0]
+    target = design_from_rig_toml.load_design(two_cubes).targets[0]
     shape = target_outline_from_above(target)
     np.testing.assert_allclose(np.linalg.norm(np.roll(shape, -1, axis=0) - shape, axis=1), target.edge, rtol=1e-9)
     np.testing.assert_allclose(shape.mean(axis=0), target.pose.translation[:2], atol=1e-12)

@@ -7,7 +7,7 @@ import pytest
 
 from rig.cli import command_line
 from rig.effects.texts.effect_text_parsing import parse_effect
-from rig.formats.rig_toml.design_file import load_design
+from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.planning import configuration_sets, plan
+from rig.planning import configuration_generators, plan
 from synthetic import recording_simulation, secret_machine_and_truth_file
 from vision.corner_observations import observations_from_corners
 from vision.predict import marker_map
@@ -18,7 +18,7 @@ def scene(design, seed, frames=12, noise=0.04, size=1.0, spoil=None):
     secret = secret_machine_and_truth_file.draw_machine(design, rng, size)
     strokes = design.mechanism.strut_range
     route = plan.plan_of_configurations(
-        configuration_sets.sobol_configurations(strokes, frames, seed=seed),
+        configuration_generators.sobol_configurations(strokes, frames, seed=seed),
         strokes.mean(axis=1),
         plan.planned_axis_speeds(design),
     )

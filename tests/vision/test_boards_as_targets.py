@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rig.errors import FileError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import replace_target_markers
 from rig.model.design import markers_of_target
 from rig.model.pose import pose_difference
@@ -39,7 +39,7 @@ def with_boards(rig_text, boards=EXAMPLE):
 def loaded(folder, text):
     path = folder / "rig.toml"
     path.write_text(text, encoding="utf-8")
-    return design_file.load_design(path)
+    return design_from_rig_toml.load_design(path)
 
 
 def target(folder, description, more=""):

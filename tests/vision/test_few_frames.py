@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rig.errors import NotEnoughData
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from rig.planning import configuration_sets, plan
+from rig.planning import configuration_generators, plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine_and_truth_file
@@ -22,7 +22,7 @@ def seen(design, text, folder, seed, count, home, noise=0.04):
     """(Recording of `count` settled frames, the first at home where `home` says so; true poses)."""
     rng = np.random.default_rng(seed)
     strokes = design.mechanism.strut_range
-    commands = configuration_sets.sobol_configurations(strokes, max(count, 2), seed=seed)[:count]
+    commands = configuration_generators.sobol_configurations(strokes, max(count, 2), seed=seed)[:count]
     if home:
         commands[0] = hexapod.inverse(design.mechanism.home, design.mechanism)
     done = recording_simulation.simulate_world(
@@ -77,7 +77,7 @@ def test_a_camera_that_shows_no_base_stands_where_it_is_stated(tmp_path):
     better. What others see as well says where it stands."""
     text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=3, cubes=2)
     (tmp_path / "rig.toml").write_text(text)
-    design = design_file.load_design(tmp_path / "rig.toml")
+    design = design_from_rig_toml.load_design(tmp_path / "rig.toml")
     read, true = seen(design, text, tmp_path / "rec", 6, 1, True)
     on_base = [number for target in design.targets if target.body == "base" for number in target.ids]
     alone = only_rows(read, (np.array(read.corners.camera) == "cam2") | np.isin(read.corners.marker, on_base))
@@ -98,7 +98,7 @@ def test_what_nothing_determines_is_named(tmp_path):
     head, *targets = text.split("[[target]]")
     text = "[[target]]".join([head, *(t for t in targets if 'body = "platform"' in t)])
     (tmp_path / "rig.toml").write_text(text)
-    design = design_file.load_design(tmp_path / "rig.toml")
+    design = design_from_rig_toml.load_design(tmp_path / "rig.toml")
     read, _ = seen(design, text, tmp_path / "rec", 6, 4, False)
     apart = read.corners
     keep = np.array([(name == "cam2") == (frame % 2 == 0) for frame, name in zip(apart.frame, apart.camera)])

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 from scipy.stats import chi2
 
 from rig.errors import NotEnoughData, RigError
-from rig.formats.rig_toml.design_file import load_design
+from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model.design import Marker
 from rig.model.pose import log
 from rig.recording.recording_folder import load_recording as load

@@ -1,4 +1,7 @@
-"""Validation of an adjustment on held-out frames, and determinacy: which unknowns the recording determines."""
+"""Validation of an adjustment, and determinacy of its unknowns.
+
+By held-out frames; determinacy says which unknowns the recording determines.
+"""
 
 import re
 from dataclasses import dataclass, replace
@@ -13,7 +16,7 @@ from vision.bundle.normal_equations_and_corner_jacobians import (
     schur_complement,
     whitened_residuals_and_derivatives,
 )
-from vision.bundle.unknown_priors import POSE_SIGMA, adjustment_unknowns
+from vision.bundle.priors_of_unknowns import POSE_SIGMA, adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import Unknowns, datum_markers, offset_from_stated
 from vision.corner_observations import Observations, observations_of_frames, whitener_of_observations
 
@@ -55,8 +58,9 @@ class NotHeldOut:
 def crossvalidate_adjustment(
     observations: Observations, adjustment: Adjustment, folds: int = FOLDS
 ) -> HeldOut | NotHeldOut:
-    """Cross-validation of an adjustment: HeldOut residuals over folds of frames, or NotHeldOut with a reason.
+    """Cross-validation of an adjustment.
 
+    HeldOut residuals over folds of frames, or NotHeldOut with a reason.
     observations : Observations that were adjusted; adjustment : their Adjustment
     Linear about the optimum: leaving a stretch out takes its share from the reduced normal equations, so nothing is
     adjusted anew. A frame's own poses are fitted to it, as they must be; what is tested is what frames share. A stretch
@@ -175,7 +179,10 @@ class DeterminedUnknowns:
 
 
 def determined_combinations(adjustment: Adjustment) -> DeterminedUnknowns:
-    """Determined combinations of an Adjustment's unknowns: its covariance compared with the priors."""
+    """Determined combinations of an Adjustment's unknowns.
+
+    Its covariance compared with the priors.
+    """
     kept = np.flatnonzero(
         ~adjustment.of_prints
     )  # how markers are printed, no recording tells marker by marker: that is said in one line

@@ -1,4 +1,6 @@
-"""Bundle adjustment of cameras, lenses, marker places and poses: Gauss-Newton with Schur complement.
+"""Bundle adjustment of cameras, markers and poses.
+
+With lenses and marker places: Gauss-Newton with Schur complement.
 
 Unknowns are shared (each fixed camera's pose, each lens, each marker's and target's place) or belong to one frame (the
 platform's pose, each moving camera's pose). The stated places of the base's markers, all together, hold the base frame,
@@ -21,7 +23,7 @@ from vision.bundle.normal_equations_and_corner_jacobians import (
     solve_step,
     whitened_residuals_and_derivatives,
 )
-from vision.bundle.unknown_priors import adjustment_unknowns, stated_lens_prior_sigmas
+from vision.bundle.priors_of_unknowns import adjustment_unknowns, stated_lens_prior_sigmas
 from vision.bundle.unknowns_estimate_and_printing_errors import (
     POSE_SCALE,
     Estimate,
@@ -104,8 +106,9 @@ def adjust_bundle(
     lens_prior_sigmas: Callable[[Camera], Floats] = stated_lens_prior_sigmas,
     printing: Printing | None = None,
 ) -> Adjustment:
-    """Bundle adjustment: the cameras, places and poses that fit all corners best, weighted by covariance.
+    """Adjust a bundle of cameras, marker places and poses.
 
+    The cameras, places and poses that fit all corners best, weighted by covariance.
     observations : Observations, outliers taken out; state : State to start from, with its markers where these are free
     free : which of "poses" (of fixed cameras), "lenses", "markers" (each on its target: face misplacement) and
     "targets" (each in its body: cube misplacement) are adjusted; the rest is held and taken as known
@@ -169,7 +172,10 @@ def adjust_bundle(
 def adjustment_cost(
     observations: Observations, estimate: Estimate, stated: State, unknowns: Unknowns, whitening: Whitener
 ) -> float:
-    """Cost of an adjustment: sum of whitened squares with the priors'; infinite with a corner behind a camera."""
+    """Cost of an adjustment.
+
+    Sum of whitened squares with the priors'; infinite with a corner behind a camera.
+    """
     uv, ahead = predict_corners(observations, estimate.state)
     if (ahead[:, 2] <= 0).any():
         return np.inf

@@ -1,4 +1,7 @@
-"""Displacements of markers and targets from their stated places, and their effect on the residuals."""
+"""Displacements of markers from their stated places.
+
+And of targets, and their effect on the residuals.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -18,7 +21,7 @@ from vision.bundle.normal_equations_and_corner_jacobians import (
     solve_step,
     whitened_residuals_and_derivatives,
 )
-from vision.bundle.unknown_priors import adjustment_unknowns
+from vision.bundle.priors_of_unknowns import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated
 from vision.corner_observations import Observations, whitener_of_observations
 from vision.pose.pose_refinement_and_ambiguity_resolution import (
@@ -86,7 +89,9 @@ class Places:
 
 
 def compare_stated_and_adjusted_places(measurement: Measured, t: Floats) -> Places:
-    """Places: comparison of stated and adjusted marker places, and of the residuals with each.
+    """Comparison (Places) of stated and adjusted marker places.
+
+    And of the residuals with each.
     measurement : Measurement whose markers were free; t : (F,) s of all frames of the recording
     """
     m, a = measurement, measurement.adjustment
@@ -113,7 +118,9 @@ def compare_stated_and_adjusted_places(measurement: Measured, t: Floats) -> Plac
 
 
 def are_stated_places_doubtful(measurement: Measured, markers: MarkerMap) -> bool:
-    """Whether the stated marker places are doubtful: whether most of the corners' scatter comes from them.
+    """Whether the stated marker places are doubtful.
+
+    Whether most of the corners' scatter comes from them.
     markers : MarkerMap as stated
     """
     a, kept = measurement.adjustment, measurement.used()
@@ -129,7 +136,10 @@ def are_stated_places_doubtful(measurement: Measured, markers: MarkerMap) -> boo
 
 
 def adjusted_markers(measurement: Measured) -> dict[str, tuple[Marker, ...]]:
-    """Adjusted markers by target: {target name: (Marker, ...)}."""
+    """Adjusted markers by target.
+
+    Returns {target name: (Marker, ...)}
+    """
     m = measurement.adjustment.state.placed
     out: dict[str, list[Marker]] = {}
     for row, name in enumerate(m.target):

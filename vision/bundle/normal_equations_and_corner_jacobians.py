@@ -1,4 +1,6 @@
-"""Normal equations of an adjustment, and the Jacobians of predicted corners.
+"""Normal equations of an adjustment, and corner Jacobians.
+
+Derivatives of predicted corners.
 
 In blocks: each frame's unknowns, the shared ones, the cross terms; with the compiled kernels that whiten and sum them.
 """
@@ -62,7 +64,9 @@ def _fill_rotated_jacobian(J: Floats, R: Floats, rotation_index: Integers, mask:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def whiten_and_scale_rows(whitening: Floats, column_scale: Floats, marker: Integers, rows: Floats) -> None:
-    """Whiten the rows of each corner in place, and scale their columns by the column scale of its marker.
+    """Whiten and scale the rows of each corner in place.
+
+    Their columns are scaled by the column scale of its marker.
     whitening : (n, 2, 2); column_scale : (markers, k); marker : (n,); rows : (n, 2, k)
     """
     for n in range(len(rows)):
@@ -123,7 +127,10 @@ Derivative = tuple[int, slice, Floats, Floats, Floats]  # see `corner_jacobians`
 
 
 def iterate_camera_jacobians(observations: Observations, state: State) -> Iterator[CameraJacobians]:
-    """Iterate over the cameras: each one's corner Jacobians to base points, camera pose and lens.
+    """Iterate over the cameras' corner Jacobians.
+
+    Each one's corner Jacobians to base points, camera pose and lens.
+
     Yields (camera index, rows, uv (m, 2) px, J_base (m, 2, 3), J_camera (m, 2, 6), J_lens (m, 2, 4 + terms)).
 
     J_base : to the corner's place in the base frame, px/m; J_camera : to a small motion of the camera on the right
@@ -144,7 +151,9 @@ def iterate_camera_jacobians(observations: Observations, state: State) -> Iterat
 
 
 def small_motion_jacobian(J_point: Floats, points: Floats) -> Floats:
-    """Jacobian (n, 2, 6) to a small motion on the right, from the Jacobian to the moved points (n, 2, 3).
+    """Jacobian (n, 2, 6) to a small motion on the right.
+
+    From the Jacobian to the moved points (n, 2, 3).
     points : (n, 3) in the moved frame
     """
     out = np.empty((len(J_point), 2, 6))
@@ -153,7 +162,9 @@ def small_motion_jacobian(J_point: Floats, points: Floats) -> Floats:
 
 
 def rotate_jacobian(J: Floats, R: Floats, rotation_index: Integers, mask: Booleans | None = None) -> Floats:
-    """Jacobian (n, 2, 3) rotated: J times the rotation matrix of each row, or J itself outside the mask.
+    """Jacobian (n, 2, 3) rotated.
+
+    J times the rotation matrix of each row, or J itself outside the mask.
     J : (n, 2, 3); R : (m, 3, 3); rotation_index : (n,) into R; mask : (n,) bool, all by default
     """
     out = np.empty(J.shape)
@@ -225,8 +236,9 @@ class Blocks:
 def whitened_residuals_and_derivatives(
     observations: Observations, estimate: Estimate, unknowns: Unknowns, whitener: Whitener
 ) -> tuple[Floats, dict[int, Derivatives]]:
-    """Whitened residuals (n, 2) of corners, and {camera index: Derivatives}: the linearised prediction.
+    """Whitened residuals (n, 2) of corners, and {camera index: Derivatives}.
 
+    The linearised prediction.
     whitener : Whitener of the observations
     """
     state = estimate.state
@@ -331,7 +343,10 @@ def normal_equations(
 
 
 def solve_step(blocks: Blocks, unknowns: Unknowns, damping: float = 0.0) -> tuple[Floats, Floats]:
-    """Solved step of the shared unknowns (s,) and of each frame (F, l), scaled, by the Schur complement."""
+    """Solved step of the shared unknowns (s,) and of each frame (F, l).
+
+    Scaled, by the Schur complement.
+    """
     diagonal = np.einsum("fii->fi", blocks.local)
     H = blocks.local + damping * diagonal[:, :, None] * np.eye(unknowns.local)
     solved = np.linalg.solve(H, np.concatenate([blocks.cross, blocks.own[..., None]], axis=-1))
@@ -355,8 +370,11 @@ def predicted_decrease(blocks: Blocks, shared_step: Floats, local_step: Floats) 
 
 
 def schur_complement(blocks: Blocks) -> tuple[Floats, Floats, Floats]:
-    """Schur complement of the shared unknowns: (gain (F, l, s), reduced (s, s), right (s,)).
+    """Schur complement of the shared unknowns.
+
     The frames' own unknowns are eliminated; own = ... - gain @ shared.
+
+    Returns (gain (F, l, s), reduced (s, s), right (s,))
     """
     solved = np.linalg.solve(blocks.local, np.concatenate([blocks.cross, blocks.own[..., None]], axis=-1))
     return solved[..., :-1], *_reduced(blocks, solved)

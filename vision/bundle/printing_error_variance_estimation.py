@@ -1,4 +1,6 @@
-"""Estimation of printing errors from the recording itself: variance components by restricted likelihood.
+"""Estimation of the variance of printing errors.
+
+From the recording itself: variance components by restricted likelihood.
 
 Source: Harville, Maximum likelihood approaches to variance component estimation, JASA 72, 1977; fixed point: MacKay,
     Neural Computation 4, 1992
@@ -20,8 +22,8 @@ from vision.bundle.normal_equations_and_corner_jacobians import (
     solve_step,
     whitened_residuals_and_derivatives,
 )
+from vision.bundle.priors_of_unknowns import adjustment_unknowns
 from vision.bundle.robust_adjustment import RobustAdjustment, inflate_repeated_corner_covariance, is_within_gate
-from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import KINDS, NAMES, Printing, offset_from_stated
 from vision.corner_observations import (
     Observations,
@@ -63,8 +65,9 @@ class _PrintInformation:
 def adjust_with_estimated_printing_errors(
     observations: Observations, fit: RobustAdjustment, free: tuple[str, ...]
 ) -> RobustAdjustment:
-    """The adjustment (Sorted) repeated with printing errors of estimated size; as it was if none show.
+    """The adjustment (Sorted) repeated with printing errors of estimated size.
 
+    As it was if none show.
     observations : Observations of all frames; fit : Sorted of them, places of markers as stated
     What stands still in the images may be a print or the pixel grid (see standing_error). At first all of it counts as
     the grid's, which errs corner by corner and camera by camera: prints must show beyond that. What they then explain

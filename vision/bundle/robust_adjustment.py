@@ -1,4 +1,7 @@
-"""Robust bundle adjustment: outlying corners and unsupported frames are excluded in rounds."""
+"""Robust bundle adjustment.
+
+Outlying corners and unsupported frames are excluded in rounds.
+"""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
@@ -53,8 +56,9 @@ def adjust_robustly(
     initial_gate: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> RobustAdjustment:
-    """Robust adjustment of all frames: outlying corners and unsupported frames are excluded in rounds.
+    """Robust adjustment of all frames.
 
+    Outlying corners and unsupported frames are excluded in rounds.
     state : over all frames; unsolved : {frame: reason}, added to; stated : State as its owner states it
     single_sighting_bodies : {(frame, body)} for which one sighting is enough; initial_gate : px within which no corner
         is rejected at first
@@ -149,7 +153,9 @@ def _scatter(observations: Observations, inliers: Booleans, state: State) -> Flo
 def inflate_repeated_corner_covariance(
     observations: Observations, inliers: Booleans, state: State
 ) -> tuple[Floats, float]:
-    """Inflated covariances (n, 2, 2) of repeated base corners, and their systematic error in px.
+    """Inflated covariances (n, 2, 2) of repeated base corners.
+
+    And their systematic error in px.
 
     A base marker seen by a fixed camera stands on the same pixels in every frame, and what the pixel grid does to it
     comes back every time: n repeats are not n observations. Their scatter about their own mean is the noise; what their
@@ -213,7 +219,10 @@ def _squares(observations: Observations, state: State) -> Floats:
 
 
 def is_within_gate(observations: Observations, state: State, smallest_gate: float = 0.0) -> Booleans:
-    """Whether each corner's residual (n,) is within the gate: GATE robust scales, or the smallest gate px."""
+    """Whether each corner's residual (n,) is within the gate.
+
+    The gate is GATE robust scales, or the smallest gate px.
+    """
     square = _squares(observations, state)
     scale = np.sqrt(np.median(square) / MEDIAN)
     typical = np.median(np.einsum("nii->n", observations.covariance)) / 2

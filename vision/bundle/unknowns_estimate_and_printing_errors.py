@@ -1,4 +1,6 @@
-"""Unknowns of an adjustment as columns, their estimate, and printing errors of markers among them.
+"""Estimate of an adjustment's unknowns, and printing errors.
+
+Unknowns as columns, their estimate, and printing errors of markers among them.
 
 The estimate is updated by a step.
 A printing error (place, height, angle, side) is a shared unknown with a prior. Of each marker: its place (x, y on its
@@ -94,7 +96,9 @@ def apply_printing_errors(markers: MarkerMap, prints: Prints, step: Floats) -> M
 
 
 def fill_printing_error_offsets(markers: MarkerMap, stated: MarkerMap, prints: Prints, offsets: Floats) -> None:
-    """Fill offsets (s,) with the printing errors by which markers differ from the stated ones, m, rad and shares.
+    """Fill offsets (s,) with the printing errors of markers.
+
+    By which they differ from the stated ones, m, rad and shares.
 
     Only each marker's whole side shows in images: of it the part that all have in common is what its prior and theirs
     make likeliest.
@@ -183,7 +187,10 @@ def target_motion_from_stated(name: str, markers: MarkerMap, stated: MarkerMap, 
 
 
 def marker_motions_relative_to_targets(estimate: Estimate, stated: State, unknowns: Unknowns) -> RigidTransform:
-    """Motions (m,) of markers relative to their targets, without the targets' motion; identity for held markers."""
+    """Motions (m,) of markers relative to their targets, without the targets' motion.
+
+    Identity for held markers.
+    """
     own = (
         stated.placed.T_body_marker.inv()
         * estimated_marker_motions_by_target_motions(estimate, unknowns).inv()
@@ -199,7 +206,10 @@ def do_cameras_hold_base(unknowns: Unknowns, state: State) -> bool:
 
 
 def update_estimate(estimate: Estimate, unknowns: Unknowns, shared_step: Floats, local_step: Floats) -> Estimate:
-    """The updated Estimate after a step of the shared (s,) and the local (F, l) unknowns, in scaled units."""
+    """The updated Estimate after a step of the shared (s,) and the local (F, l) unknowns.
+
+    In scaled units.
+    """
     state, step = estimate.state, shared_step * unknowns.scale
     cameras = list(state.cameras)
     for i, columns in unknowns.poses.items():
@@ -244,7 +254,10 @@ def estimated_marker_motions_by_target_motions(estimate: Estimate, unknowns: Unk
 
 
 def offset_from_stated(estimate: Estimate, stated: State, unknowns: Unknowns) -> Floats:
-    """Offset (s,) of the estimate from the stated lenses, places, prints and held camera poses, in scaled units."""
+    """Offset (s,) of the estimate from what is stated.
+
+    From the stated lenses, places, prints and held camera poses, in scaled units.
+    """
     out, cameras = np.zeros(unknowns.shared), estimate.state.cameras
     for i, columns in unknowns.poses.items():
         if unknowns.prior[columns].any():
@@ -270,15 +283,20 @@ def offset_from_stated(estimate: Estimate, stated: State, unknowns: Unknowns) ->
 
 
 def datum_markers(markers: MarkerMap, rows: Integers) -> Integers:
-    """Rows of the markers that hold their body's frame together: of rows (k,) of one body those whose places are
-    stated, the first where none is.
+    """Datum markers, as rows.
+
+    They hold their body's frame together.
+
+    Of rows (k,) of one body those whose places are stated, the first where none is.
     """
     stated = markers.stated[rows]
     return rows[stated] if stated.any() else rows[:1]
 
 
 def align_with_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> Estimate:
-    """The Estimate aligned with the datums: seen from the frames that the stated places define.
+    """The Estimate aligned with the datums.
+
+    Seen from the frames that the stated places define.
 
     Corners of all seen markers of a body whose places are stated, taken together, end where they were stated, in the
     least-squares sense; those of the first where none is.

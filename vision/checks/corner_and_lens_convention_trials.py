@@ -1,4 +1,7 @@
-"""Trials of other corner and lens conventions, and the trial measurement of sampled frames that scores every trial."""
+"""Trials of other corner and lens conventions.
+
+And the trial measurement of sampled frames that scores every trial.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -70,8 +73,9 @@ class Trial:
 def sample_frames(
     design: Design, corners: Corners, frames: Integers, t: Floats, count: int = FRAMES
 ) -> SampledRecording | None:
-    """Sample of frames spread over a recording (Seen), the richest of each stretch; None without corners.
+    """Sample of frames spread over a recording (Seen), the richest of each stretch.
 
+    None without corners.
     frames : (F,) all frames' numbers; t : (F,) s. What is on a chain's stages below the last is left aside, and what
     was put back: its place is told only to what remounting may do
     """
@@ -105,7 +109,9 @@ def _select_corners(corners: Corners, mask: Booleans) -> Corners:
 
 
 def measure_trial(sample: SampledRecording, free: tuple[str, ...] = ("poses", "lenses")) -> Trial:
-    """Measure a trial: the sampled frames, cameras and lenses adjusted as by `rig measure`.
+    """Measure a trial.
+
+    The sampled frames, cameras and lenses adjusted as by `rig measure`.
     free : see vision.bundle.bundle_adjustment
     """
     known = np.isin(sample.corners.marker, [number for target in sample.design.targets for number in target.ids])
@@ -130,7 +136,9 @@ def measure_trial(sample: SampledRecording, free: tuple[str, ...] = ("poses", "l
 
 
 def least_misfit_with_edge_bias(first: Trial, wanted: float) -> float:
-    """Least misfit (px) that a common edge bias leaves: black that spreads alike in every image is due to the cameras.
+    """Least misfit (px) that a common edge bias leaves.
+
+    Black that spreads alike in every image is due to the cameras.
     wanted : px; where no bias can leave so little, a bound is given and nothing is tried
     """
     if (bound := first.misfit - CORNER * max(BIASES)) > wanted:
@@ -154,7 +162,9 @@ def least_misfit_with_edge_bias(first: Trial, wanted: float) -> float:
 
 
 def stated_trial_from_cameras_of_other_trial(first: Trial, other: Trial) -> Trial | None:
-    """The stated trial measured again from another trial's cameras; None unless only targets differ.
+    """The stated trial measured again from another trial's cameras.
+
+    None unless only targets differ.
 
     The other trial is of another statement of the targets.
     """
@@ -178,8 +188,11 @@ ORDERS = {
 
 
 def all_camera_corner_corrections(sample: SampledRecording) -> Iterator[Candidate]:
-    """Corrections of corner conventions and marker ids to try, all cameras alike: (mistake, advice, sample).
+    """Corrections of corner conventions and marker ids to try, all cameras alike.
+
     Yields (what, what to do, Seen with it undone).
+
+    Returns (mistake, advice, sample)
     """
     yield from _of(sample, [("", np.ones(len(sample.corners.frame), bool))])
     c = sample.corners
@@ -197,7 +210,10 @@ def all_camera_corner_corrections(sample: SampledRecording) -> Iterator[Candidat
 
 
 def corner_correction_candidates_by_camera(sample: SampledRecording) -> Iterator[Candidate]:
-    """Corrections of corner conventions to try, a single camera at a time: (mistake, advice, corrected sample)."""
+    """Corrections of corner conventions to try, a single camera at a time.
+
+    Returns (mistake, advice, corrected sample)
+    """
     names = np.array(sample.corners.camera)
     if len(sample.design.cameras) > 1:
         yield from _of(
@@ -247,7 +263,10 @@ ALIKE = (0.015, 0.01, 1.0)  # of the focal length, of the width, px: within whic
 
 
 def alternative_lens_trials(sample: SampledRecording) -> Iterator[Candidate]:
-    """Trials with alternative lenses: matrix and distortion in another order, sign or image size."""
+    """Trials with alternative lenses.
+
+    Matrix and distortion in another order, sign or image size.
+    """
     cameras = sample.design.cameras
     for what, do, other in _LENSES:
         mended = [other(camera) for camera in cameras]
@@ -265,7 +284,10 @@ def alternative_lens_trials(sample: SampledRecording) -> Iterator[Candidate]:
 
 
 def alternative_distortion_conventions(camera: Camera) -> Iterator[tuple[str, str, Camera]]:
-    """Alternative conventions of a distortion, sign or order: (what, what to do, Camera)."""
+    """Alternative conventions of a distortion, sign or order.
+
+    Returns (what, what to do, Camera)
+    """
     for what, do, other in _LENSES:
         if "distortion" in what and not _same(other(camera), camera):
             yield what, do, other(camera)

@@ -1,4 +1,4 @@
-"""Mistake search by trial corrections of rig.toml and corners.csv, measured on a recording's corners."""
+"""Mistake search by trial corrections of rig.toml and corners.csv."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -12,9 +12,9 @@ from rig.checks import Mistake, command_and_pose_disagreements, sort_mistakes
 from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners
-from vision.checks import camera_mistakes_in_rig_toml as cameras
+from vision.checks import camera_mistake_trials as cameras
 from vision.checks import corner_and_lens_convention_trials as conventions
-from vision.checks import target_mistakes_in_rig_toml as targets
+from vision.checks import target_mistake_trials as targets
 from vision.checks.corner_and_lens_convention_trials import LOST, SampledRecording, Trial, measure_trial, sample_frames
 from vision.lenses.lens_calibration import alternative_initial_lenses, are_lenses_plausible
 from vision.recording_adjustment import Measurement, has_hand_cameras, recording_seen_from_hand

@@ -1,4 +1,6 @@
-"""Recording refusal where mistakes spoil its poses, and remarks on uneven cube layouts of a rig.toml.
+"""Recording refusal, and remarks on cube layouts.
+
+Refused where mistakes spoil its poses; remarks are on uneven cube layouts of a rig.toml.
 
 None of what is remarked spoils a result; a rig measures better, and alike in all directions, where it is put right.
 Source: the on-line learning patent for Stewart platforms, [0005], [0010]: targets evenly on circles about the middles
@@ -25,12 +27,16 @@ Notice = Callable[[str], None]
 
 
 def ignore_notice(line: str) -> None:
-    """Ignore a notice: do nothing with its line."""
+    """Ignore a notice.
+
+    Do nothing with its line.
+    """
 
 
 def refuse_mistakes(mistakes: Iterable[Mistake], allow_mistakes: bool, notice: Notice) -> None:
-    """Refuse mistakes that make results meaningless, unless allowed; the others are noticed, a line each.
+    """Refuse mistakes that make results meaningless, unless allowed.
 
+    The others are noticed, a line each.
     allow_mistakes : whether to go on though a mistake makes results meaningless
     Raises RigError with all of it where one does and nobody goes on anyway
     """
@@ -57,7 +63,9 @@ def refuse_spoilt_files(recording: Recording, allow_mistakes: bool, notice: Noti
 
 
 def make_spoilt_corner_refusal(recording: Recording, allow_mistakes: bool, notice: Notice) -> Callable[[Corners], None]:
-    """Make the function that refuses a recording whose corners, once read, are spoilt by mistakes.
+    """Make the function that refuses spoilt corners.
+
+    A recording is refused whose corners, once read, are spoilt by mistakes.
 
     As `refuse_mistakes` does.
     """
@@ -69,7 +77,10 @@ def make_spoilt_corner_refusal(recording: Recording, allow_mistakes: bool, notic
 
 
 def recorded_or_sampled_corners(recording: Recording) -> Corners | None:
-    """Recorded corners of a recording, else corners sampled from some frames' images; None where neither is there."""
+    """Recorded corners of a recording, else corners sampled from some frames' images.
+
+    None where neither is there.
+    """
     if recording.corners is not None:
         return recording.corners
     if not recording.has_images or not recording.design.targets:
@@ -89,7 +100,10 @@ BODIES = {"platform": "the platform", "base": "the base"}
 
 
 def uneven_cube_layout_remarks(design: Design) -> tuple[str, ...]:
-    """Remarks on an uneven layout of a Design's cubes, mm and degrees; none where all is even."""
+    """Remarks on an uneven layout of a Design's cubes, mm and degrees.
+
+    None where all is even.
+    """
     if not design.targets:
         return ()
     found = marker_map(design.without_stages())

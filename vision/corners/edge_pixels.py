@@ -1,4 +1,7 @@
-"""Edge pixels collected around a square for its fit, by kind of edge (upright, level, where two meet)."""
+"""Edge pixels of a square, collected for its fit.
+
+By kind of edge: upright, level, where two meet.
+"""
 
 import math
 from typing import NamedTuple
@@ -9,8 +12,8 @@ from rig.array_and_json_types import Floats, Integers, Singles
 from vision.corners.local_lens import polynomial_along_row
 from vision.corners.numba_cholesky_and_order_statistics import inlined_kernel, kernel
 
-# edge widths on either side of an edge that are looked at; with vision/corners/edge_spread.py's KNOTS by the rule in
-# tests/bench/edge_fit_width.py:
+# edge widths on either side of an edge that are looked at; with vision/corners/edge_spread_function.py's KNOTS by
+# the rule in tests/bench/edge_fit_width.py:
 REACH = 3.6
 # of reaches 2.4, 2.8, 3.2, 3.6 and 5, 7, 9, 11 knots the smallest within 1 % of the least corner error on exact and
 # rendered pictures
@@ -82,7 +85,9 @@ class Printed(NamedTuple):
 
 
 def pixel_edge_kinds(cells: Floats) -> Floats:
-    """Kind of edge (NOWHERE + 1,) int8 that pixels of each cell see, by cells (k, k) of a marker.
+    """Kind of edge (NOWHERE + 1,) int8 that pixels of each cell see.
+
+    By cells (k, k) of a marker.
 
     NONE, MANY edges, one: 2 + 4 where it lies across (Y) + 2 where it is the right or lower side + 1 where white comes
     first, or two that meet:
@@ -155,10 +160,11 @@ def _row(quad: Floats, pad: float, y: int, low: int, high: int) -> tuple[int, in
 def collect_edge_pixels(
     crop: Floats, marker: Printed, quad: Floats, g: Floats, s: float, raster: Raster, pixels: EdgePixels
 ) -> int:
-    """Collect the pixels near an edge into EdgePixels; returns how many.
+    """Collect the pixels near an edge into EdgePixels.
 
     crop : (rows, columns), 255ths of white, of marker.box; marker : Printed; quad : (4, 2) px, the corners
     g : (3, 3) homography from local ideal coordinates to cells; s : px, width of the edges; raster : overwritten
+    Returns how many
     """
     cx, cy, scale = marker.centre
     box, lens, seen, n = marker.box, marker.lens, marker.outlook, marker.n

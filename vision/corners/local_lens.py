@@ -1,4 +1,6 @@
-"""Local lens near one marker: polynomials from pixels to ideal image coordinates.
+"""Local lens near one marker.
+
+Polynomials from pixels to ideal image coordinates.
 
 They are of fourth degree: a lens's fifth leaves cubic ones off by 0.0005 px over a marker of 120 px, the same in every
 image where it stands there.
@@ -30,7 +32,10 @@ def local_coordinate_origins_and_scales(quads: Floats) -> Floats:
 
 
 def ideal_coordinate_table(camera: Camera) -> Floats:
-    """Table (rows, columns, 2) of ideal coordinates at nodes SPACING px apart, times the focal lengths.
+    """Table (rows, columns, 2) of ideal coordinates at nodes SPACING px apart.
+
+    Times the focal lengths.
+
     From -BEYOND * SPACING on; NaN beyond a lens.
     """
     return _table(camera.matrix.tobytes(), np.asarray(camera.distortion, float).tobytes(), camera.width, camera.height)
@@ -73,7 +78,9 @@ def _at(nodes: Floats, x: float, y: float) -> tuple[float, float]:
 
 @kernel
 def fit_local_polynomials(nodes: Floats, centres: Floats, out: Floats) -> None:
-    """Fit local polynomials out (m, 2, TERMS), pixel to ideal coordinates, around centres (m, 3).
+    """Fit local polynomials out (m, 2, TERMS).
+
+    Pixel to ideal coordinates, around centres (m, 3).
 
     Local pixel: (pixel - centre) / scale. Local ideal: (ideal * focal - its value at the centre) / scale.
     nodes : `ideal_coordinate_table`
@@ -139,7 +146,10 @@ class LocalPixel(NamedTuple):
 
 @kernel
 def ideal_to_pixel(lens: Floats, x: float, y: float, u: float, v: float) -> LocalPixel:
-    """Local pixel of ideal coordinates x, y by a lens (2, TERMS), from a guess u, v: inverse of pixel_to_ideal."""
+    """Local pixel of ideal coordinates x, y by a lens (2, TERMS), from a guess u, v.
+
+    Inverse of pixel_to_ideal.
+    """
     ux, uy, vx, vy = 1.0, 0.0, 0.0, 1.0
     for _ in range(4):
         a, b = pixel_to_ideal(lens, u, v)
@@ -153,7 +163,9 @@ def ideal_to_pixel(lens: Floats, x: float, y: float, u: float, v: float) -> Loca
 
 @kernel
 def corners_to_image(lens: Floats, centre: Floats, guess: Floats, corners: Floats, covariance: Floats) -> None:
-    """Convert corners (4, 2) and covariance (8, 8) from local ideal coordinates to image px, in place.
+    """Convert corners (4, 2) and covariance (8, 8) from local ideal coordinates to image px.
+
+    In place.
     guess : (4, 2) px
     """
     D = np.zeros((8, 8))

@@ -1,4 +1,6 @@
-"""Detection of markers in an image, read or expected: corners with covariance by the fit of the whole square.
+"""Marker detection in an image, and corner fit.
+
+Markers are read or expected; corners come with covariance, by the fit of the whole square.
 
 Markers are read in the whole image: quadrangles, their bits, the identities of a rig's markers.
 
@@ -19,7 +21,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.model.design import Camera
 from vision.corners import edge_pixels, local_lens, square_fit, square_fit_start_and_bit_check, square_gauss_newton
-from vision.corners.edge_spread import LEVELS, NO_PROFILE, PLAIN_EDGE_SPREAD, EdgeSpread
+from vision.corners.edge_spread_function import LEVELS, NO_PROFILE, PLAIN_EDGE_SPREAD, EdgeSpread
 from vision.predict import MarkerMap, marker_cells, markers_expected_in_image
 
 CELL_PIXELS = 8  # pixels each way that are sampled in a cell
@@ -69,7 +71,10 @@ def opencv_detector(dictionary_name: str, numbers: tuple[int, ...] = ()) -> cv2.
 
 
 def read_markers(image: Pixels, marker_map: MarkerMap) -> ReadMarkers:
-    """Read the markers of a rig in a whole image (height, width) uint8; repeated ones are excluded."""
+    """Read the markers of a rig in a whole image (height, width) uint8.
+
+    Repeated ones are excluded.
+    """
     image = np.ascontiguousarray(image)
     found: dict[int, list[Floats]] = {}
     for name in dict.fromkeys(marker_map.dictionary):
@@ -149,8 +154,9 @@ class Detection:
 
 
 def grey_image_at_full_depth(image: Pixels) -> Floats:
-    """Grey image (height, width) at full depth, in 255ths, of an image as cv2 reads it: uint8, or float32 of 16 bit.
+    """Grey image (height, width) at full depth, of an image as cv2 reads it.
 
+    In 255ths: uint8, or float32 of 16 bit.
     Raises ValueError for an image that is not grey or colour, or not of 8 or 16 bit.
     """
     if image.ndim == 3 and image.shape[2] in (3, 4):
@@ -161,7 +167,9 @@ def grey_image_at_full_depth(image: Pixels) -> Floats:
 
 
 def grey_images_for_reader_and_fit(image: Pixels) -> tuple[Floats, Floats]:
-    """Grey images (height, width) of an image: 8 bit for the reader, and at full depth for the fit.
+    """Grey images (height, width) for the reader and for the fit.
+
+    8 bit for the reader, and at full depth for the fit.
 
     Of an image of 16 bit, the reader's is stretched to its bright parts. Raises as `grey_image_at_full_depth`
     """
@@ -245,14 +253,15 @@ def fit_read_markers(
     verify: bool = False,
     profile: Floats | None = None,
 ) -> Detection:
-    """Fit the squares of markers that were read in an image: their Detection, corners with covariance.
+    """Fit the squares of markers that were read in an image.
 
+    Their Detection, corners with covariance.
     full : (height, width) in 255ths of white; spread : Spread of the camera's edges
     search_distance : px that the sides may be away from the guess; 0 for one that is better than what profiles across
         them show
     verify : whether a marker's bits are read before it is believed to be there; where they are not, nothing is said of
         it
-    profile : see vision.corners.edge_spread, added to
+    profile : see vision.corners.edge_spread_function, added to
     """
     guess, numbers = np.asarray(read.corners, float).reshape(-1, 4, 2), np.asarray(read.marker, int)
     rows = marker_map.rows(numbers) if len(numbers) else np.zeros(0, int)

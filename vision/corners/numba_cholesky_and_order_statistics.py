@@ -1,4 +1,7 @@
-"""Numba compilation of corner kernels, and their small numerics: Cholesky solution, order statistics."""
+"""Numba kernels: Cholesky solution and order statistics.
+
+The compilation of corner kernels, and their small numerics.
+"""
 
 import hashlib
 import math
@@ -30,7 +33,10 @@ def _folder() -> str:
 
 
 def kernel(function: F) -> F:
-    """Decorator: a function as a numba kernel, compiled at its first call or loaded from an earlier run."""
+    """Decorator: a function as a numba kernel.
+
+    Compiled at its first call or loaded from an earlier run.
+    """
     return cast(F, Kernel(function, _OPTIONS, _folder))
 
 
@@ -41,8 +47,9 @@ def inlined_kernel(function: F) -> F:
 
 @kernel
 def cholesky_factor(H: Floats, first: int, size: int, L: Floats) -> bool:
-    """Write the Cholesky factor of H[first:first + size, first:first + size] into L; False if not definite.
+    """Write the Cholesky factor of H[first:first + size, first:first + size] into L.
 
+    False if not definite.
     H, L : (n, n)
     """
     for i in range(size):
@@ -79,7 +86,10 @@ HALVINGS = 14  # of the numbers' range
 
 @kernel
 def order_statistic(values: Floats, rank: int) -> float:
-    """Order statistic of values (k,): the one of that rank, to a 16 000th of their range; 0 for none."""
+    """Order statistic of values (k,).
+
+    The one of that rank, to a 16 000th of their range; 0 for none.
+    """
     if len(values) == 0:
         return 0.0
     low = high = float(values[0])

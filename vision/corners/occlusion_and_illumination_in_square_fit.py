@@ -1,4 +1,6 @@
-"""Occlusion and illumination in a square fit, from its residuals: occluded cells, uneven light, displaced edges.
+"""Occlusion and illumination in a square fit.
+
+From its residuals: occluded cells, uneven light, displaced edges.
 
 A pixel far off counts little; one beside it, where the edge of what covers the square is blurred, fits well enough to
 count and is wrong.
@@ -34,8 +36,9 @@ def _near(X: float, top: int) -> int:
 
 @kernel
 def edge_segment_sums(pixels: EdgePixels, g: Floats, rows: Floats, last_step: Floats, sums: Floats) -> None:
-    """Sums of slope * residual and slope^2 over the pixels of each edge segment (side of a cell).
+    """Sums over the pixels of each edge segment.
 
+    Of slope * residual and slope^2; a segment is the side of a cell.
     pixels : EdgePixels; g : (3, 3) homography to cells; rows : as `accumulate` leaves them; last_step : the last step
     """
     first, count = pixels.first, pixels.first[KINDS]
@@ -68,8 +71,9 @@ def edge_segment_sums(pixels: EdgePixels, g: Floats, rows: Floats, last_step: Fl
 
 @kernel
 def covariance_inflation(sums: Floats, noise: float) -> float:
-    """Inflation factor of the corners' covariance, at least 1, by edges displaced more than noise allows.
+    """Inflation factor of the corners' covariance.
 
+    At least 1, by edges displaced more than noise allows.
     sums : of `edge_segment_sums`; noise : grey levels. White noise leaves a cell's side as far out of place as its
     pixels' slopes say; a blur of another shape, rounding or a renderer's few samples to the pixel move neighbouring
     pixels alike, and sides farther than that.
@@ -89,8 +93,9 @@ def covariance_inflation(sums: Floats, noise: float) -> float:
 def add_to_residual_profile(
     pixels: EdgePixels, square: Square, bowed: Floats, tables: Tables, directions: Floats, limit: float, profile: Floats
 ) -> None:
-    """Add the residuals near single edges to a profile (d, BINS, 3): count, sum, sum of squares.
+    """Add the residuals near single edges to a profile (d, BINS, 3).
 
+    Count, sum, sum of squares.
     pixels : EdgePixels; square : Square; bowed : (3,) sizes as in bowed.Bow; tables : Tables, of which directions (2,)
     are the rows of the profile for the X and the Y edges; limit : grey levels, of a trusted residual. A bin is a
     distance from the edge in widths, negative on the dark side.
@@ -134,8 +139,9 @@ def _at(xi: float, yi: float, g: Floats, top: int) -> tuple[int, int]:
 
 @kernel
 def find_occluded_cells(pixels: EdgePixels, g: Floats, rows: Floats, counts: Floats, occluded: Floats) -> bool:
-    """Whether cells of a square are occluded; these and their neighbours are marked in occluded (k, k) bool.
+    """Whether cells of a square are occluded.
 
+    These and their neighbours are marked in occluded (k, k) bool.
     pixels : EdgePixels; g : (3, 3) homography to cells; rows : as `accumulate` leaves them; counts : (2, k, k)
         overwritten
     """
@@ -161,8 +167,10 @@ def find_occluded_cells(pixels: EdgePixels, g: Floats, rows: Floats, counts: Flo
 
 @kernel
 def remove_occluded_pixels(pixels: EdgePixels, g: Floats, occluded: Floats) -> int:
-    """Remove the EdgePixels in occluded cells (k, k), in place; returns how many remain.
+    """Remove the EdgePixels in occluded cells (k, k), in place.
+
     g : (3, 3) homography to cells
+    Returns how many remain
     """
     kept, top, start = 0, occluded.shape[0] - 1, 0
     for kind in range(KINDS):
@@ -193,8 +201,9 @@ class Bow(NamedTuple):
 def correct_square_fit_for_uneven_illumination(
     pixels: EdgePixels, square: Square, weight_sum: float, work: Work, bow: Bow
 ) -> float:
-    """Remove uneven illumination from a settled fit by one last step of its Square and residuals.
+    """Correct a square fit for uneven illumination.
 
+    It is removed from a settled fit by one last step of its Square and residuals.
     pixels : EdgePixels, of all of which work holds rows; weight_sum : sum of their weights; bow : Bow, overwritten
     Returns the weighted square of the residuals that is left, grey levels
     """

@@ -1,4 +1,6 @@
-"""Predicted white share (0..1) in and around one cell of a marker, by edge spread functions.
+"""Predicted white share of one marker cell.
+
+From 0 to 1, in and around the cell, by edge spread functions.
 
 Source: bivariate normal, Drezner and Wesolowsky 1990
 """
@@ -49,7 +51,10 @@ class Share(NamedTuple):
 
 @kernel
 def fill_edge_spread_table(function: Floats, table: Floats) -> None:
-    """Fill a table (STEPS, 4) with an edge spread function (STEPS + 1, 2), share of white and slope."""
+    """Fill a table (STEPS, 4) with an edge spread function (STEPS + 1, 2).
+
+    Share of white and slope.
+    """
     for k in range(len(table)):
         for q in range(2):
             table[k, 2 * q], table[k, 2 * q + 1] = function[k, q], function[k + 1, q] - function[k, q]
@@ -87,8 +92,9 @@ def _meeting(h: float, k: float, rho: float) -> float:
 def cell_white_share(
     cells: Floats, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: Floats, table_y: Floats
 ) -> Share:
-    """White share at cell coordinates X, Y in or next to cell (i, j), by the spread of its edges.
+    """White share at cell coordinates X, Y in or next to cell (i, j).
 
+    By the spread of its edges.
     cells : (n + 4, n + 4), the n x n bits with their black border and one more ring of white. Cell (0, 0) is the first
         bit.
     """

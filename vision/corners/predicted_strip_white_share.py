@@ -1,4 +1,6 @@
-"""Predicted white share at a strip of a square's edge pixels, with its derivatives.
+"""Predicted white share of a strip.
+
+At a strip of a square's edge pixels, with its derivatives.
 
 All numbers are in single precision, a strip is one flat array, and places in it are unsigned: so compilers work out
 many pixels at once.
@@ -54,7 +56,10 @@ class Seen(NamedTuple):
 def fill_strip_white_share_and_derivatives(
     pixels: EdgePixels, start: int, size: int, view: Seen, tables: Tables, strip: Floats
 ) -> None:
-    """Write the predicted white share and its derivatives at a strip of edge pixels into strip (ROWS * STRIP,)."""
+    """Fill a strip's white share and derivatives.
+
+    As predicted at a strip of edge pixels, into strip (ROWS * STRIP,).
+    """
     first = pixels.first
     for kind in range(KINDS):
         low, high = max(first[kind] - start, 0), min(first[kind + 1] - start, size)

@@ -1,11 +1,13 @@
-"""Fit of one printed square to its pixels: homography, lens, blur and pixel grid.
+"""Fit of one printed square to its pixels.
+
+Homography, lens, blur and pixel grid.
 
 The whole marker is fitted at once (Gauss-Newton on the pixels near its edges): the homography from image to cells (8
 unknowns), the width of the edges (1), and the grey of black and of white, each a plane over the image (6). How
 brightness climbs across an edge is a tabulated edge spread function, the pixel's own width included: a Gaussian's, or
-one learnt from the images (vision/corners/edge_spread.py), one for each direction of edges. Where two edges meet, their
-product is corrected by a bivariate normal's correlated part (vision/corners/predicted_cell_white_share.py), because a
-marker's axes are seldom square in the image.
+one learnt from the images (vision/corners/edge_spread_function.py), one for each direction of edges. Where two edges
+meet, their product is corrected by a bivariate normal's correlated part (vision/corners/predicted_cell_white_share.py),
+because a marker's axes are seldom square in the image.
 Source: corner accuracy from edges, Rohr 1992; dense alignment of a marker, Wu et al., DodecaPen, UIST 2017
 """
 
@@ -233,7 +235,10 @@ def _lighten(work: Work, light: Floats) -> bool:
 
 @kernel
 def fit_squares(squares: Squares, settings: FitSettings, fits: Fits) -> None:
-    """Fit all marker squares of an image: Squares in the given Manner, into Fits."""
+    """Fit all marker squares of an image.
+
+    Squares in the given Manner, into Fits.
+    """
     boxes, n, width = squares.boxes, squares.cells.shape[1] - 4, settings.width
     largest, widest = 1, 1
     for m in range(len(boxes)):

@@ -1,4 +1,7 @@
-"""Sides of a square as the start of its fit, from profiles across them, and a check of its bits."""
+"""Start of a square fit, and bit check.
+
+Its sides, from profiles across them, and a check of its bits.
+"""
 
 import math
 
@@ -14,7 +17,10 @@ FAINTEST = 6.0  # grey levels; a step below this is none
 
 @kernel
 def copy_image_boxes(image: Pixels, boxes: Floats, starts: Floats, out: Floats) -> None:
-    """Copy the boxes (m, 4) of an image into flat float32 out, one after the other from starts (m,)."""
+    """Copy the boxes (m, 4) of an image into flat float32 out.
+
+    One after the other from starts (m,).
+    """
     for m in range(len(boxes)):
         k, x0, width = np.uintp(starts[m]), np.uintp(boxes[m, 0]), np.uintp(boxes[m, 2] - boxes[m, 0])
         for y in range(boxes[m, 1], boxes[m, 3]):
@@ -76,7 +82,9 @@ def _line(where: Floats, offsets: Floats, found: int) -> tuple[float, float]:
 
 @kernel
 def fit_quad_sides_in_place(crop: Floats, box: Floats, quad: Floats, size: int, search_distance: float) -> None:
-    """Fit the sides of a quad (4, 2) px, in place, to the dark-to-bright steps in profiles across them.
+    """Fit the sides of a quad (4, 2) px.
+
+    In place, to the dark-to-bright steps in profiles across them.
 
     A side is moved by a line through the steps found within reach (px) and within the border of black, one of `size`
     cells; it stays where fewer than half its profiles show one.

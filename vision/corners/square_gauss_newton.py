@@ -1,4 +1,6 @@
-"""Gauss-Newton steps of the square fit: normal equations, step, covariance of the corners.
+"""Gauss-Newton steps of the square fit.
+
+Normal equations, step, covariance of the corners.
 
 Unknowns: the homography from image to cells (8), the logarithm of the edges' width (1), the grey of white and of black,
 each a plane over the image (6).
@@ -80,8 +82,9 @@ class Moved(NamedTuple):
 def accumulate_normal_equations(
     pixels: EdgePixels, cells: Floats, square: Square, tables: Tables, limit: float, lit: bool, work: Work
 ) -> Counted:
-    """Accumulate the normal equations work.H = J J' over pixels; the last row of J is the residual.
+    """Accumulate the normal equations work.H = J J' over pixels.
 
+    The last row of J is the residual.
     pixels : EdgePixels; cells : of `Printed`; square : Square, at which J is taken; tables : Tables
     limit : grey levels, of a trusted residual; lit : whether the square's greys are known. Before that only their part
         of J is of use.
@@ -169,7 +172,10 @@ def _multiply(strip: Floats, size: int, first: int, H: Floats) -> None:
 
 @kernel
 def corners_of_homography(g: Floats, n: int, corners: Floats, J: Floats) -> bool:
-    """Corners (4, 2) of a homography g in local ideal coordinates, and Jacobian (8, 8); False if turned over."""
+    """Corners (4, 2) of a homography g in local ideal coordinates, and Jacobian (8, 8).
+
+    False if turned over.
+    """
     for c in range(4):
         X = -1.0 if c == 0 or c == 3 else n + 1.0
         Y = -1.0 if c < 2 else n + 1.0

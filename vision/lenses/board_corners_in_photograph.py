@@ -1,4 +1,6 @@
-"""Corners of a calibration board in a photograph, with covariance: those of its markers, and chessboard corners.
+"""Board corners in a photograph.
+
+Of a calibration board, with covariance: those of its markers, and chessboard corners.
 
 The image of a crossing under Gaussian blur (the pixel's own width included) is the chance that a normal draw about the
 pixel falls into one of the two white quadrants: a bivariate normal of the distances to the two edges, correlated by

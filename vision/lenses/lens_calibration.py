@@ -1,4 +1,7 @@
-"""Lens calibration from views of a board, and initial lenses of cameras that state none."""
+"""Lens calibration from views of a board.
+
+And initial lenses of cameras that state none.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -69,7 +72,9 @@ class HeldOut:
 
 
 def observations_from_board_views(views: Sequence[BoardView], board: Board) -> Observations:
-    """Observations from BoardViews, one frame each; corners count four to a `marker`.
+    """Observations from BoardViews, one frame each.
+
+    Corners count four to a `marker`.
     Raises NotEnoughData where too few are usable.
     """
     usable = [(f, view) for f, view in enumerate(views) if len(view.corner) >= LEAST_CORNERS]
@@ -130,7 +135,10 @@ def calibrate_lens(
 
 
 def cross_validate_lens(observations: Observations, width: int, height: int, terms: int, inliers: Booleans) -> HeldOut:
-    """Cross-validation of a lens model (HeldOut): each photograph predicted by a lens from the others.
+    """Cross-validation of a lens model (HeldOut).
+
+    Each photograph predicted by a lens from the others.
+
     The photograph's own pose alone is fitted to it. inliers : (n,) bool
     """
     o, by_image, total, count = observations, [], 0.0, 0
@@ -148,7 +156,9 @@ def cross_validate_lens(observations: Observations, width: int, height: int, ter
 
 
 def choose_simplest_adequate_lens_model(held_out_errors: Sequence[HeldOut]) -> HeldOut:
-    """Choose the simplest lens model whose held-out error is within one standard error of the best.
+    """Choose the simplest adequate lens model.
+
+    The simplest whose held-out error is within one standard error of the best.
     held_out_errors : one per model, simplest first
     """
     best = min(held_out_errors, key=lambda one: one.rms)
@@ -160,9 +170,11 @@ def choose_simplest_adequate_lens_model(held_out_errors: Sequence[HeldOut]) -> H
 
 
 def projection_uncertainty(fit: Fit, step: int = 40) -> tuple[Floats, Floats]:
-    """Standard uncertainty of the lens's projection over the image: uv (r, c, 2) px, sigma (r, c) px.
+    """Standard uncertainty of the lens's projection over the image.
 
     The part that a small turn of the camera would undo is taken out, for a camera's pose is always found with its lens.
+
+    Returns uv (r, c, 2) px, sigma (r, c) px
     Source: mrcal, projection uncertainty
     """
     camera = fit.camera
@@ -233,8 +245,9 @@ Cameras = tuple[Camera, ...]
 def alternative_initial_lenses(
     stated: Cameras, adjust_with_free_places: Callable[[Cameras], Cameras | None]
 ) -> Iterator[Cameras]:
-    """Alternative initial lenses in turn: plain ones first, then lenses adjusted with free marker places.
+    """Alternative initial lenses in turn.
 
+    Plain ones first, then lenses adjusted with free marker places.
     adjust_with_free_places : Cameras -> these, adjusted with markers' places free, or None where that fails
     A lens far from the stated one puts corners of its camera so far off that frames or the whole camera are left out;
     with places free they are not
@@ -260,7 +273,10 @@ def _undistorted_lenses(stated: Cameras, factor: float = 1.0) -> Cameras:
 
 
 def are_lenses_plausible(adjusted: Cameras, stated: Cameras) -> bool:
-    """Whether adjusted lenses are plausible: near the stated focal length, centred in the image."""
+    """Whether adjusted lenses are plausible.
+
+    Near the stated focal length, centred in the image.
+    """
     zoomed = [abs(float(a.matrix[0, 0] / s.matrix[0, 0]) - 1) for a, s in zip(adjusted, stated)]
     aside = [
         float(np.abs(a.matrix[:2, 2] - [(s.width - 1) / 2, (s.height - 1) / 2]).max()) / s.width

@@ -1,4 +1,7 @@
-"""Lens calibration from photographs of a board: every lens model's result, and photographs left out."""
+"""Lens calibration from photographs of a board.
+
+Every lens model's result, and photographs left out.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,7 @@
-"""Pose of one body from its corners in one or several cameras: consensus of markers, robust refinement."""
+"""Pose of one body from its corners.
+
+In one or several cameras: consensus of markers, robust refinement.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -107,8 +110,9 @@ def undistort_corners(
 def body_pose_from_corners(
     body_corners: BodyCorners, marker_map: MarkerMap, finest: float = FINEST
 ) -> Located | Unsolved:
-    """Pose of a body from its corners in all cameras at once, wrong identities and outliers excluded.
+    """Pose of a body from its corners in all cameras at once.
 
+    Wrong identities and outliers excluded.
     marker_map : how each marker sits on the body; finest : px, residuals smaller than this are never an outlier's: what
     the markers' stated places are uncertain by
     Returns Located, or Unsolved where nothing is seen, where one sighting of one marker cannot be checked against

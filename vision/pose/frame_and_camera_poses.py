@@ -1,4 +1,7 @@
-"""Poses of all bodies in each frame, and camera poses from body poses."""
+"""Poses in each frame, and camera poses.
+
+Of all bodies in each frame; camera poses come from body poses.
+"""
 
 from collections.abc import Callable, Sequence
 from copy import copy
@@ -108,7 +111,10 @@ class UndistortedCorners:
 def locate_fixed_cameras(
     undistorted_corners: UndistortedCorners, cameras: Sequence[Camera]
 ) -> dict[int, RigidTransform]:
-    """Locate the fixed cameras by base corners, median over frames: {camera index: T_base_camera}."""
+    """Locate the fixed cameras by base corners, median over frames.
+
+    Returns {camera index: T_base_camera}
+    """
     o, found = undistorted_corners.observations, {}
     for i, camera in enumerate(cameras):
         if camera.mount == "moving":
@@ -126,9 +132,11 @@ def locate_fixed_cameras(
 def locate_cameras_without_base_targets(
     undistorted_corners: UndistortedCorners, cameras: Sequence[Camera]
 ) -> dict[int, RigidTransform]:
-    """Locate fixed cameras without base targets by the body that they all see: {camera index: T_base_camera}.
+    """Locate fixed cameras without base targets by the body that they all see.
 
     Nothing where fewer than two share SHARED frames or some camera sees the base or moves.
+
+    Returns {camera index: T_base_camera}
     """
     o = undistorted_corners.observations
     if not o.on_platform.all() or any(camera.mount == "moving" for camera in cameras):
@@ -252,8 +260,9 @@ def camera_poses_from_body_poses(
     t: Floats | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[int, RigidTransform]:
-    """Poses {camera index: T_base_camera} of doubtful fixed cameras from body poses by the other cameras.
+    """Camera poses {camera index: T_base_camera} from body poses.
 
+    Of doubtful fixed cameras; the bodies' poses are by the other cameras.
     frames : Frames by all cameras as they are; cameras_placed_by_base : indices of the cameras that the base placed; t
         : (F,) s, as of `locate_frames`
     progress : called with (done, of), or None

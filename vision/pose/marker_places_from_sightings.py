@@ -1,4 +1,6 @@
-"""Places of a body's markers from the images alone: relative poses of markers seen together, averaged over images.
+"""Marker places on a body from sightings.
+
+From the images alone: relative poses of markers seen together, averaged over images.
 
 Every image of a marker gives its pose in the camera, two of them where a plane's image is ambiguous. Two markers in one
 image are a relative pose, whatever the camera does; of all images of a pair the one is retained that most agree with.
@@ -45,13 +47,14 @@ class _Pair:
 def marker_places_from_sightings(
     observations: Observations, cameras: Sequence[Camera], marker_map: MarkerMap
 ) -> tuple[MarkerMap, Booleans]:
-    """(MarkerMap with places found from the images, (m,) bool which were found).
+    """Marker places found from sightings.
 
     observations : Observations; cameras : their lenses, poses are not used; marker_map : MarkerMap as stated
     Markers of each body are placed relative to each other by images that show two or more of them, and then, as a
     whole, where the stated places of those found lie, in the least-squares sense; by the first of them where none of
     these is stated. A marker without a link to the largest group of its body's remains where it is stated, and is not
     found.
+    Returns (MarkerMap with places found from the images, (m,) bool which were found)
     Source: spanning tree and averaging as in Hartley et al., Rotation averaging, IJCV 2013; poses of single markers by
     Collins and Bartoli, Infinitesimal plane-based pose estimation, IJCV 2014
     """

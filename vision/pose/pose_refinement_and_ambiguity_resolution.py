@@ -1,4 +1,7 @@
-"""Refinement of one pose from its corners, and ambiguous poses decided by the frames before and after."""
+"""Pose refinement, and resolution of ambiguous poses.
+
+Of one pose from its corners; ambiguity is decided by the frames before and after.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,12 +35,13 @@ class Reach:
 
 
 def choose_poses_by_neighbours(solved_poses: Poses, candidates: dict[int, Sequence[Floats]], t: Floats) -> Poses:
-    """Ambiguous poses chosen by neighbouring frames: {frame: T_world_body (4, 4)}.
+    """Ambiguous poses chosen by neighbouring frames.
 
     solved_poses : {frame: (4, 4)} solved; candidates : {frame: ((4, 4), ...)} candidates; t : (F,) s
     One candidate must lie within what neighbours predict solved frames to, and every other beyond it and WORSE times as
     far.
     A frame so decided is a neighbour in its turn.
+    Returns {frame: T_world_body (4, 4)}
     """
     reach, known = neighbour_rotation_scatter(solved_poses, t), dict(solved_poses)
     chosen: Poses = {}
@@ -61,7 +65,10 @@ def choose_poses_by_neighbours(solved_poses: Poses, candidates: dict[int, Sequen
 
 
 def rotation_outliers(solved_poses: Poses, t: Floats) -> dict[int, str]:
-    """Rotation outliers {frame: reason} among solved poses (4, 4): flips against well-predicted neighbours."""
+    """Rotation outliers {frame: reason} among solved poses (4, 4).
+
+    Flips against well-predicted neighbours.
+    """
     reach = neighbour_rotation_scatter(solved_poses, t)
     odd: dict[int, str] = {}
     if reach is None:
@@ -78,7 +85,9 @@ def rotation_outliers(solved_poses: Poses, t: Floats) -> dict[int, str]:
 
 
 def neighbour_rotation_scatter(solved_poses: Poses, t: Floats) -> Reach | None:
-    """Scatter (Reach) of rotation about what neighbouring solved frames predict; None with too few.
+    """Scatter (Reach) of rotation about what neighbouring solved frames predict.
+
+    None with too few.
     t : (F,) s
     """
     between, beside = [], []
@@ -93,7 +102,10 @@ def neighbour_rotation_scatter(solved_poses: Poses, t: Floats) -> Reach | None:
 
 
 def pose_from_neighbours(solved_poses: Poses, f: int, t: Floats, scatter: Reach) -> tuple[Floats | None, float]:
-    """Pose (4, 4) of frame f from solved neighbours, and rad that it may be off; (None, inf) without any."""
+    """Pose (4, 4) of frame f from solved neighbours, and rad that it may be off.
+
+    Returns (None, inf) without any
+    """
     before, after = _near(solved_poses, f, t)
     ways = [(scatter.beside * abs(t[f] - t[k]), k) for k in (before, after) if k is not None]
     limit, nearest = min(ways, default=(np.inf, None))
@@ -151,12 +163,13 @@ def refine_pose(
     J: Floats,
     square: Floats,
 ) -> float:
-    """Refine a pose in place; returns the whitened robust scale at the optimum, or NaN without one.
+    """Refine a pose in place.
 
     corners : (points (n, 3) m in the body, ideal (n, 2), their covariance (n, 2, 2), camera (n,)); to_camera : (c, 4,
         4) T_camera_world
     focal : (c,) px; least_scale : px, the scale's floor; J : (n, 2, 6) filled with the whitened derivatives, square :
         (n,) with the squares
+    Returns the whitened robust scale at the optimum, or NaN without one
     Raises LinAlgError for a step that nothing determines. Geman-McClure weights at first, then a plain fit of the
         inliers.
     """

@@ -1,4 +1,7 @@
-"""Alarms of a run: a camera that was moved, a marker that is covered or displaced."""
+"""Camera and marker alarms of a run.
+
+A camera that was moved, a marker that is covered or displaced.
+"""
 
 from collections import defaultdict
 from dataclasses import dataclass

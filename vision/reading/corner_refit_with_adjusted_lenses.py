@@ -1,4 +1,6 @@
-"""Refit of all markers' corners with the adjusted lenses, where these bend markers otherwise.
+"""Corner refit with the adjusted lenses.
+
+Of all markers, where these lenses bend markers otherwise.
 
 A marker is fitted as a whole, its sides bent as the lens bends them: a lens as its owner states it, a thousandth off,
 moves the corners of a large marker by some thousandths of a pixel, the same in every image where it stands there.
@@ -15,7 +17,7 @@ from rig.recording.image_file_check_and_reading import read_image
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners
 from vision.corners import local_lens
-from vision.corners.edge_spread import PLAIN_EDGE_SPREAD
+from vision.corners.edge_spread_function import PLAIN_EDGE_SPREAD
 from vision.corners.marker_detection_and_corner_fit import (
     Detection,
     ReadMarkers,
@@ -32,7 +34,9 @@ STRAIGHT = 3  # of a polynomial's terms: where a marker is, and how it is stretc
 
 
 def largest_lens_difference(corners: Corners, fitted_with: Mapping[str, Camera], cameras: Sequence[Camera]) -> float:
-    """Largest difference, px, that the lenses fitted with and the adjusted ones make to a marker.
+    """Largest difference, px, that two lenses make to a marker.
+
+    The lenses fitted with and the adjusted ones.
     corners : all four of every marker
     """
     most, names, centres = (
@@ -58,8 +62,9 @@ def refit_corners(
     marker_map: MarkerMap,
     progress: Callable[[int, int], None] | None = None,
 ) -> Collected:
-    """Collected with the corners of all markers fitted once more, with the adjusted cameras.
+    """Corners of all markers refitted with the adjusted cameras.
 
+    Returns Collected
     Raises FileError naming the image that cannot be decoded
     """
     lenses, seen = {camera.name: camera for camera in adjusted_cameras}, group_corners_by_image(collected.corners)

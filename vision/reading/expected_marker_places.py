@@ -1,4 +1,7 @@
-"""Expected places of markers in unread images, by cameras and poses learned from images already read."""
+"""Expected places of markers in unread images.
+
+By cameras and poses learned from images already read.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -53,8 +56,9 @@ class Expectation:
 def learn_expected_places(
     recording: Recording, corners: Corners, correlation: Floats, repeated_ids: Sequence[int], markers: MarkerMap
 ) -> Expectation | None:
-    """Expectation of marker places, learned from the corners of fully searched images; None if not as stated.
+    """Expectation of marker places, learned from the corners of fully searched images.
 
+    None if not as stated.
     corners, correlation : Corners and (n, 2, 8); repeated_ids : identities that one of those images shows twice
     What is not as stated (a marker exchanged, turned, printed twice, frames that are not solved) must be looked for in
     every image, and so must what is on the stages of a chain, one of whose bodies does not say where the others are.

@@ -1,4 +1,6 @@
-"""Live measurement of a growing recording: each frame's corners and pose, cameras adjusted now and then.
+"""Live measurement of a growing recording.
+
+Each frame's corners and pose, cameras adjusted now and then.
 
 The first frames' images are searched whole; from then on only the places are read where markers ought to be. Between
 two adjustments the cameras are held, so that one that has moved shows. Adjusting takes seconds and is done beside:
@@ -22,7 +24,7 @@ from rig.model.design import Camera, Design
 from rig.model.pose import adjoint
 from rig.recording.recording_table_loading_and_writing import Corners
 from vision.corner_observations import Observations, empty_observations, observations_from_corners
-from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread
+from vision.corners.edge_spread_function import PLAIN_EDGE_SPREAD, EdgeSpread
 from vision.corners.marker_detection_and_corner_fit import (
     REACH,
     Detection,
@@ -66,7 +68,10 @@ class Sight:
 
 
 def sight_from_measuring_limbs(frame: int, T_base_platform: RigidTransform, covariance: Floats) -> Sight:
-    """Sight of a frame from a pose measured by limbs, with covariance (6, 6), no camera involved."""
+    """Sight of a frame from a pose measured by limbs.
+
+    With covariance (6, 6), no camera involved.
+    """
     return Sight(
         frame, T_base_platform, covariance, "", empty_observations(frame), np.zeros((0, 2)), np.zeros(0, bool), {}, {}
     )

@@ -1,4 +1,6 @@
-"""Mistakes of marker identity against rig.toml: turned, exchanged, mirrored, repeated, of another dictionary.
+"""Mistakes of marker identity against rig.toml.
+
+Turned, exchanged, mirrored, repeated, of another dictionary.
 
 A sighting most of whose corners were set aside is held against every place that a marker of the rig has, in every turn
 and mirrored: a marker that is mostly seen where something else should be is that. Nothing is mended here; the sightings
@@ -91,8 +93,9 @@ def find_suspicious_markers(
     repeated_ids: Iterable[int] = (),
     image_reader: ReadImage | None = None,
 ) -> tuple[Suspect, ...]:
-    """Find the suspicious markers (Suspects) of a Measurement: those not as rig.toml states.
+    """Find the suspicious markers (Suspects) of a Measurement.
 
+    Those not as rig.toml states.
     repeated_ids : identities that one image shows more than once, as often as there are such images; image_reader :
         called with
     (frame number, camera name), returns that image, None where there is none; without it markers that are never seen
@@ -219,7 +222,9 @@ def _reads_at(image: Pixels, place: Floats, name: str) -> int | None:
 
 
 def no_marker_reason(images: Sequence[Pixels], marker_map: MarkerMap) -> str:
-    """Reason why no marker of a rig was found in images [(height, width) uint8]: another dictionary, mirrored.
+    """Reason why no marker of a rig was found in images [(height, width) uint8].
+
+    Another dictionary, mirrored.
 
     "" where none is found.
     """

@@ -1,4 +1,7 @@
-"""Parallel image map (threads, processes, cluster), and marker rendering: expected images, PNG, white level."""
+"""Parallel image map, and marker rendering.
+
+By threads, processes or cluster; expected images, PNG, white level.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -30,7 +33,9 @@ Result = TypeVar("Result")
 def map_images_in_threads(
     function: Callable[[Item], Result], items: Sequence[Item], progress: Callable[..., None] | None
 ) -> list[Result]:
-    """Map a function over images in threads, results in order: for few items, or shared images.
+    """Map a function over images in threads, results in order.
+
+    For few items, or shared images.
     progress : called with (done, of)
     """
     with _one_thread_each(), ThreadPoolExecutor(worker_count()) as pool:
@@ -40,7 +45,10 @@ def map_images_in_threads(
 def map_images_in_processes(
     function: Callable[[Item], Result], items: Sequence[Item], progress: Callable[..., None] | None
 ) -> list[Result]:
-    """Map a function over images in processes or on a cluster, results in order: for many items.
+    """Map a function over images in processes or on a cluster, results in order.
+
+    For many items.
+
     Each item reads an image of its own; what `function` changes elsewhere is lost.
     """
 
@@ -71,7 +79,10 @@ COMPRESSION = 1  # of the PNG files
 def render_marker_images(
     cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap
 ) -> dict[str, Pixels]:
-    """Render images of the markers as each camera sees them: {camera: (height, width) uint8}, without occlusion."""
+    """Render images of the markers as each camera sees them, without occlusion.
+
+    Returns {camera: (height, width) uint8}
+    """
     return {camera.name: _picture(camera, T_base_platform, markers) for camera in cameras}
 
 
@@ -90,7 +101,10 @@ def _picture(camera: Camera, T_base_platform: RigidTransform, markers: MarkerMap
 
 
 def save_image(path: Path, image: Pixels) -> None:
-    """Save an image as PNG, complete before this returns. Raises FileError where the disk is full."""
+    """Save an image as PNG, complete before this returns.
+
+    Raises FileError where the disk is full.
+    """
     data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, COMPRESSION])[1]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -100,9 +114,11 @@ def save_image(path: Path, image: Pixels) -> None:
 
 
 def marker_white_level(image: Pixels, camera: Camera, markers: MarkerMap) -> tuple[float, float]:
-    """White level of the markers in an image: (level of 255, share that clips).
+    """White level of the markers in an image.
 
     Of the whole image where none is read.
+
+    Returns (level of 255, share that clips)
     Raises CameraError for an image of another size.
     """
     eight, full = grey_images_for_reader_and_fit(image)

@@ -1,4 +1,7 @@
-"""Corners of a recording's images, read in parallel, and the search for missed markers."""
+"""Corners of a recording's images.
+
+Read in parallel, and the search for missed markers.
+"""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
@@ -17,7 +20,7 @@ from rig.recording.image_file_check_and_reading import read_image, unusable_imag
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners, undecodable_images
 from vision.corner_observations import correlations_of_whitened_marker_corners
-from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, EdgeSpread, empty_residual_profile, learn_edge_spread
+from vision.corners.edge_spread_function import PLAIN_EDGE_SPREAD, EdgeSpread, empty_residual_profile, learn_edge_spread
 from vision.corners.marker_detection_and_corner_fit import (
     Detection,
     ReadMarkers,
@@ -73,7 +76,10 @@ class Collected:
 
 
 def image_reader(recording: Recording) -> Callable[[int, str], Floats | None]:
-    """Reader of a recording's images: a function of (frame number, camera name) -> image, or None without one."""
+    """Reader of a recording's images.
+
+    A function of (frame number, camera name) -> image, or None without one.
+    """
     e = recording.exposures
     names = {(int(frame), camera): name for frame, camera, name in zip(e.frame, e.camera, e.image) if name}
 
@@ -274,8 +280,9 @@ def search_missed_markers(
     marker_map: MarkerMap,
     progress: Callable[[int, int], None] | None = None,
 ) -> Collected:
-    """Collected with missed markers added: those expected by the measured poses that were not read.
+    """Collected with missed markers added.
 
+    Those expected by the measured poses that were not read.
     measurement : Measurement of the collected corners. A marker is added where its bits are read and it is found within
     FALSE_ALARM of its place.
     """
@@ -352,7 +359,10 @@ def corners_from_detections(detections: Sequence[Found]) -> tuple[Corners, Float
 
 
 def group_corners_by_image(corners: Corners) -> dict[tuple[int, str], tuple[Integers, Floats]]:
-    """Corners grouped by image: {(frame number, camera name): (identities (m,), corners (m, 4, 2) px)}."""
+    """Corners grouped by image.
+
+    Returns {(frame number, camera name): (identities (m,), corners (m, 4, 2) px)}
+    """
     rows: dict[tuple[int, str], list[int]] = {}
     for k, image in enumerate(zip(corners.frame[::4].tolist(), corners.camera[::4])):
         rows.setdefault(image, []).append(k)

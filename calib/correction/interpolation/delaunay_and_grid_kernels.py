@@ -1,4 +1,6 @@
-"""Delaunay interpolation of scattered samples, and compiled kernels that interpolate on regular grids.
+"""Delaunay interpolation, and kernels of interpolation on grids.
+
+Delaunay interpolation is of scattered samples; compiled kernels interpolate on regular grids.
 
 Beyond the samples' hull a place takes the value where the way to it from their middle leaves the hull, so that the
 field goes on continuously. Source: configuration-space patent, [0033], [0034]; Devillers, Pion and Teillaud, Walking in
@@ -301,7 +303,10 @@ def _named(function: F, axes: int) -> F:
 def n_linear_interpolation_kernel(
     x: Floats, levels: Floats, inverse: Floats, cells: Floats, strides: Floats, values: Floats, out: Floats
 ) -> None:
-    """Kernel of n-linear interpolation: values into out (n, outputs) at x (n, axes)."""
+    """Kernel of n-linear interpolation.
+
+    Values into out (n, outputs) at x (n, axes).
+    """
     axes, outputs = x.shape[1], values.shape[1]
     corner, t = np.zeros(2**axes, np.int64), np.empty(axes)
     part = np.empty((2**axes, outputs))

@@ -1,4 +1,6 @@
-"""Field interface of all interpolations (value, gradient, error), and combinations: sums and restricted maps.
+"""Field interface of interpolations, and combinations of fields.
+
+A field has value, gradient and error; combinations are sums and restricted maps.
 
 Source: configuration-space patent, [0035] (corrections in some regions of the configuration space or the workspace)
 
@@ -90,7 +92,10 @@ def merge_repeated_samples(samples: FieldSamples, tolerance: float = 1e-5) -> Fi
 
 
 def average_samples(samples: FieldSamples, group_indices: Integers) -> tuple[Floats, Floats]:
-    """Averages (values, variances), each (count, outputs), of samples grouped by index, weighted by variance."""
+    """Averages (values, variances) of samples grouped by index.
+
+    Each is (count, outputs), weighted by variance.
+    """
     weight = 1 / np.maximum(samples.variances, 1e-300)
     shape = int(group_indices.max()) + 1, weight.shape[1]
     total, mean = np.zeros(shape), np.zeros(shape)

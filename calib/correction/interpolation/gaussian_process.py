@@ -1,4 +1,6 @@
-"""Gaussian process interpolation of noisy correction summands, and the likelihood of its parameters.
+"""Gaussian process interpolation of noisy samples.
+
+Of correction summands, and the likelihood of its parameters.
 
 Of the symmetric matrices one half is computed: distances once, the exponentials of all pairs in one go, the sums with
 the inverse in one pass. Source: Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, eqs 5.8 and

@@ -1,4 +1,6 @@
-"""Interpolation on a grid of samples: n-linear, or barycentric on the simplices of a cell.
+"""Interpolation on a grid of samples.
+
+N-linear, or barycentric on the simplices of a cell.
 
 The levels W(0, i) < W(1, i) < .. < W(Q(i), i) of actuator i may leave out the ends of its stroke. Source:
 configuration-space patent, [0031], [0032], [0144], [0145].
@@ -44,8 +46,9 @@ class Lattice(NamedTuple):
 
 
 def grid_lattice_of_configurations(configurations: Floats, strokes: Floats) -> Lattice | None:
-    """Grid lattice that configurations (n, axes) fill, each vertex at least once; None where they fill none.
+    """Grid lattice that configurations (n, axes) fill, each vertex at least once.
 
+    None where they fill none.
     strokes : (axes, 2), the scale by which levels are told apart
     """
     n, axes = configurations.shape

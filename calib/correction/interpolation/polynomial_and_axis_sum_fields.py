@@ -1,4 +1,6 @@
-"""Polynomial fields, and sums of one piecewise linear function per axis, by least squares.
+"""Polynomial fields, and sums of one function per axis.
+
+The functions of axes are piecewise linear; both are fitted by least squares.
 
 How many knots an axis gets is what the samples bear out (Bayesian information criterion). Source: configuration-space
 patent, [0137]; the on-line learning patent for Stewart platforms, [0011] to [0015], learns along one axis after the

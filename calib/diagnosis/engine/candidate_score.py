@@ -1,4 +1,7 @@
-"""Score of a candidate: explained chi-square, its chance, its cost in BIC, and the best node of its grid."""
+"""Score of a candidate.
+
+Explained chi-square, its chance, its cost in BIC, and the best node of its grid.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -94,7 +97,10 @@ class Alternative(Generic[C]):
 
 
 def score_raised_to_likelihood_ratio(score: Score[C], likelihood_ratio: float, frames: int) -> Score[C]:
-    """Score with its delta chi-square raised to a fit's likelihood ratio, where that is larger."""
+    """Score raised to a fit's likelihood ratio.
+
+    Its delta chi-square is raised, where the ratio is larger.
+    """
     delta = likelihood_ratio * max(1 - score.freedom / frames, 0.0) / score.dispersion
     if delta <= score.delta_chi2:
         return score
@@ -113,7 +119,9 @@ def best_scores_at_axes(promising: list[Score[C]], name: str, size: int) -> list
 
 
 def scores_with_best_effect_at_several_axes_first(promising: list[Score[C]], size: int) -> list[Score[C]]:
-    """Scores with those of the effect first that explains most at several axes together, if more than the first score.
+    """Scores with those of the effect first that explains most at several axes together.
+
+    If more than the first score.
 
     Axes that are built alike fail alike, and what one hypothesis explains of all is less than what each does of its
     own.
@@ -171,7 +179,10 @@ def score_at_node(
     weights: Floats,
     correlated_frames: int = 1,
 ) -> Score[C]:
-    """Score of a candidate at one node of its grid, that of solved_index in solved. weights : (F, a, q) there"""
+    """Score of a candidate at one node of its grid, that of solved_index in solved.
+
+    weights : (F, a, q) there
+    """
     coefficients, rank, deltas = solved.coefficients[solved_index], solved.rank[solved_index], solved.delta_chi2
     allowed = candidate.allowed(coefficients)
     if (

@@ -1,4 +1,6 @@
-"""Cross-validation of a selection, and probabilities that chance alone explains a score.
+"""Cross-validation of a selection, and probabilities of chance.
+
+How probable it is that chance alone explains a score.
 
 Where a candidate was searched over a nonlinear parameter that means nothing under the null, its greatest delta
 chi-square is not chi-square: Davies' bound is used (Biometrika 74, 1987, 33-43, eq. 3.4), the search's own variation
@@ -39,7 +41,9 @@ class Dispersion(NamedTuple):
 
 
 def scan_p_value(deltas: Floats, rank: float, freedom: float) -> float:
-    """p-value of the greatest delta chi-square of deltas (k,) of a scan, with `rank` linear parameters each.
+    """p-value of the greatest delta chi-square of deltas (k,) of a scan.
+
+    With `rank` linear parameters each.
 
     Scanned in order; Fisher's F stands for chi-square where the degrees of freedom of what deltas were divided by are
     few.
@@ -154,7 +158,9 @@ class HeldOut(NamedTuple):
 
 
 def time_stretch_folds(count: int, folds: int) -> Integers:
-    """Fold (count,) of each frame: whole stretches in time.
+    """Folds (count,) of frames by stretches of time.
+
+    Whole stretches in time.
 
     No stretch is too short for a fold of its own.
     """
@@ -162,7 +168,9 @@ def time_stretch_folds(count: int, folds: int) -> Integers:
 
 
 def frame_folds(frames: int, has_sudden_effects: bool, sides: Sequence[Booleans] = ()) -> Integers:
-    """Fold (F,) of each frame: stretches of time, which with sudden effects are spread over both sides.
+    """Cross-validation folds (F,) of frames.
+
+    Stretches of time, which with sudden effects are spread over both sides.
     sides : each (F,) bool, what is
     before such a moment or after it; of one that is within a single stretch, the later half is held out with the
     next.
@@ -180,8 +188,9 @@ def frame_folds(frames: int, has_sudden_effects: bool, sides: Sequence[Booleans]
 def held_out_residuals(
     model: LinearModel, residuals: tuple[Floats, ...], fold: Integers, single_fold: int | None = None
 ) -> HeldOut:
-    """Held-out residuals (HeldOut): those of each fold with the nuisances fitted on the other folds.
+    """Held-out residuals (HeldOut).
 
+    Those of each fold with the nuisances fitted on the other folds.
     residuals : one (m,) for each block, as they are with the nuisances at the model's values
     model : with an explicit basis, else ValueError is raised; what was known beforehand is known in every fold, and is
         judged by the fit to all
@@ -210,8 +219,9 @@ def held_out_residuals(
 def make_refit_without_columns(
     grams: Sequence[Floats], rights: Sequence[Floats], information: Floats
 ) -> Callable[[Integers], list[Floats]]:
-    """Make a function that refits each fold without some columns (indices): the fitted sizes (p,) of all.
+    """Make a function that refits each fold without some columns (indices).
 
+    It gives the fitted sizes (p,) of all.
     grams, rights : for each fold, (p, p) its whitened columns' products with each other and (p,) with the residual
     information : (p, p) of all folds, priors included
     """
@@ -231,7 +241,10 @@ def make_refit_without_columns(
 
 
 def signed_rank_gain_in_standard_errors(square_reductions: Floats) -> float:
-    """Gain of held-out stretches in standard errors, by Wilcoxon's signed ranks of square reductions (n,)."""
+    """Gain of held-out stretches in standard errors.
+
+    By Wilcoxon's signed ranks of square reductions (n,).
+    """
     by = np.bincount(time_stretch_folds(len(square_reductions), STRETCHES), weights=square_reductions)
     by = by[by != 0]
     if by.sum() <= 0:

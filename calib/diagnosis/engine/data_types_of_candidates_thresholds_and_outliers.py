@@ -1,4 +1,7 @@
-"""Selection candidates, thresholds with their reasons and excluded outliers, as data types, with stated terms."""
+"""Data types of selection candidates, thresholds and outliers.
+
+Thresholds with their reasons, excluded outliers, and stated terms.
+"""
 
 from dataclasses import dataclass, replace
 from enum import Enum

@@ -1,4 +1,4 @@
-"""Finding confirmation against alternatives: each admitted term against all candidates and smooth functions."""
+"""Confirmation of findings against alternatives: all candidates and smooth functions."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -76,8 +76,9 @@ def find_alternatives(
     progress: Callable[[int, int], None] | None,
     known: tuple[list[Score[C]], Score[C]] | None = None,
 ) -> list[Alternative[C]]:
-    """Find the alternatives to a finding ([Alternative]) on a model without it, by weight, the best of each place.
+    """Find the alternatives to a finding ([Alternative]) on a model without it.
 
+    By weight, the best of each place.
     known : as `Scans.of_same_terms` has it, taken in place of a new scan where that listed all that is asked here
     """
     policy, linear = problem.policy, problem.linear(model)
@@ -194,11 +195,11 @@ def may_become_significant_when_fitted(score: Score[C], count: int, size: int, p
 def confirm_terms(
     problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress: Progress | None
 ) -> tuple[Fit, list[Finding[C]]]:
-    """Confirm each term of a Fit against all candidates: removed, replaced, or retained with its alternatives.
+    """Confirm each term of a Fit against all candidates.
 
-    The others stay admitted meanwhile, and a term's moment or choice is searched for again beside them. What was
-    replaced does not come back, and after a number of replacements nothing
-    is replaced any more: every term of the Fit is a finding in the end. scans : those made so far
+    Removed, replaced, or retained with its alternatives. The others stay admitted meanwhile, and a term's moment or
+    choice is searched for again beside them. What was replaced does not come back, and after a number of replacements
+    nothing is replaced any more: every term of the Fit is a finding in the end. scans : those made so far
     """
     policy, count = problem.policy, len(problem.candidates)
     findings: list[Finding[C]] = []
@@ -333,10 +334,10 @@ def _at_likelier_node(problem: Problem[Fit, Model, C], fit: Fit, number: int, sc
 def refit_with_other_member_of_law(
     problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int, but: Sequence[C] = ()
 ) -> Fit | None:
-    """Refit with another member of a term's law in its place that explains its residuals; None where none does.
+    """Refit with another member of a term's law in its place that explains its residuals.
 
-    It is the last of the terms. A law is a family, and a machine need not follow its first formula. model : without it
-    but : members that are not tried
+    None where none does. It is the last of the terms. A law is a family, and a machine need not follow its first
+    formula. model : without it but : members that are not tried
     """
     site, size = problem.terms(fit)[number].site, problem.linear(model).size
     for score in _scores_of_other_members(problem, model, problem.terms(fit)[number]):
@@ -367,8 +368,11 @@ def is_insignificant_beside_smooth_functions(
     unexplained: list[LackOfFit],
     asked: int,
 ) -> bool:
-    """Whether a Finding of a Fit is insignificant with smooth functions of what the unexplained residuals, or what is
-    left at its own place, depend on. after : the residuals with all findings"""
+    """Whether a Finding is insignificant beside smooth functions.
+
+    after : the residuals with all findings; smooth functions of what the unexplained residuals, or what is left at its
+    own place, depend on
+    """
     assert isinstance(problem, SmoothCover)
     place, known = finding.score.candidate.site, {(u.place, u.depends_on) for u in unexplained}
     if unexplained and not _stays(problem, finding, fit, unexplained, asked):

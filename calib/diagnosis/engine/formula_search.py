@@ -1,4 +1,6 @@
-"""Search of a formula for an unexplained remainder over a library of functions of covariates.
+"""Search of a formula for an unexplained remainder.
+
+Over a library of functions of covariates.
 
 A quantity is whatever a recording says of every frame (a stroke, a temperature, a time); an atom is one product or one
 sinusoid.

@@ -1,4 +1,6 @@
-"""Inner products of columns frame by frame, and least squares reduced by whitening and nuisance elimination.
+"""Inner products of columns by frame, and reduced least squares.
+
+Least squares are reduced by whitening and nuisance elimination.
 
 The normal equations are made of the products; columns are added one at a time, and sums against sinusoids are fast.
 A candidate moves each frame in a few directions (an axis longer, a camera's mount moved) by weights; so a search over
@@ -97,7 +99,10 @@ def normal_equations_by_direction_weights(products: FrameProducts, weights: Floa
 
 
 def normal_equations_by_common_weights(products: FrameProducts, frame_weights: Floats) -> Normal:
-    """Normal equations of candidates that weight all directions (a) of a frame alike, by frame weights (k, F)."""
+    """Normal equations of candidates that weight all directions (a) of a frame alike.
+
+    By frame weights (k, F).
+    """
     b = frame_weights @ products.beta
     K = products.onto(np.tensordot(frame_weights, products.kappa, 1))
     G = np.tensordot(frame_weights**2, products.gamma, 1)
@@ -105,7 +110,10 @@ def normal_equations_by_common_weights(products: FrameProducts, frame_weights: F
 
 
 def solve_normal_equations(normal: Normal) -> Solved:
-    """Solved normal equations: least squares in the directions that nuisances leave visible."""
+    """Solved normal equations.
+
+    Least squares in the directions that nuisances leave visible.
+    """
     b, G, raw = normal
     scale = np.sqrt(np.maximum(raw, 1e-300))
     values, vectors = np.linalg.eigh(G / scale[:, :, None] / scale[:, None, :])
@@ -118,7 +126,9 @@ def solve_normal_equations(normal: Normal) -> Solved:
 
 
 def solve_nonnegative(normal: Normal) -> Solved:
-    """Solved normal equations with no coefficient below zero: as many numbers are determined as are above it.
+    """Solved normal equations with no coefficient below zero.
+
+    As many numbers are determined as are above it.
 
     Given which are above zero, what they explain is distributed as if no others had been there (Kudo, Biometrika 50,
     1963, 403-418). Source of the solution: Lawson and Hanson, Solving Least Squares Problems, 1974, ch. 23
@@ -136,7 +146,10 @@ def solve_nonnegative(normal: Normal) -> Solved:
 
 
 def solve_with_prior(normal: Normal, prior: Floats | float) -> Solved:
-    """Solved normal equations with a normal prior, standard deviations (q,), on the coefficients."""
+    """Solved normal equations with a normal prior.
+
+    Standard deviations (q,), on the coefficients.
+    """
     b, G, raw = normal
     size = np.linalg.solve(G + np.eye(b.shape[1]) / np.square(prior), np.concatenate([b[..., None], G], axis=2))
     rank = np.round(np.einsum("sqq->s", size[..., 1:]), 1)
@@ -144,7 +157,10 @@ def solve_with_prior(normal: Normal, prior: Floats | float) -> Solved:
 
 
 def chi2_reduction_at_unit_coefficient(normal: Normal) -> Solved:
-    """Chi-square reduction (Solved) of one-column candidates whose coefficient is fixed at one."""
+    """Chi-square reduction (Solved) at a coefficient of one.
+
+    Of one-column candidates whose coefficient is fixed.
+    """
     b, G, raw = normal.b[:, 0], normal.G[:, 0, 0], normal.raw[:, 0]
     seen = G / np.maximum(raw, 1e-300)
     return Solved(

@@ -1,4 +1,7 @@
-"""Lack of fit by smooth functions of covariates that residuals follow; excess scatter; covariates ranked."""
+"""Lack of fit, shown by smooth functions of covariates.
+
+Functions that residuals follow; excess scatter; covariates ranked.
+"""
 
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -107,7 +110,10 @@ def test_lack_of_fit(
 
 
 def delta_chi2_by_column_count(normal: Normal) -> tuple[tuple[float, int], ...]:
-    """Delta chi-square and rank of a candidate's first column alone, of its first two, and so on, by elimination."""
+    """Delta chi-square and rank by count of a candidate's columns.
+
+    Of the first column alone, of the first two, and so on, by elimination.
+    """
     scale = np.sqrt(np.maximum(normal.raw[0], 1e-300))
     b, G = normal.b[0] / scale, normal.G[0] / scale[:, None] / scale
     delta, rank, out = 0.0, 0, []
@@ -120,7 +126,10 @@ def delta_chi2_by_column_count(normal: Normal) -> tuple[tuple[float, int], ...]:
 
 
 def significant_lack_of_fit(lacks_of_fit: list[LackOfFit | None], alpha: float = ALPHA) -> list[LackOfFit]:
-    """The LackOfFits that are significant over all tests, the most significant first, functions before scatter."""
+    """The LackOfFits that are significant over all tests.
+
+    The most significant first, functions before scatter.
+    """
     held = [u for u in lacks_of_fit if u is not None]
     functions = Counter(u.place for u in held if u.dispersion is not None)
     held = [
@@ -151,8 +160,9 @@ def detect_excess_scatter(
     tests: int = 1,
     depends_on: tuple[str, ...] = (),
 ) -> LackOfFit | None:
-    """LackOfFit of excess scatter at a place, beyond chance and the stated noise; None where noise suffices.
+    """LackOfFit of excess scatter at a place, beyond chance and the stated noise.
 
+    None where noise suffices.
     noise : in unit, RMS of what is stated; square : sum of squares left, whitened by it, over `freedom` degrees of
         freedom
     tests : how many such are made of one recording
@@ -214,6 +224,9 @@ def share_explained_by_functions(
 
 
 def rank_covariates(before: dict[str, dict[str, Share]], after: dict[str, dict[str, Share]]) -> list[Covariate]:
-    """Covariates ranked by the share they explained before, of {name: {what: Share}} before and after."""
+    """Covariates ranked by the share they explained before.
+
+    Shares are {name: {what: Share}} before and after.
+    """
     found = [Covariate(name, shares, after.get(name, {})) for name, shares in before.items()]
     return sorted(found, key=lambda c: -c.weight)

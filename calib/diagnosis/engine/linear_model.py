@@ -1,4 +1,6 @@
-"""Linear model of whitened residuals in blocks, frame by frame, with nuisance directions projected out.
+"""Linear model of whitened residuals.
+
+In blocks, frame by frame, with nuisance directions projected out.
 
 Every residual r is whitened; P = I - Q Q^T takes out the span of the nuisances, Q orthonormal. Each block (corners,
 closures, poses) is a kind of measurement; its rows stand frame by frame, then what was known beforehand.

@@ -1,4 +1,7 @@
-"""The interface (protocol) of a problem that the engine searches: platforms, bodies and arms.
+"""Interface (protocol) of a problem that the engine searches.
+
+Platforms, bodies and arms are such problems.
+
 No member that asks changes anything.
 
 A Fit is all that is admitted at its best; a Model is what it leaves, linear, with nuisances and the admitted terms'

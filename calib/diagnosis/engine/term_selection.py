@@ -1,4 +1,7 @@
-"""Selection of terms: forward steps, backward removal, held-out tests, confirmation against alternatives."""
+"""Selection of the terms of a model.
+
+Forward steps, backward removal, held-out tests, confirmation against alternatives.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Any, Generic
@@ -55,7 +58,10 @@ class Selection(Generic[Fit, C]):
 
 
 def select_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Selection[Fit, C]:
-    """Selection of the terms that a problem needs. progress : called with (label, done, of), or None"""
+    """Selection of the terms that a problem needs.
+
+    progress : called with (label, done, of), or None
+    """
     before = problem.start()
     problem, fit, scans = _chosen(problem, before, progress)
     fit, findings = confirm_terms(problem, fit, scans, progress)
@@ -370,7 +376,10 @@ def _remove_terms_without_held_out_gain(problem: Problem[Fit, Model, C], fit: Fi
 def remove_findings_insignificant_with_smooth_functions(
     problem: Problem[Fit, Model, C], selection: Selection[Fit, C], unexplained: list[LackOfFit]
 ) -> Selection[Fit, C]:
-    """Remove findings that are insignificant once smooth functions of the unexplained are fitted with them.
+    """Remove findings that are insignificant with smooth functions.
+
+    Once smooth functions of the unexplained are fitted with them.
+
     Where what is left at a
     name's own place would make no finding, and is as unlikely by chance as what is named, the same is asked; then the
     name goes only for what is told in its stead. Nothing goes where smooth functions are no freedom of the problem.

@@ -1,4 +1,6 @@
-"""Evidence interface: what a machine's recording offers a diagnosis; and which effects a diagnosis requests.
+"""Evidence interface of a diagnosis, and the effects it requests.
+
+Evidence is what a machine's recording offers a diagnosis.
 
 A common core and parts of some machines; effects of the catalogue, at which places, are included or omitted.
 """
@@ -118,7 +120,10 @@ class RequestedEffects:
 def require_assumed_effects_testable(
     stated_terms: StatedTerms, candidates: Sequence[Candidate], untestable_effects: Sequence[NotAsked]
 ) -> StatedTerms:
-    """Require that the recording can test assumed effects, and return the stated terms. Raises RigError otherwise."""
+    """Require that the recording can test assumed effects, and return the stated terms.
+
+    Raises RigError otherwise.
+    """
     there = {(c.name, c.place) for c in candidates}
     for name, place in stated_terms.assumed:
         if (name, place) not in there:

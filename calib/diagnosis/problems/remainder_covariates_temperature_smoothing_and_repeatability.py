@@ -1,4 +1,6 @@
-"""Covariates of the remainder, smoothing of logged temperatures, and repeatability of repeated commands.
+"""Covariates of the remainder, temperature smoothing, and repeatability.
+
+Logged temperatures are smoothed; repeatability is that of repeated commands.
 
 Covariates are ranked by what they explain of the remainder, with formulas suggested for it; logged temperatures hold a
 thermometer's noise; repeats show whether the remainder repeats with the commands, or is noise.
@@ -34,7 +36,9 @@ FAR = 8.0  # times its middle size that noise may reach
 
 
 def smooth_temperatures(sensors: Sensors | None) -> tuple[Sensors | None, dict[str, Floats]]:
-    """Sensors with smoothed temperatures, and the error {channel: (n, q) K} of each smoothing coefficient.
+    """Sensors with smoothed temperatures.
+
+    And the error {channel: (n, q) K} of each smoothing coefficient.
 
     A log that is not smooth with white noise on it stays as it is, and so do all other channels. sensors : Sensors or
     None, for which (None, {}) is returned. Source of the criterion: Schwarz, Annals of Statistics 6, 1978, 461-464; for
@@ -133,7 +137,10 @@ class Repeats:
 
 
 def repeated_pairs(commands: Floats, units: Sequence[str]) -> Integers:
-    """Pairs (p, 2) of rows of commands (n, axes), in units "m" or "rad", that repeat one command."""
+    """Pairs (p, 2) of rows that repeat one command.
+
+    Rows of commands (n, axes), in units "m" or "rad".
+    """
     apart_by = np.array([SAME[unit] for unit in units])
     return np.array(sorted(cKDTree(commands / apart_by).query_pairs(1.0, p=np.inf)), int).reshape(-1, 2)
 
@@ -141,8 +148,9 @@ def repeated_pairs(commands: Floats, units: Sequence[str]) -> Integers:
 def repeatability_of_pairs(
     pairs: Integers, poses_of_pairs: tuple[Floats, Floats], residuals_of_pairs: tuple[Floats, Floats], unit: str = "m"
 ) -> Repeats | None:
-    """Repeatability (Repeats) of pairs (p, 2) of poses with one command and of their residuals; None for too few.
+    """Repeatability (Repeats) of pairs of poses with one command.
 
+    None for too few. pairs : (p, 2)
     poses_of_pairs : two (p, 6 or 3) m and rad, measured poses of each pair, both less the same; residuals_of_pairs :
         two (p, k) what a model leaves of each; unit : of the first three numbers of a pose, "m" or "rad"
 
@@ -197,7 +205,10 @@ def smooth_functions_of_axis_motion(path: Path, commands: Commands, t: Floats) -
 
 
 def separate_weights_for_each_direction(functions: Floats, count: int) -> Floats:
-    """Functions (F, count or 1, q) as weights (F, count, count q) separate for each of `count` directions."""
+    """Functions as weights separate for each direction.
+
+    Functions (F, count or 1, q) become weights (F, count, count q), for `count` directions.
+    """
     wide = np.broadcast_to(functions, (len(functions), count, functions.shape[2]))
     return np.einsum("faq,ab->fabq", wide, np.eye(count)).reshape(len(functions), count, -1)
 
@@ -262,7 +273,10 @@ class Suggestion:
 def library_of_quantities(
     motion: Motion, axis: int | None, directions: int = 1, exclude_axis_quantities: bool = False
 ) -> Library:
-    """Library of the quantities that vary: of one axis by its index, of all alike (None), or of the platform."""
+    """Library of the quantities that vary.
+
+    Of one axis by its index, of all alike (None), or of the platform.
+    """
     own = None if axis is None else f"travel of {motion.places[axis]}"
     out = []
     for q in quantities_of_motion(motion, not exclude_axis_quantities):
@@ -276,7 +290,10 @@ def library_of_quantities(
 
 
 def formula_text(formula: Formula, library: Library, axis_word: str, same_for_all_axes: bool) -> Written:
-    """Text of a Formula (Written) in the quantities of its Library. axis_word : strut, joint or slide"""
+    """Text of a Formula (Written) in the quantities of its Library.
+
+    axis_word : strut, joint or slide
+    """
     terms, at = [], 0
     for atom in formula.atoms:
         count, wave, turns = 1, None, 0.0
@@ -298,5 +315,8 @@ def formula_text(formula: Formula, library: Library, axis_word: str, same_for_al
 
 
 def formula_quantities(formula: Formula | None, library: Library) -> tuple[str, ...]:
-    """Names of the quantities in a Formula; none for no Formula."""
+    """Names of the quantities in a Formula.
+
+    None for no Formula.
+    """
     return () if formula is None else tuple(library.quantities[i].name for i in sorted(formula.quantities))

@@ -1,4 +1,7 @@
-"""Diagnosis JSON entries (diagnosis.json, schema diagnosis/1) as dataclasses, in SI units, px, made of a Diagnosis."""
+"""Diagnosis JSON entries as dataclasses.
+
+Of diagnosis.json, schema diagnosis/1, in SI units and px, made of a Diagnosis.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
@@ -193,7 +196,10 @@ class EffectsFile:
 
 
 def effect_file_entries(plugins: tuple[Plugin, ...]) -> tuple[EffectsFile, ...]:
-    """Entries of a user's effect files, in their order: file name, hash and effects."""
+    """Entries of a user's effect files, in their order.
+
+    File name, hash and effects.
+    """
     return tuple(
         EffectsFile(plugin.path.name, plugin.sha256, tuple(kind.name for kind in plugin.kinds)) for plugin in plugins
     )
@@ -230,12 +236,18 @@ class RecordingEntry:
 
 
 def recording_entries(parts: tuple[RecordingPart, ...]) -> tuple[RecordingEntry, ...]:
-    """Entries of several recordings' parts; none for one alone."""
+    """Entries of several recordings' parts.
+
+    None for one alone.
+    """
     return tuple(RecordingEntry(part.recording.name, part.frames, part.t) for part in parts)
 
 
 def json_tree(value: object) -> object:
-    """JSON tree of dicts and lists; of dataclasses, optional fields that are None or empty are left out."""
+    """JSON tree of dicts and lists.
+
+    Of dataclasses, optional fields that are None or empty are left out.
+    """
     if is_dataclass(value):
         items = {f.name: getattr(value, f.name) for f in fields(value)}
         return {name: json_tree(v) for name, v in items.items() if v is not None}
@@ -245,7 +257,10 @@ def json_tree(value: object) -> object:
 
 
 def kind_of_statement_beforehand(stated_terms: StatedTerms, effect: str, place: str) -> str | None:
-    r"""Kind of statement made beforehand of an effect at a place: assumed, seen before, or None."""
+    r"""Kind of statement made beforehand of an effect at a place.
+
+    Assumed, seen before, or None.
+    """
     site = (effect, place)
     return ASSUMED if site in stated_terms.assumed else SEEN_BEFORE if site in stated_terms.before else None
 
@@ -299,7 +314,9 @@ def finding_entry(diagnosis: Diagnosis, finding: Finding[Any], proof: CrossValid
 
 
 def negligible_finding_remark_entries(diagnosis: Diagnosis) -> list[RemarkEntry]:
-    """Entries of a Diagnosis' remarks: what is there beyond chance and does not matter.
+    """Entries of a Diagnosis' remarks on negligible findings.
+
+    What is there beyond chance and does not matter.
 
     What was fitted, what was left, what tolerances were seen to be.
     """
@@ -330,7 +347,7 @@ def remark_reason_sentence(reason: str) -> str:
 
 
 def largest_unexplained(diagnosis: Diagnosis) -> Unexplained | None:
-    """Largest unexplained lack of fit of a Diagnosis, else the scatter of poses beyond their stated noise, or N"""
+    """Largest unexplained lack of fit of a Diagnosis, else the scatter of poses beyond their stated noise, or None."""
     if diagnosis.left:
         first = diagnosis.left[0]
         return Unexplained(str(first.place), first.magnitude, first.unit, first.depends_on)
@@ -354,7 +371,10 @@ def _size_of(left: LackOfFit) -> dict[str, Value]:
 
 
 def misfit_before_and_after_entry(fit: Misfit) -> FitEntry:
-    """FitEntry of a Misfit: held out, without and with the effects found, and what noise alone leaves."""
+    """Entry (FitEntry) of a Misfit before and after.
+
+    Held out, without and with the effects found, and what noise alone leaves.
+    """
     return FitEntry(fit.before, fit.after, fit.floor, fit.unit)
 
 

@@ -1,4 +1,7 @@
-"""The HTML page of a diagnosis: verdict, findings with place, size and evidence, actions, figures."""
+"""HTML page of a diagnosis.
+
+Verdict, findings with place, size and evidence, actions, figures.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,17 +14,15 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report, d
 from calib.report.pose_and_effect_figures import effect_sketch
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.recording.recording_folder import Recording
-from rig.report.pages.image_plane_and_3d_views import view_3d_scripts_if_needed
-from rig.report.pages.page_templates_and_elements import (
-    Link,
-    Page,
+from rig.report.pages.html_and_svg_elements import (
     captioned_html,
     folding_section_html,
     heading_html,
     paragraph_html,
     table_html,
-    write_page,
 )
+from rig.report.pages.image_plane_and_3d_views import view_3d_scripts_if_needed
+from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import panel_row_html
 
 DOTS = (
@@ -51,7 +52,11 @@ class MachineFigures(Protocol):
 
 
 def figures_of_arm_or_platform(diagnosis: Diagnosis, recording: Recording, report: Report) -> MachineFigures:
-    """MachineFigures of a Diagnosis, by what was measured. report : its Report"""
+    """Page figures (MachineFigures) of an arm's or a platform's Diagnosis.
+
+    By what was measured.
+    report : its Report
+    """
     first = len(diagnosis.measured_findings)
     entries = report.findings[first : first + len(diagnosis.findings)]
     if diagnosis.evidence.family == "joints":
@@ -66,7 +71,10 @@ def figures_of_arm_or_platform(diagnosis: Diagnosis, recording: Recording, repor
 def write_diagnosis_page(
     path: Path, report: Report, machine_figures: MachineFigures, links: Sequence[Link] = ()
 ) -> None:
-    """Write the diagnosis page of a Report: one offline HTML file."""
+    """Write the diagnosis page of a Report.
+
+    One offline HTML file.
+    """
     parts: list[str] = []
     main = report.mattering or report.named
     slight = [f for f in report.named if not any(f is m for m in main)]

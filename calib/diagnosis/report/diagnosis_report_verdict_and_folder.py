@@ -1,4 +1,4 @@
-"""Report of a Diagnosis, its verdict, and the diagnosis folder.
+"""Report of a diagnosis, its verdict, and its folder.
 
 The report holds its data, summary, doubts and actions; the folder diagnosis.json, and files to simulate by.
 """
@@ -230,7 +230,9 @@ def unexplained_sentences(report: Report, known_physics: Collection[tuple[str, s
 
 
 def missing_evidence_of_report(report: Report) -> tuple[MissingEvidence, ...]:
-    """Evidence that a Report lacks ([MissingEvidence]): noise that is not stated, rows left out.
+    """Evidence that a Report lacks ([MissingEvidence]).
+
+    Noise that is not stated, rows left out.
 
     That is what it assumes and nobody has shown.
     """
@@ -318,7 +320,9 @@ def diagnosis_report(diagnosis: Diagnosis) -> Report:
 def write_diagnosis_json_and_simulation_files(
     folder: Path, diagnosis: Diagnosis, recording: Recording, report: Report
 ) -> None:
-    """Write the folder of a diagnosis: diagnosis.json, and files to simulate its findings by.
+    """Write the folder of a diagnosis.
+
+    It holds diagnosis.json, and files to simulate its findings by.
 
     Those where a machine was commanded: machine.json, the recording's own rig.toml, commands, frames and sensors, and
     what each finding does to each pose where that is known.
@@ -336,7 +340,9 @@ def write_diagnosis_json_and_simulation_files(
 
 
 def copy_recording(folder: Path, recording: Recording) -> None:
-    """Copy a recording's files into a folder: rig.toml, commands, frames and sensors, no images.
+    """Copy a recording's files into a folder.
+
+    They are rig.toml, commands, frames and sensors, no images.
 
     Of several recordings, the first one's.
     """

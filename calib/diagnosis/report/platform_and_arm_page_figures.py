@@ -33,9 +33,9 @@ from rig.model import mechanisms
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.recording.recording_folder import Recording
+from rig.report.pages.html_and_svg_elements import heading_html, note_html, paragraph_html, table_html
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect, view_3d_html
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Shown
-from rig.report.pages.page_templates_and_elements import heading_html, note_html, paragraph_html, table_html
 from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
 
 ARM_PLAYED = 4  # findings that are shown in three dimensions
@@ -326,7 +326,10 @@ SCALES, UNITS = {"m": 1e6, "rad": 1e6}, {"m": "µm", "rad": "µrad"}  # in which
 
 
 def repeatability_rows(diagnosis: Diagnosis) -> list[tuple[str, object]]:
-    """Table rows [(what, value)] on how well poses repeat; none where too few commands were repeated."""
+    """Table rows [(what, value)] on how well poses repeat.
+
+    None where too few commands were repeated.
+    """
     again = diagnosis.repeats
     if again is None:
         return []

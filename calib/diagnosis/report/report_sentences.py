@@ -1,4 +1,7 @@
-"""Sentences and table rows of a Report for people, in micrometres, microradians and pixels."""
+"""Sentences and table rows of a Report.
+
+For people, in micrometres, microradians and pixels.
+"""
 
 from collections.abc import Sequence
 
@@ -64,7 +67,9 @@ def finding_title(finding: FindingEntry | RemarkEntry) -> str:
 
 
 def finding_size_text(finding: FindingEntry | RemarkEntry) -> str:
-    """Text of a finding's size: its first parameter with unit.
+    """Text of a finding's size.
+
+    Its first parameter with unit.
 
     Of a vector its length, of a profile its root mean square; empty where there is none.
     """
@@ -89,12 +94,20 @@ def stated_beforehand_text(finding: FindingEntry) -> str:
 
 
 def as_sentence(text: str) -> str:
-    """A text as a sentence: with a capital and a full stop."""
+    """A text as a sentence.
+
+    It has a capital and a full stop.
+    """
     return text[0].upper() + text[1:] + "."
 
 
 def excluded_outlier_texts(row: LeftOut) -> tuple[str, str, str, str]:
-    """Texts (frame, place, how far off, reason) of an outlying pose, or of corners, left out of a diagnosis."""
+    """Texts on an excluded outlier, a pose or corners.
+
+    Each is frame, place, how far off, reason.
+
+    Left out of a diagnosis.
+    """
     return (
         str(row.frame),
         row.place,
@@ -163,7 +176,10 @@ def evidence_sentence(finding: FindingEntry) -> str:
 
 
 def unexplained_sentence(unknown: Sequence[FindingEntry]) -> str:
-    """Sentence on what is unexplained: functions that fit it, or scatter that none fits."""
+    """Sentence on what is unexplained.
+
+    Functions that fit it, or scatter that none fits.
+    """
     fitted = [f for f in unknown if f.parameters["depends_on"].value]
     said = ["A residual remains that no catalogued effect explains."]
     said += ["A smooth function fits it; its cause is not identified."] if fitted else []
@@ -180,7 +196,10 @@ def unexplained_sentence(unknown: Sequence[FindingEntry]) -> str:
 
 
 def formula_suggestion_sentences(entry: SuggestionEntry) -> str:
-    """Sentences on a suggested formula in place of a name, and its error on data that did not choose it."""
+    """Sentences on a suggested formula in place of a name.
+
+    And on its error on data that did not choose it.
+    """
     before, after, floor = (
         value_text(value, entry.unit) for value in (entry.heldout_before, entry.heldout_after, entry.noise)
     )
@@ -195,7 +214,10 @@ def formula_suggestion_sentences(entry: SuggestionEntry) -> str:
 
 
 def parameter_rows_of_suggested_formula(entry: SuggestionEntry) -> list[tuple[str, str, str]]:
-    """Table rows [(parameter, value, 95 % interval)] of one suggested formula's parameters, with units."""
+    """Table rows [(parameter, value, 95 % interval)] of one suggested formula's parameters.
+
+    With units.
+    """
     return [
         (name, f"{p.value:.4g} {p.unit}", f"{p.ci95[0]:.4g} to {p.ci95[1]:.4g}" if p.ci95 else "")
         for name, p in entry.parameters.items()
@@ -305,7 +327,10 @@ def noise_factor_text(factor: Value) -> str:
 
 
 def noise_times_text(times: dict[str, Value]) -> str:
-    """Text on the factors by which poses scatter more than is stated."""
+    """Text on the factors (times) of the stated noise.
+
+    By which poses scatter more than is stated.
+    """
     each = [f"{noise_factor_text(value)} in {kind}" for kind, value in times.items()]
     return (
         f"the noise of the poses exceeds what is stated: {' and '.join(each)} (or something moves the machine at "
@@ -314,7 +339,10 @@ def noise_times_text(times: dict[str, Value]) -> str:
 
 
 def all_clear_sentence(crowd: Crowd | None, noise_from: str, noise_times: dict[str, Value]) -> str:
-    """What it is worth that nothing was found: nothing, where the noise is not stated."""
+    """Sentence on what it is worth that nothing was found.
+
+    Nothing, where the noise is not stated.
+    """
     if crowd is not None:
         return f"No catalogued effect was found, and {outliers_not_excluded_sentence(crowd)}."
     if noise_from == ASSUMED_NOISE:

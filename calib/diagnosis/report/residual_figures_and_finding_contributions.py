@@ -1,4 +1,6 @@
-"""Figures of residuals before and after, and the contribution of each finding to each pose.
+"""Figures of residuals, and contributions of findings.
+
+Residuals before and after; contributions of each finding to each pose.
 
 Residuals also against the covariate of an effect; position errors.
 """
@@ -24,8 +26,8 @@ from calib.diagnosis.recording_diagnosis import Diagnosis
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
 from rig.recording.recording_table_loading_and_writing import write_table
+from rig.report.pages.html_and_svg_elements import svg_figure, svg_text, svg_tooltip
 from rig.report.pages.image_plane_and_3d_views import Arrows, image_plane_figure, patch_means
-from rig.report.pages.page_templates_and_elements import svg_figure, svg_text, svg_tooltip
 from rig.report.pages.plots import COLOURS, Series, bar_chart_svg, panel_row_html, plot_panel_svg
 
 WORST = 24  # poses that are drawn
@@ -33,7 +35,10 @@ ROW, START, END = 16.0, 60.0, 392.0  # units of a figure: of a pose; where bars 
 
 
 def write_finding_contributions_table(path: Path, diagnosis: Diagnosis) -> None:
-    """Write a table of the findings' contributions to each pose: a column (m) for each finding and for the rest."""
+    """Write a table of the findings' contributions to each pose.
+
+    A column (m) for each finding and for the rest.
+    """
     if not isinstance(diagnosis.evidence, PoseContributions):
         return
     frames, names, sizes = diagnosis.evidence.contributions(diagnosis.selection)
@@ -159,7 +164,10 @@ CELLS = 14  # of a residual map, across the image
 
 
 def residuals_without_effects(refinement: Refinement, omitted_effects: tuple[int, ...] = ()) -> tuple[Floats, Floats]:
-    """Residuals without some admitted effects: (closures (F, axes) m, corners (n, 2) px)."""
+    """Residuals without some admitted effects.
+
+    Returns (closures (F, axes) m, corners (n, 2) px)
+    """
     model, k = refinement.model, refinement.point
     kept = [e for i, e in enumerate(k.effects) if i not in set(omitted_effects)]
     if len(kept) == len(k.effects):
@@ -176,7 +184,10 @@ def residuals_without_effects(refinement: Refinement, omitted_effects: tuple[int
 
 
 def model_residuals(model: LinearisedModel) -> tuple[Floats, Floats]:
-    """Residuals of a model as it is: (closures (F, axes) m, corners (n, 2) px)."""
+    """Residuals of a model as it is.
+
+    Returns (closures (F, axes) m, corners (n, 2) px)
+    """
     return closure_residuals(model), _in_pixels(model, model.corner_residual)
 
 
@@ -325,7 +336,10 @@ def mean_residual_figures_over_camera_image(
     residuals: tuple[Floats, ...],
     titles: tuple[str, ...] = ("without it", "with it"),
 ) -> str:
-    """Figures of mean residuals over one camera's image, one for each of several residuals (n, 2) px."""
+    """Figures of mean residuals over one camera's image.
+
+    One for each of several residuals (n, 2) px.
+    """
     o = point.observed.observations
     camera = point.design.cameras[o.camera[corner_rows[0]]]
     cell = camera.width / CELLS
@@ -348,8 +362,9 @@ SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile
 
 
 def position_error_statistics(pose_errors: Floats) -> dict[str, float]:
-    """Statistics of position errors (mean, RMS, p95, maximum, count), m, and the mean rotation error, rad; of errors of
-    directions (n, 2) all in rad.
+    """Statistics of position errors, and the mean rotation error.
+
+    Mean, RMS, p95, maximum (m) and count; rotation in rad. Of errors of directions (n, 2) all in rad.
     """
     size = np.linalg.norm(pose_errors[:, :3], axis=1)
     unit = "rad" if pose_errors.shape[1] == 2 else "m"
@@ -366,7 +381,9 @@ def position_error_statistics(pose_errors: Floats) -> dict[str, float]:
 
 
 def errors_at_and_beyond_fitted_angles(held_out_poses: HeldOutPoses) -> Json:
-    """Errors of held-out poses at joint angles that were fitted, and beyond them; None where there are none.
+    """Errors of held-out poses at joint angles that were fitted, and beyond them.
+
+    None where there are none.
 
     {after_at_fitted_angles, after_beyond}: all joints stood within SAME_ANGLE of an angle that they were fitted at, and
     the rest. No data tell a profile where its joint never stood.

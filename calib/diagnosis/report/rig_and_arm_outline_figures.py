@@ -1,4 +1,7 @@
-"""Outlines of a rig and of an arm, with the parts marked that a diagnosis points at."""
+"""Outline figures of a rig and of an arm.
+
+The parts are marked that a diagnosis points at.
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -17,7 +20,7 @@ from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import mechanism_chain as chains
 from rig.model.pose import transform_points
-from rig.report.pages.page_templates_and_elements import WIDTH, list_html, svg_figure, svg_text, svg_tooltip
+from rig.report.pages.html_and_svg_elements import WIDTH, list_html, svg_figure, svg_text, svg_tooltip
 from rig.report.pages.plots import panel_row_html
 from vision.predict import marker_map
 
@@ -186,8 +189,9 @@ def _camera(drawn: Outline, camera: Camera, colour: int, middle: Floats) -> None
 
 
 def arm_outline_figures(arm: Arm | Chain, q: Floats, marked_joints: dict[int, dict[str, float]]) -> str:
-    """Figures of the outline of an Arm, or a Chain, over its configurations q (n, joints) rad or m.
+    """Figures of the outline of an Arm, or a Chain.
 
+    Over its configurations q (n, joints) rad or m.
     marked_joints : {joint: {effect: RMS in rad or, of what slides, m}} of what was found
     """
     at, joints = _points(q, arm)

@@ -1,4 +1,6 @@
-"""The correction of an arm's calibration as one C99 file: joint commands in, corrected joint commands out.
+"""Correction of an arm's calibration as C source.
+
+One C99 file: joint commands in, corrected joint commands out.
 
 An arm's controller has kinematics of its own, the nominal one. What it commands means a pose, that of the nominal
 figures; the file finds, near these joint values, those that `rig correct` commands for this pose.
@@ -43,8 +45,9 @@ CALL = CCall(
 
 
 def arm_correction_c_source(correction: ArmCorrection, physics: Physics | None, origin: str) -> CSource:
-    """CSource of an ArmCorrection and the Physics besides, or None.
+    """C source of an arm's correction (CSource).
 
+    Of an ArmCorrection and the Physics besides, or None.
     origin : of which file and by which version it is made, for its head
     Raises RigError for a way to extend corrections and for an effect that no C file states
     """

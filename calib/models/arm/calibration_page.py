@@ -1,4 +1,7 @@
-"""The page of an arm's calibration: before and after on held-out poses, joint profiles, coverage, parameters, rank."""
+"""HTML page of an arm's calibration.
+
+Before and after on held-out poses, joint profiles, coverage, parameters, rank.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,8 +20,7 @@ from calib.workspace.workspace_page import workspace_section_html
 from rig.effects.framework.effect_parameters_and_covariates import PLOT_UNITS
 from rig.model import mechanisms
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import (
-    Link,
+from rig.report.pages.html_and_svg_elements import (
     captioned_html,
     folding_section_html,
     heading_html,
@@ -26,6 +28,7 @@ from rig.report.pages.page_templates_and_elements import (
     section_html,
     table_html,
 )
+from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 
 
@@ -37,7 +40,10 @@ def write_arm_calibration_page(
     certified: CertifiedArm,
     links: Sequence[Link] = (),
 ) -> None:
-    """Write the HTML page of an arm's calibration, as certified on held-out samples; links : to other pages."""
+    """Write the HTML page of an arm's calibration, as certified on held-out samples.
+
+    links : to other pages
+    """
     went = np.concatenate([samples.T_base_platform.translation, samples.T_base_platform.rotation.as_rotvec()], axis=1)
     parts = [
         heading_html("Errors before and after, by pose"),

@@ -1,4 +1,4 @@
-"""Certification of an arm's calibration: fit to all samples, errors from stretches held out in turn."""
+"""Certification of an arm's calibration by stretches held out in turn."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple

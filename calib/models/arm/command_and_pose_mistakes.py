@@ -1,4 +1,6 @@
-"""Mistakes in an arm's commands and measured poses: swapped joints, links, poses or frame conventions.
+"""Mistakes in an arm's commands and measured poses.
+
+Swapped joints, links, poses or frame conventions.
 
 Source: rotations as calib.models.arm.instrument_placement.solve_rotation_placement; positions by Kabsch in turn with
 the target's place

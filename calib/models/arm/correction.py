@@ -1,4 +1,6 @@
-"""Correction of an arm: commands for wanted poses on the joint solution nearest those visited.
+"""Correction of an arm: commands for wanted poses.
+
+On the joint solution nearest those visited.
 
 A solver that starts far away comes down on one solution or another by how its first steps are rounded; along short
 steps, each damped, the joints follow the hand, and the same joints come out in whatever frame poses are given.

@@ -1,4 +1,6 @@
-"""Error model of an arm: independent parameters, pose Jacobians, and observations by an instrument.
+"""Error model of an arm, and observations by an instrument.
+
+Independent parameters and pose Jacobians.
 
 Parameters stand in one vector of 12 + 5 n: the base (where the arm stands in the instrument's frame; tangent x y z rx
 ry rz on the right, m and rad), then theta, d, a, alpha, beta of every row (rad, m, m, rad, rad), then the tool (where
@@ -22,7 +24,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.model.base_tilt import TiltReadings
+from rig.model.base_and_link_tilts import TiltReadings
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import direction_difference, exp, pose, pose_difference, skew
@@ -326,7 +328,9 @@ class Rank:
 
 
 def parameter_rank(B: Floats, free: Booleans, names: tuple[str, ...], units: tuple[str, ...]) -> Rank:
-    """Rank of the parameter columns B (rows, p), whitened, of the requested parameters: free (p,) bool.
+    """Rank of the parameter columns B (rows, p), whitened, of the requested parameters.
+
+    Free (p,) bool.
 
     A column is dependent where, those before it given, the data leave its parameter less certain than PLAUSIBLE: a
     plain zero of the pivoted QR, but also a direction in which only rounding or noise would be fitted.
@@ -383,7 +387,10 @@ def generally_independent_parameters(arm: Arm, kind: str) -> Booleans:
 
 
 def is_next_axis_near_parallel(arm: Arm) -> Booleans:
-    """Whether (n,) the next axis is near parallel to each row's axis, so that beta (Hayati) replaces d."""
+    """Whether (n,) the next axis is near parallel to each row's axis.
+
+    So that beta (Hayati) replaces d.
+    """
     return np.asarray(np.abs(np.cos(arm.rows[:, 3]) * np.cos(arm.rows[:, 4])) > PARALLEL)
 
 

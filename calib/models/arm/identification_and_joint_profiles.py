@@ -1,4 +1,6 @@
-"""Identification of an arm's parameters by robust least squares, and error profiles of its joints.
+"""Identification of an arm's parameters, and joint profiles.
+
+By robust least squares; profiles are of the errors of its joints.
 
 The six steps of the source: start from the nominal figures; linearise (rows B x = b, eq. 4.65); least squares; correct
 the figures; repeat until the step is small; the errors are what was changed. Around that, weights: scatter beyond the
@@ -145,7 +147,10 @@ def _tilt_weights(observations: Observations, arm: Arm, fitted: int) -> TiltWeig
 def whitened_tilt_rows_and_columns(
     observations: Observations, arm: Arm, weights: TiltWeights
 ) -> tuple[TiltRows, Floats]:
-    """(TiltRows, whitened columns (r, p) of the arm's parameters) of the tilt sensors beside observations."""
+    """TiltRows and whitened columns of the tilt sensors.
+
+    Returns (TiltRows, columns (r, p) of the arm's parameters) of the sensors beside observations
+    """
     assert observations.tilts is not None
     rows = tilt_rows(observations.tilts, observations.q, arm)
     J = error_model_and_observations.parameter_jacobian(observations.q, arm)
@@ -154,7 +159,10 @@ def whitened_tilt_rows_and_columns(
 
 
 def require_enough_observations(count: int, numbers_each: int, parameter_count: int) -> None:
-    """Raise NotEnoughData where `count` observations are not enough for the parameters, with how many it takes."""
+    """Raise NotEnoughData where `count` observations are not enough for the parameters.
+
+    With how many it takes.
+    """
     if numbers_each * count <= parameter_count:
         raise NotEnoughData(
             f"{count} observations give {numbers_each * count} equations, too few for {parameter_count} "
@@ -301,7 +309,9 @@ class Profile:
 
 
 def fit_joint_profiles(observations: Observations, identified: Identified) -> tuple[Profile | None, ...]:
-    """Joint profiles fitted to residuals of an Identified arm: a Profile or None per joint.
+    """Joint profiles fitted to residuals of an Identified arm.
+
+    A Profile or None per joint.
 
     The geometry's own freedoms are solved for beside the profiles and thrown away, so that neither takes the other's
     part.

@@ -1,4 +1,6 @@
-"""Placement of an arm in an instrument's frame, and of the target on its hand, before identification.
+"""Placement of an arm in an instrument's frame.
+
+And of the target on its hand, before identification.
 
 For given rotation X of the base, what positions say of the target z on the hand and of the base's place t is linear,
 and what is then left is a quadratic function of X alone: p = X (F z + f) + t, so X'p - f = F z + X't,
@@ -58,7 +60,10 @@ class Placement:
 
 
 def place_arm(observations: Observations, arm: Arm, base: bool, tool: bool) -> Arm:
-    """Arm placed by observations: base and tool solved for; base, tool : whether they are unknown.
+    """Arm placed by observations.
+
+    Base and tool solved for.
+    base, tool : whether they are unknown
 
     Good to what the arm's own errors leave; least squares goes on from there. With distances, what cannot be told in
     closed form is as stated, and so is where on the hand a direction is seen.
@@ -328,10 +333,12 @@ def _from_directions(observations: Observations, arm: Arm) -> Arm:
 
 
 def solve_rotation_placement(M: Floats, F: Floats) -> tuple[Floats, Floats, float]:
-    """Solve M = X F Z for the rotations X and Z, of rotations M and F (m, 3, 3): (X, Z, how well determined).
+    """Solve M = X F Z for the rotations X and Z, of rotations M and F (m, 3, 3).
 
     The third is the second least eigenvalue over the greatest, 0 where a family of answers fits. Source: Shah, J.
     Mechanisms Robotics 5, 2013
+
+    Returns (X, Z, how well determined)
     """
     one = np.eye(3)
     rows = np.concatenate(

@@ -1,4 +1,6 @@
-"""Joint fit of an arm's geometry and joint effects, and scatter of its held-out poses beyond them.
+"""Joint effect fit of an arm, and held-out scatter.
+
+Geometry and joint effects are fitted together; scatter is of held-out poses beyond them.
 
 Gauss-Newton on the effects' coordinates, all that the geometry can make up for taken out of them: what a joint's own
 effect and a length explain alike goes to the length. A held-out figure is of effects refitted without what is held out.
@@ -37,7 +39,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import (
     effects_with_coordinates,
 )
 from rig.model import motion_simulation
-from rig.model.base_tilt import TiltReadings
+from rig.model.base_and_link_tilts import TiltReadings
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
@@ -151,7 +153,10 @@ class JointFit:
 def fit_geometry_and_effects(
     measured: Samples, history: History, start: Arm, effects: tuple[Effect, ...], prior: Prior | None = None
 ) -> JointFit:
-    """Joint fit (JointFit) of an arm's geometry and effects. Raises as `identify_arm`"""
+    """Joint fit (JointFit) of an arm's geometry and effects.
+
+    Raises as `identify_arm`
+    """
     arm, columns = start, None
     for _ in range(ROUNDS):
         arm = history.identified(history.told(measured, effects, arm), arm).arm
@@ -358,7 +363,10 @@ def _fitted(found: Identified, correction: ArmCorrection, agreed: Samples) -> tu
 def identification_with_held_out_scatter(
     identified: Identified, held_out_errors: HeldErrors, rng: np.random.Generator
 ) -> Identified:
-    """Identification with its scatter raised to that of held-out poses beyond the parameters' errors."""
+    """Identification with its scatter raised to that of held-out poses.
+
+    Their scatter beyond the parameters' errors.
+    """
     if len(identified.scatter) != 6:
         return identified
     return replace(
@@ -367,8 +375,9 @@ def identification_with_held_out_scatter(
 
 
 def unexplained_scatter_sentences(scatter: Floats, covariance: Floats) -> tuple[str, ...]:
-    """Sentences on scatter unexplained by the instrument's statement, one for positions and one for rotations.
+    """Sentences on scatter unexplained by the instrument's statement.
 
+    One for positions and one for rotations.
     scatter : (k,) m and rad beyond; covariance : (n, k, k) as stated
     """
     out = []

@@ -1,4 +1,6 @@
-"""Joint-space correction of an arm, and its certification on held-out configurations.
+"""Joint-space correction of an arm, and its certification.
+
+On held-out configurations.
 
 KSF_PM(x) = x - IK(GDK(x)), IK of the nominal model or of the fitted geometry, as near x as may be; KSF_KR is its Field
 over the joint space, by the same ways as of machines on struts. Source: configuration-space patent, [0026] to [0030],
@@ -54,7 +56,7 @@ from rig.model.design import Instrument
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import FILL, sobol_configurations
+from rig.planning.configuration_generators import FILL, sobol_configurations
 
 # times the typical; a direction of the joints that a pose tells worse than that, as of a wrist near its singularity,
 # keeps none
@@ -72,7 +74,9 @@ def joint_correction_field_samples(samples: Samples, arm: Arm, shared: Floats) -
 
 
 def commanded_minus_joint_values_by_stated_arm(samples: Samples, placed_arm: Arm) -> CorrectionSummands:
-    """Commands less the joint values that give the measured poses by the stated arm (CorrectionSummands).
+    """Commanded minus joint values by the stated arm (CorrectionSummands).
+
+    The joint values are those that give the measured poses.
 
     They are the joint correction summands. placed_arm : placed as the instrument sees it
     covariance : what all poses share included. Raises RigError as `joint_space_summands`
@@ -82,7 +86,9 @@ def commanded_minus_joint_values_by_stated_arm(samples: Samples, placed_arm: Arm
 
 
 def commanded_minus_joint_values_of_measured_poses(samples: Samples, arm: Arm, shared: Floats) -> CorrectionSummands:
-    """Commands less the nearest joint values that give the measured poses, rad or m (CorrectionSummands).
+    """Commanded minus joint values of measured poses (CorrectionSummands).
+
+    The nearest joint values that give the poses, rad or m.
 
     They are the joint correction summands.
     arm : the model; shared : (j,) draw of the poses' common errors, taken out
@@ -190,7 +196,11 @@ def certify_extended_arm(
 def nominal_arm_correction(
     samples: Samples, nominal: Arm, instrument: Instrument | None, start: Arm
 ) -> tuple[ArmCorrection, Identified]:
-    """Correction of the nominal arm: nothing fitted but the instrument's placement; (ArmCorrection, Identified)."""
+    """Correction of the nominal arm.
+
+    Nothing fitted but the instrument's placement.
+    Returns (ArmCorrection, Identified)
+    """
     o = sample_observations(samples)
     arm = placed_nominal_arm(o, nominal, instrument, start)
     p, k = 12 + 5 * len(arm.joints), o.common.shape[1]
@@ -228,7 +238,10 @@ def _without(samples: Samples, correction: ArmCorrection, found: Identified, alo
 
 
 def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.random.Generator) -> Claim:
-    """Claim of an arm's correction without fitted geometry: its field's error estimate at the middle angles."""
+    """Claim of an arm's correction without fitted geometry.
+
+    Its field's error estimate at the middle angles.
+    """
     correction = certified.correction
     each = mean_sample_per_configuration(
         samples, certified.label, error_model_and_observations.joint_jacobian(samples.commanded, correction.fitted)
@@ -262,8 +275,9 @@ def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.ra
 
 
 def single_step_correction_errors(correction: ArmCorrection) -> tuple[float, float]:
-    """Errors (RMS, greatest) rad or m of correcting in a single step X + KSF(X) instead of to the fixed point.
+    """Errors (RMS, greatest) rad or m of correction in a single step.
 
+    X + KSF(X) instead of to the fixed point.
     Source: configuration-space patent, [0030], [0091]
     """
     q = _places(correction)

@@ -1,4 +1,6 @@
-"""Pointing terms of a two-axis mount: the names, values and uncertainties that astronomers use for what was found.
+"""Pointing terms of a two-axis mount.
+
+The names, values and uncertainties that astronomers use for what was found.
 
 Directions are in a frame with x north, y east and z down. A term is what the direction of the telescope has beyond its
 commanded one, in azimuth A and elevation E, or in hour angle h and declination d. The first order of the terms is
@@ -92,7 +94,10 @@ class PointingTerms:
 
 
 def mount_kind(arm: Arm) -> str | None:
-    """Kind of mount by an Arm's first axis as stated: "altazimuth" or "equatorial"; None without two turning axes."""
+    """Kind of mount by an Arm's first axis as stated.
+
+    "altazimuth" or "equatorial"; None without two turning axes.
+    """
     if len(arm.joints) != 2 or arm.slides.any():
         return None
     axis = arm.base.rotation.as_matrix()[:, 2]
@@ -100,7 +105,9 @@ def mount_kind(arm: Arm) -> str | None:
 
 
 def tube_flexure(arm: Arm) -> tuple[Effect, ...]:
-    """The effect by which the tube of an altazimuth mount sinks at its second joint; none of other arms.
+    """The effect by which the tube of an altazimuth mount sinks at its second joint.
+
+    None of other arms.
 
     It is the joint's compliance under one mass moment, along the tube.
     """
@@ -114,8 +121,9 @@ def tube_flexure(arm: Arm) -> tuple[Effect, ...]:
 
 
 def pointing_terms(design: Design, calibration: Calibration, visited: Floats) -> PointingTerms | None:
-    """PointingTerms of a mount as calibrated against that stated; None for an arm that is none.
+    """PointingTerms of a mount as calibrated against that stated.
 
+    None for an arm that is none.
     design : whose mechanism is the arm as stated; visited : (n, 2) rad, commands
     """
     stated, fitted = require_arm(design.mechanism), calibration.correction.fitted
@@ -141,8 +149,9 @@ def _is_flexure(effect: Effect, arm: Arm) -> bool:
 def pointing_terms_of_parameters(
     stated: Arm, fitted: Arm, covariance: Floats, visited: Floats, gravity: Floats, flexure: tuple[float, float] | None
 ) -> PointingTerms | None:
-    """PointingTerms of a mount as fitted against that stated; None for an arm that is none or has other errors.
+    """PointingTerms of a mount as fitted against that stated.
 
+    None for an arm that is none or has other errors.
     stated, fitted : Arm; covariance : (p, p) of its parameters; visited : (n, 2) rad, commands; gravity : (3,) m/s^2
     flexure : (the mass moment over the stiffness of `tube_flexure`, rad per m/s^2, its variance), or None where it was
         not fitted
@@ -177,8 +186,9 @@ def pointing_terms_of_parameters(
 
 
 def term_jacobian(q: Floats, arm: Arm) -> tuple[tuple[str, ...], Floats]:
-    """(names, (n, 6, t)) change of the hand's tangent with each term at commands q (n, 2): of its turn about x and y.
+    """Change (n, 6, t) of the hand's tangent with each pointing term, and their names.
 
+    At commands q (n, 2), with its turn about x and y.
     Raises RigError for an arm that is no mount
     """
     mount = mount_kind(arm)

@@ -1,4 +1,6 @@
-"""Tilt sensors on an arm as observations: their residuals and Jacobians, and how they are mounted as nuisances.
+"""Tilt sensors on an arm as observations.
+
+Their residuals and Jacobians, and how they are mounted as nuisances.
 
 A sensor on link k shows by how much two of its axes point above the horizontal. It observes the base's turn and all
 that joints 1 to k and their rows turn; what lies farther out it does not see. How each sensor is mounted (three small
@@ -12,7 +14,7 @@ import numpy as np
 
 from calib.identify.least_squares_and_robust_fit import excess_scatter
 from rig.array_and_json_types import Booleans, Floats
-from rig.model.base_tilt import TiltReadings, TiltSensor, linearised_tilts
+from rig.model.base_and_link_tilts import TiltReadings, TiltSensor, linearised_tilts
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 
@@ -82,7 +84,10 @@ class TiltRows:
 
 
 def tilt_rows(readings: TiltReadings, q: Floats, arm: Arm) -> TiltRows:
-    """TiltRows of readings of an arm at joint values q (n, joints), at the mounting that explains them best."""
+    """TiltRows of readings of an arm at joint values q (n, joints).
+
+    At the mounting that explains them best.
+    """
     sensors = readings.sensors
     links = mechanism.link_frames(q, arm)[:, [sensor.link for sensor in sensors], :3, :3]
     sigma = readings.mounting_sigma
@@ -98,8 +103,9 @@ def tilt_rows(readings: TiltReadings, q: Floats, arm: Arm) -> TiltRows:
 
 
 def link_turns_by_parameters(readings: TiltReadings, q: Floats, arm: Arm, pose_jacobian: Floats) -> Floats:
-    """(n, s, 3, p) rad about the axes of the frame of poses, by which an arm's parameters turn the sensors' links.
+    """Turns (n, s, 3, p) rad of the sensors' links by an arm's parameters.
 
+    About the axes of the frame of poses.
     pose_jacobian : (n, 6, p) of the target's pose with them: a link turns as the target does, by what lies before it
     """
     R = mechanism.forward(q, arm).rotation.as_matrix()
@@ -109,7 +115,10 @@ def link_turns_by_parameters(readings: TiltReadings, q: Floats, arm: Arm, pose_j
 
 
 def link_turns_by_joints(readings: TiltReadings, q: Floats, arm: Arm) -> Floats:
-    """(n, s, 3, joints) rad per rad of each joint, by which joints turn the sensors' links."""
+    """Turns (n, s, 3, joints) of the sensors' links by the joints.
+
+    In rad per rad of each joint.
+    """
     z = np.swapaxes(mechanism.link_frames(q, arm)[:, : len(arm.joints), :3, 2], 1, 2) * ~arm.slides
     return np.stack([z * (np.arange(len(arm.joints)) < sensor.link) for sensor in readings.sensors], axis=1)
 
@@ -117,9 +126,10 @@ def link_turns_by_joints(readings: TiltReadings, q: Floats, arm: Arm) -> Floats:
 def planned_tilt_columns(
     sensors: tuple[TiltSensor, ...], gravity: Floats, q: Floats, arm: Arm, pose_jacobian: Floats
 ) -> Floats:
-    """(n, 2 s, p + 3 + 3 s) change of the angles that sensors would show at joint values q (n, joints), with an arm's
-    parameters and with how the sensors are mounted; 0 where an angle would not be used.
+    """Columns of tilts that sensors would show at planned joint values.
 
+    Columns (n, 2 s, p + 3 + 3 s) at q (n, joints): the change of the angles with an arm's parameters and with how the
+    sensors are mounted; 0 where an angle would not be used.
     gravity : (3,) in the frame of poses; pose_jacobian : (n, 6, p) of the target's pose with the parameters
     """
     down = np.tile(gravity / np.linalg.norm(gravity), (len(q), 1))
@@ -133,7 +143,10 @@ def planned_tilt_columns(
 
 
 def tilt_report(readings: TiltReadings | None, weights: TiltWeights | None) -> list[str]:
-    """Lines for a reader: which tilt sensors were used, and how far they scatter beyond the noise stated for them."""
+    """Report on tilt sensors, as lines.
+
+    Which tilt sensors were used, and how far they scatter beyond the noise stated for them.
+    """
     lines = list[str]()
     if readings is None or weights is None:
         return lines

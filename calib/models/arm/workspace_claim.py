@@ -27,7 +27,7 @@ from calib.models.arm.identification_and_joint_profiles import identify_arm, ind
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import unexplained_scatter_sentences
 from calib.samples.pose_samples import Samples
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import FILL, sobol_configurations
+from rig.planning.configuration_generators import FILL, sobol_configurations
 
 
 def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.random.Generator) -> Claim:

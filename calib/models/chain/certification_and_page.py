@@ -1,4 +1,7 @@
-"""Certification of a chain's calibration by held-out stretches, and its HTML page."""
+"""Certification of a chain's calibration, and its page.
+
+By held-out stretches; the page is HTML.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -41,16 +44,16 @@ from rig.array_and_json_types import Floats, Integers
 from rig.model.mechanism_geometry_classes import Chain
 from rig.model.mechanisms import mechanism_chain as mechanism
 from rig.model.pose import pose_difference, pose_to_vector
-from rig.planning.configuration_sets import FILL, sobol_configurations
+from rig.planning.configuration_generators import FILL, sobol_configurations
 from rig.recording.recording_folder import Recording
-from rig.report.pages.page_templates_and_elements import (
-    Link,
+from rig.report.pages.html_and_svg_elements import (
     folding_section_html,
     heading_html,
     paragraph_html,
     section_html,
     table_html,
 )
+from rig.report.pages.page_templates_and_index_page import Link
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,8 +73,10 @@ class CertifiedChain:
 def certify_chain(
     samples: Samples, nominal: Chain, rng: np.random.Generator, progress: Progress | None = None
 ) -> CertifiedChain:
-    """CertifiedChain of a chain: all stages together. rng : numpy Generator, for the bootstrap
+    """CertifiedChain of a chain.
 
+    All stages together.
+    rng : numpy Generator, for the bootstrap
     Raises what `identify_chain` raises
     """
     said = progress or silent_progress
@@ -162,7 +167,10 @@ def write_chain_calibration_page(
     certified: CertifiedChain,
     links: Sequence[Link] = (),
 ) -> None:
-    """Write the HTML page of a chain's calibration, as certified on held-out samples; links : to other pages."""
+    """Write the HTML page of a chain's calibration, as certified on held-out samples.
+
+    links : to other pages
+    """
     parts = [
         heading_html("Errors before and after, by pose"),
         correction_error_figures(

@@ -1,4 +1,6 @@
-"""Error model of a chain of mechanisms (parameters, Jacobian), and identification of all stages from measured poses.
+"""Error model of a chain, and its identification.
+
+Parameters and Jacobian of a chain of mechanisms; all stages are identified from measured poses.
 
 Parameters stand in one vector, stage after stage, as changes from the owner's figures: of a hexapod its 42, of two
 struts their 6, of an arm base, rows and tool in the order of calib.models.arm.error_model_and_observations. tangent =
@@ -30,7 +32,10 @@ from rig.model.pose import pose_difference
 
 
 def parameter_names(chain: Chain) -> tuple[str, ...]:
-    """Names of a chain's parameters, in order: "stage 1 base x" .., "stage 2 base joint 1 x" .."""
+    """Names of a chain's parameters, in order.
+
+    "stage 1 base x" .., "stage 2 base joint 1 x".
+    """
     return tuple(
         f"stage {k + 1} {name}" for k, stage in enumerate(chain.stages) for name in _stage_parameter_names(stage)
     )
@@ -52,7 +57,10 @@ def parameter_units(chain: Chain) -> tuple[str, ...]:
 
 
 def parameter_tolerances(chain: Chain) -> Floats:
-    """Tolerances (p,) m and rad of the stated parameters; 0 for those that are not independent (Hayati)."""
+    """Tolerances (p,) m and rad of the stated parameters.
+
+    0 for those that are not independent (Hayati).
+    """
     out = []
     for stage in chain.stages:
         if isinstance(stage, Arm):
@@ -86,13 +94,19 @@ def _moved(stage: Stage, step: Floats) -> Stage:
 
 
 def stage_parameter_change_by_base_motion(stage: Stage) -> Floats:
-    """Columns (p, 6 or 3) of a stage's base motion: change of its parameters with its base frame."""
+    """Change of a stage's parameters by base motion.
+
+    Columns (p, 6 or 3).
+
+    Change of its parameters with its base frame.
+    """
     return np.eye(len(_stage_parameter_names(stage)), 6) if isinstance(stage, Arm) else base_motion_columns(stage)
 
 
 def parameter_jacobian(values: Floats, chain: Chain, last_stage: int | None = None) -> Floats:
-    """Parameter Jacobian (n, 6, p): change of the last platform's pose (m, rad) at values (n, axes).
+    """Parameter Jacobian (n, 6, p).
 
+    Change of the last platform's pose (m, rad) at values (n, axes).
     last_stage : number (from 1) of the stage whose platform is meant in the place of the last; what is above it does
         not move it
     """
@@ -150,7 +164,10 @@ class MeasuredStage:
 
 
 def measured_stages(samples: Samples) -> list[MeasuredStage]:
-    """Measured stages of a chain: the last platform, and those below it of which some pose was measured."""
+    """Measured stages of a chain.
+
+    The last platform, and those below it of which some pose was measured.
+    """
     last = MeasuredStage(samples.effective, samples.T_base_platform, samples.covariance, samples.common, None)
     return [
         last,
@@ -165,8 +182,9 @@ def measured_stages(samples: Samples) -> list[MeasuredStage]:
 
 
 def noise_leverage(linear: Linear, inliers: Booleans, sigma: Floats) -> Floats:
-    """Leverage (n, 6, 6) of each pose's noise: the share of it that a fit follows.
+    """Leverage (n, 6, 6) of each pose's noise.
 
+    The share of it that a fit follows.
     sigma : (k,) the prior of the parameters
     """
     A = np.concatenate([linear.common, linear.jacobian], axis=2)
@@ -247,8 +265,9 @@ class Identified:
 
 
 def identify_chain(samples: Samples, nominal: Chain) -> Identified:
-    """Identified chain: the parameters that explain the poses, as near to the stated ones as these allow.
+    """Identified chain.
 
+    The parameters that explain the poses, as near to the stated ones as these allow.
     samples : Samples of the last platform, and of stages below it
     nominal : where the fit starts and where its prior holds what the poses do not tell
     Raises NotEnoughData for fewer than 3 poses, RigError where the fit does not settle

@@ -1,4 +1,6 @@
-"""Closed-loop equations of struts: residuals and Jacobians, compiled for hexapods, and for others.
+"""Closed-loop equations of struts.
+
+Residuals and Jacobians, compiled for hexapods, and for others.
 
 Each strut closes a loop: commanded length + zero = |R a + t - b|. At constant command a change of the 42 parameters
 moves the pose by J_p = A^-1 D, where A is the struts' Jacobian to the pose and D the loops' to the parameters. Taking
@@ -106,7 +108,10 @@ def _forward_in_place(L: Floats, B: Floats) -> None:
 
 @njit(cache=True)
 def strut_lengths_and_directions(R: Floats, t: Floats, p: Floats, length: Floats, u: Floats, A: Floats) -> None:
-    """Strut lengths into length (6,), directions into u (6, 3), A (6, 6), at pose R, t for parameters p (42,)."""
+    """Strut lengths and directions at a pose, in place.
+
+    Into length (6,), u (6, 3) and A (6, 6), at pose R, t for parameters p (42,).
+    """
     for i in range(6):
         a = p[18 + 3 * i : 21 + 3 * i]
         for k in range(3):
@@ -123,7 +128,10 @@ def strut_lengths_and_directions(R: Floats, t: Floats, p: Floats, length: Floats
 
 @njit(cache=True)
 def forward_kinematics_kernel(command: Floats, p: Floats, R: Floats, t: Floats) -> bool:
-    """Forward kinematics by Newton from pose R (3, 3), t (3,), in place. Returns whether it converged."""
+    """Forward kinematics by Newton from pose R (3, 3), t (3,), in place.
+
+    Returns whether it converged.
+    """
     length, u, A, right = np.empty(6), np.empty((6, 3)), np.empty((6, 6)), np.empty((6, 1))
     reach = 0.3 * np.sqrt(t[0] ** 2 + t[1] ** 2 + t[2] ** 2) + 1e-3
     worst = np.inf
@@ -150,7 +158,10 @@ def forward_kinematics_kernel(command: Floats, p: Floats, R: Floats, t: Floats) 
 
 @njit(cache=True)
 def pose_error_kernel(R: Floats, t: Floats, R_measured: Floats, t_measured: Floats, e: Floats) -> None:
-    """Pose error into e (6,): position (m) and rotation vector (rad) of the measured pose in the predicted one."""
+    """Pose error into e (6,).
+
+    Position (m) and rotation vector (rad) of the measured pose in the predicted one.
+    """
     M = np.empty((3, 3))
     for i in range(3):
         e[i] = 0.0
@@ -167,7 +178,10 @@ def pose_error_kernel(R: Floats, t: Floats, R_measured: Floats, t_measured: Floa
 def whitened_pose_row(
     R: Floats, t: Floats, p: Floats, measured: Measured, scatter: Floats, right: Floats, J: Floats
 ) -> tuple[bool, Floats]:
-    """Whitened row of one pose, docs/mathematics.md (7), in place: error, pose and parameter columns.
+    """Whitened row of one pose, docs/mathematics.md (7), in place.
+
+    Error, pose and parameter columns.
+
     .
 
     R, t : the predicted pose; p : (42,) m; measured : Measured, of one pose; scatter : (6,) m^2 variance of each strut
@@ -205,8 +219,9 @@ def whitened_pose_row(
 def whitened_pose_rows(
     commands: Floats, R: Floats, t: Floats, p: Floats, measured: Measured, scatter: Floats, right: Floats, J: Floats
 ) -> int:
-    """Whitened rows of all poses, as `whitened_pose_row` has them: right (n, 6, 1 + k), J (n, 6, 42).
+    """Whitened rows of all poses, as `whitened_pose_row` has them.
 
+    Right (n, 6, 1 + k), J (n, 6, 42).
     commands : (n, 6) m; measured : Measured, of n poses. Returns the first pose that has no solution or no covariance,
         or -1
     """
@@ -221,8 +236,9 @@ def whitened_pose_rows(
 
 
 def linearised_freedom_equations(samples: Samples, lengths: Floats, mechanism: Parallel, scatter: Floats) -> Linear:
-    """Linearised equations (Linear) of the measured poses at a geometry, in the mechanism's freedoms.
+    """Linearised equations (Linear) of the measured poses at a geometry.
 
+    In the mechanism's freedoms.
     samples : Samples, in these freedoms alone; lengths : (n, axes) m or rad, commanded; scatter : (axes,) of each axis
     beyond the poses' own
     Raises RigError naming the first pose on which the axes do not close

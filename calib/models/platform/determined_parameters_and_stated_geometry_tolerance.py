@@ -1,4 +1,6 @@
-"""Parameter combinations that a platform's poses determine, and the tolerance of its stated geometry.
+"""Determined parameters, and tolerance of the stated geometry.
+
+Parameter combinations that a platform's poses determine.
 
 The widths of these draws, one for the joints' coordinates and one for the zeros, are found by the evidence, so that
 what the poses do not tell rests on a tolerance that they bear out, and what is promised of it too. Source: MacKay,
@@ -43,7 +45,10 @@ class Combination:
 
 
 def parameter_combinations(root: Floats, mechanism: Parallel) -> tuple[tuple[Combination, ...], Visibility]:
-    """Parameter combinations, worst determined first, and Visibility, by the information's root (p, p) 1/m."""
+    """Parameter combinations, worst determined first, and Visibility.
+
+    By the information's root (p, p) 1/m.
+    """
     seen: Visibility = parameter_visibility(root, np.full(root.shape[1], PLAUSIBLE))
     patterns = _patterns(mechanism)
     with np.errstate(divide="ignore"):
@@ -59,7 +64,9 @@ def standard_error_along(root: Floats, direction: Floats) -> float:
 
 
 def frame_motion_columns(mechanism: Hexapod) -> Floats:
-    """Frame motion columns (42, 12): the parameters' change with the base frame and the platform frame.
+    """Frame motion columns (42, 12).
+
+    The parameters' change with the base frame and the platform frame.
 
     Where targets with stated poses hold both frames the poses determine them like any other combination; where an
     instrument stands free, or its tool sits anywhere, they are no different from where it stands and must be held.
@@ -73,7 +80,10 @@ def frame_motion_columns(mechanism: Hexapod) -> Floats:
 
 
 def base_motion_columns(mechanism: Struts) -> Floats:
-    """Base motion columns (p, 6): the parameters' change with the base frame; of two struts (6, 3)."""
+    """Base motion columns (p, 6).
+
+    The parameters' change with the base frame; of two struts (6, 3).
+    """
     if isinstance(mechanism, Hexapod):
         return frame_motion_columns(mechanism)[:, :6]
     out = np.zeros((6, 3))
@@ -175,7 +185,10 @@ def expand_parameter_widths(widths: Floats, counts: tuple[int, int]) -> Floats:
 
 
 def estimate_tolerance_of_stated_geometry(identified: Identified, nominal: Parallel) -> Tolerance:
-    """Estimated tolerance of the owner's stated geometry: probable widths of its errors, 10 um to 5 mm."""
+    """Estimated tolerance of the owner's stated geometry.
+
+    Probable widths of its errors, 10 um to 5 mm.
+    """
     information = identified.root.T @ identified.root
     counts = parameter_group_sizes(nominal)
     right = (

@@ -1,4 +1,6 @@
-"""Identification of a platform's geometry, joint positions and strut zeros, from measured poses.
+"""Identification of a platform's geometry.
+
+Joint positions and strut zeros, from measured poses.
 
 Each strut closes a vector loop: commanded length + zero = |R a + t - b|. The measured pose less the one that the loops
 predict is weighted by the poses' covariance; the errors that all poses share (cameras and lenses) are solved for
@@ -71,8 +73,9 @@ def identify_platform(
     prior: Floats | None = None,
     similar_fit: Identified | None = None,
 ) -> Identified:
-    """Identified platform: joint positions and strut zeros that explain the poses, docs/mathematics.md (7).
+    """Identified platform.
 
+    Joint positions and strut zeros that explain the poses, docs/mathematics.md (7).
     samples : Samples; nominal : where the fit starts and where its prior holds what the poses do not tell
     similar_fit : Identified of nearly the same, to start from instead: the same optimum in fewer steps
     strut_deviations : (n, axes) m or None, known deviations of the struts (commanded less effective), taken off the
@@ -212,7 +215,10 @@ class Loops:
 
 
 def inverse_strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Parallel) -> Floats:
-    """Inverse strut length Jacobian (..., 6, axes): change of the pose's tangent with strut lengths."""
+    """Inverse strut length Jacobian (..., 6, axes).
+
+    Change of the pose's tangent with strut lengths.
+    """
     A = strut_length_jacobian(T_base_platform, mechanism)
     return cast(Floats, np.linalg.inv(A) if A.shape[-2] == 6 else np.linalg.pinv(A))
 

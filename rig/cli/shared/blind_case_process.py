@@ -1,4 +1,6 @@
-"""A case of a blind campaign in a process of its own: drawn, or handed to a command that cannot read its truth.
+"""Blind case in a process of its own.
+
+A case of a campaign: drawn, or handed to a command that cannot read its truth.
 
 Run as `python -m`: PARENT draw OUT INDEX SETTINGS, or PARENT command TRUTH and the command's own words. It does not
 outlive the process PARENT.
@@ -35,7 +37,10 @@ WATCHED = (
 
 
 def forbid_this_process_to_read_folder(folder: str | Path) -> None:
-    """Forbid this process to read a folder: PermissionError from now on (PEP 578; irrevocable)."""
+    """Forbid this process to read a folder.
+
+    PermissionError from now on (PEP 578; irrevocable).
+    """
     closed = os.path.realpath(folder)
 
     def watch(event: str, given: tuple[object, ...]) -> None:
@@ -68,7 +73,7 @@ def draw_blind_case(campaign_folder: Path, index: int, settings: Json) -> None:
 
 def _drawn_case(index: int, settings: Json, folder: Path) -> tuple[Callable[..., None], Floats]:
     """(what writes the truth of a hexapod's case, its effects' strengths), its recording written."""
-    from calib.diagnosis.effect_signal_and_separation import platform_effect_signal_to_noise
+    from calib.diagnosis.effect_signal_to_noise_and_separation import platform_effect_signal_to_noise
     from rig.recording import recording_folder
     from synthetic import blind_cases as blind
 
@@ -92,7 +97,7 @@ def _drawn_case(index: int, settings: Json, folder: Path) -> tuple[Callable[...,
 
 def _drawn_arm_case(index: int, settings: Json, folder: Path) -> tuple[Callable[..., None], Floats]:
     """The same of an arm's case."""
-    from calib.diagnosis.effect_signal_and_separation import arm_effect_signal_to_noise
+    from calib.diagnosis.effect_signal_to_noise_and_separation import arm_effect_signal_to_noise
     from synthetic import blind_arm_cases as blind_arm
 
     case = blind_arm.draw_arm_case(settings["seed"], index, settings["frames"], settings["hide"], settings["effects"])
@@ -105,7 +110,10 @@ def _drawn_arm_case(index: int, settings: Json, folder: Path) -> tuple[Callable[
 
 
 def run_command_without_folder_access(folder: str, command_words: Sequence[str]) -> int:
-    """Run a command of `rig` without access to a folder; returns its exit status."""
+    """Run a command of `rig` without access to a folder.
+
+    Returns its exit status
+    """
     from rig.cli.command_line import main
 
     forbid_this_process_to_read_folder(folder)
@@ -113,9 +121,11 @@ def run_command_without_folder_access(folder: str, command_words: Sequence[str])
 
 
 def main(command_words: Sequence[str]) -> int:
-    """Draw a blind case, or run a command without access to its truth, by command words; returns the exit status.
+    """Draw a blind case, or run a command without access to its truth, by command words.
 
     See the module.
+
+    Returns the exit status
     """
     end_when_parent_ends(int(command_words[0]))
     if command_words[1] == "command":

@@ -14,7 +14,7 @@ from calib.models.arm import certification as arm_certification
 from calib.models.arm.tilt_observations import tilt_report
 from calib.models.chain import certification_and_page as chain_certification
 from calib.workspace.workspace_page import workspace_lines
-from rig.cli.shared.argument_parser_and_common_options import print_frames_without_pose, print_held_out_errors
+from rig.cli.shared.printing_of_held_out_errors import print_frames_without_pose, print_held_out_errors
 from rig.model import mechanisms
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from vision.bundle.adjustment_validation_and_determinacy import NotHeldOut
@@ -44,7 +44,10 @@ def print_measurement(result: MeasurementResult) -> None:
 
 
 def print_uncertainty_of_poses_from_limbs(poses_from_limbs: MeasuredLimbPoses) -> None:
-    """Print the standard uncertainty of platform poses from measuring limbs, and their agreement with vision."""
+    """Print the uncertainty of poses from measuring limbs.
+
+    The standard uncertainty of platform poses, and their agreement with vision.
+    """
     position, rotation = rms_uncertainty(poses_from_limbs.poses.covariance)
     print(
         f"poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad (standard uncertainty, RMS), of "
@@ -153,8 +156,9 @@ def print_calibration_verdict_errors_and_corrections(result: CalibrationResult) 
 
 
 def print_calibration(result: CalibrationResult, promise: float | None) -> None:
-    """Print the summary of a calibration: confounds, promise, workspace and frames without a pose.
+    """Print the summary of a calibration.
 
+    Confounds, promise, workspace and frames without a pose.
     promise : m, whether it is kept
     """
     calibration = result.calibration

@@ -10,7 +10,7 @@ import numpy as np
 from calib.online.live_run_page import RunPage
 from calib.online.observer_of_run_frames import MeasuredFrame, RunDisplay, RunObserver, RunState
 from rig.array_and_json_types import Floats
-from rig.cli.shared.input_options_and_output_display import unescaped_stream
+from rig.cli.shared.output_display import unescaped_stream
 from rig.driving.controller_status_and_limits import ControllerStatus
 from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable
 from rig.model.design import Design
@@ -98,7 +98,10 @@ class TerminalBlockDisplay:
 
 
 def run_state_lines(state: RunState) -> list[str]:
-    """Lines of a RunState for the terminal: progress, strut bars, latest pose, alarms."""
+    """Lines of a RunState for the terminal.
+
+    Progress, strut bars, latest pose, alarms.
+    """
     left = f", {_minutes_and_seconds(state.left)} left" if np.isfinite(state.left) and state.left > 0 else ""
     lines = [f"frame {state.frame} of {state.frames}, step {state.step} of {state.steps}{left}", state.phase]
     for i, (length, goal, (low, high)) in enumerate(zip(state.lengths, state.goal, state.ranges), 1):
@@ -147,13 +150,19 @@ def _minutes_and_seconds(seconds: float) -> str:
 
 
 def terminal_display() -> PlainLineDisplay | TerminalBlockDisplay:
-    """Display for the terminal: a block redrawn in place, or plain lines where standard output is a pipe."""
+    """Display for the terminal.
+
+    A block redrawn in place, or plain lines where standard output is a pipe.
+    """
     return TerminalBlockDisplay() if sys.stdout.isatty() else PlainLineDisplay()
 
 
 @contextmanager
 def run_displays(port: int | None, observer: RunObserver) -> Iterator[list[RunDisplay]]:
-    """Displays of a run: terminal, and the page where a port is given, served while the context lasts."""
+    """Displays of a run (context manager).
+
+    Terminal, and the page where a port is given, served while the context lasts.
+    """
     if port is None:
         yield [terminal_display()]
         return

@@ -1,4 +1,7 @@
-"""Worker options of the commands (--workers, --scheduler), the pool that works for them, and results as they come."""
+"""Worker options of commands, and the pool.
+
+Options --workers and --scheduler, the pool that works for them, and results as they come.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from typing import TypeVar
 
-from rig.cli.shared.input_options_and_output_display import Progress
+from rig.cli.shared.output_display import Progress
 from rig.compute import parallel_map_and_dask_cluster
 from rig.compute.worker_processes import temporary_worker_limit, terminate_child_processes, worker_count
 from rig.errors import RigError
@@ -41,7 +44,7 @@ def add_worker_options(parser: ArgumentParser) -> None:
 
 @contextmanager
 def use_requested_workers(arguments: Namespace) -> Iterator[None]:
-    """Context manager: use the requested number of workers.
+    """Use the requested number of workers (context manager).
 
     BLAS takes one thread, so that their number does not change how sums are rounded.
     Raises RigError for a number of workers that cannot be, and what `use_cluster` raises
@@ -62,7 +65,9 @@ def use_requested_workers(arguments: Namespace) -> Iterator[None]:
 
 @contextmanager
 def worker_pool() -> Iterator[Executor]:
-    """Context manager: pool of workers, threads that wait for processes, or the cluster.
+    """Worker pool of a command (context manager).
+
+    A pool of workers, threads that wait for processes, or the cluster.
 
     Calls not begun are dropped at its end.
     """
@@ -84,7 +89,10 @@ def worker_pool() -> Iterator[Executor]:
 def results_with_progress(
     pool: Executor, function: Callable[..., R], calls: Sequence[tuple[object, ...]], label: str
 ) -> Iterator[R]:
-    """Results of calls as they complete, with progress on standard error. Raises what a call raises."""
+    """Results of calls as they complete, with progress on standard error.
+
+    Raises what a call raises.
+    """
     progress, start = Progress(), time.monotonic()
     waiting = [pool.submit(function, *call) for call in calls]
     for count, future in enumerate(as_completed(waiting), 1):

@@ -1,4 +1,6 @@
-"""Camera interface, the offset of its clock, synchronised grabbing of all cameras, and exposure for markers.
+"""Camera interface, and synchronised grabbing of cameras.
+
+The offset of a camera's clock, and exposure for markers.
 
 Each pair of readings of the host's clock, before and after something that the camera stamped, says that offset = host
 - camera lies between them. Bounds of several meet in a narrower one (Cristian, Distributed Computing 3, 1989); old
@@ -155,9 +157,10 @@ RANGE = (1e-5, 1.0)  # s
 def set_exposure_for_markers(
     source: Source, white_level: Callable[[Pixels], tuple[float, float]], start_exposure: float
 ) -> tuple[float, float]:
-    """Set a camera's exposure such that markers do not clip; returns (exposure in s, white level of 255).
+    """Set a camera's exposure such that markers do not clip.
 
     white_level : (image) -> (level of the markers' white, of 255; share of their pixels that clip); start_exposure : s
+    Returns (exposure in s, white level of 255)
     Raises CameraError where no exposure does it.
     """
     exposure = source.set_exposure(start_exposure)

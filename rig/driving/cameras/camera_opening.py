@@ -1,4 +1,6 @@
-"""Opening of a camera by its source in rig.toml; the sources of a folder of images and of the emulator.
+"""Opening of a camera by its source in rig.toml.
+
+Also the sources of a folder of images and of the emulator.
 
 A request is one line, `expose CAMERA SECONDS`. The answer is one line of JSON, {"width", "height", "bits", "age"} or
 {"error"}, and the pixels, row by row (12 bits: two bytes each, low byte first). age (s): how long before the answer

@@ -1,4 +1,7 @@
-"""GenICam camera (GigE Vision, USB3 Vision) through harvesters: software trigger, hardware timestamps."""
+"""GenICam camera through harvesters.
+
+GigE Vision and USB3 Vision: software trigger, hardware timestamps.
+"""
 
 import os
 import re

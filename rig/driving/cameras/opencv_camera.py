@@ -1,4 +1,7 @@
-"""OpenCV camera (UVC or GStreamer): fresh frames with driver timestamps; check of GStreamer pipelines."""
+"""OpenCV camera (UVC or GStreamer).
+
+Fresh frames with driver timestamps; check of GStreamer pipelines.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,9 @@ CAPS = re.compile(rf"(video|image)/[a-z0-9.+-]+(\(memory:[A-Za-z]+\))?(\s*,\s*[a
 
 
 def gstreamer_pipeline_problem(pipeline: str) -> str | None:
-    """Problem of a GStreamer pipeline as text, None where it only reads, decodes, converts and ends in appsink.
+    """Problem of a GStreamer pipeline as text.
+
+    None where it only reads, decodes, converts and ends in appsink.
 
     Elements are known by name, settings are NAME=VALUE without quotes or blanks, what is asked of the video is as
     video/x-raw,width=640
@@ -178,8 +183,9 @@ def open_opencv_camera(
     size: tuple[int, int],
     settings: CaptureSettings = AS_IT_IS,
 ) -> VideoSource:
-    """Open an OpenCV camera of kind "uvc" (device number or path) or "gstreamer" (pipeline ending in appsink).
+    """Open an OpenCV camera.
 
+    Of kind "uvc" (device number or path) or "gstreamer" (pipeline ending in appsink).
     size : (width, height) px, as rig.toml has them; settings : of a UVC camera. Raises CameraError where it does not
     open or does not take a setting, and for a pipeline that may write (see rig.driving.cameras.opencv_camera).
     """
@@ -217,8 +223,9 @@ OPENING, READING_TIME = 10_000, 5_000  # ms that a network camera may take to an
 
 
 def open_network_camera(name: str, url: str, clock: Clock, size: tuple[int, int]) -> VideoSource:
-    """Open a network camera by its URL: http, https (a stream of JPEG images) or rtsp.
+    """Open a network camera by its URL.
 
+    The URL is http, https (a stream of JPEG images) or rtsp.
     size : (width, height) px, as rig.toml has them. Raises CameraError where it does not answer.
     """
     import cv2

@@ -1,4 +1,7 @@
-"""Cameras of the user's own: a class in a file or package, and a program that is run for each image."""
+"""User's own camera class, and image program.
+
+A class in a file or package, and a program that is run for each image.
+"""
 
 import shlex
 import subprocess
@@ -118,7 +121,10 @@ class CommandSource:
 
 
 def checked_image(image: object, camera: Camera) -> Pixels:
-    """An image of a user's program, where it is one. Raises CameraError for another size or type."""
+    """Checked image of a user's program.
+
+    Raises CameraError for another size or type.
+    """
     if not isinstance(image, np.ndarray) or image.dtype not in (np.uint8, np.uint16) or image.ndim not in (2, 3):
         what = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
         raise CameraError(f"camera {camera.name!r} gives {what}, not an array of uint8 or uint16")

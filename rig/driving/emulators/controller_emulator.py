@@ -1,4 +1,7 @@
-"""Emulator of a controller: bytes received, answers and their delays; log of the true commands."""
+"""Emulator of a controller.
+
+Bytes received, answers and their delays; log of the true commands.
+"""
 
 import heapq
 import itertools

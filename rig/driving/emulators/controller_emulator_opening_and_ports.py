@@ -1,4 +1,7 @@
-"""Opening of a controller emulator from the rig's design, and the ports (terminal, TCP) at which it answers."""
+"""Opening of a controller emulator, and its ports.
+
+From the rig's design; it answers at a terminal or over TCP.
+"""
 
 import os
 import select
@@ -25,7 +28,7 @@ from rig.driving.emulators.user_line_emulator_base import load_user_emulator
 from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod, require_struts
@@ -62,8 +65,11 @@ class EmulatorOptions:
 
 
 def load_emulator(path: Path, options: EmulatorOptions, clock: Clock) -> Emulator:
-    """Emulator of the controller of a rig.toml. Raises RigError for a rig without controller or invalid options."""
-    design = design_file.load_design(path)
+    """Load the emulator of a rig.toml's controller.
+
+    Raises RigError for a rig without controller or invalid options.
+    """
+    design = design_from_rig_toml.load_design(path)
     if design.controller is None:
         raise RigError(f"{path} has no [controller]; an emulator needs its speeds and zeros")
     require_own_rig_toml(path, design)
@@ -125,7 +131,10 @@ def emulator_of_design(
 
 
 def home_lengths(mechanism: Hexapod | Planar2) -> Floats:
-    """Home lengths (n,) m: strut lengths at a Hexapod's home pose; for two struts the middle of their ranges."""
+    """Home lengths (n,) m.
+
+    Strut lengths at a Hexapod's home pose; for two struts the middle of their ranges.
+    """
     home, (base, platform) = mechanism.home_pose, mechanism.strut_joints
     if home is None:
         return mechanism.strut_range.mean(axis=1)

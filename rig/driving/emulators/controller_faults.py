@@ -1,4 +1,7 @@
-"""Faults of an emulated controller, injected once or at a rate per move."""
+"""Faults of an emulated controller.
+
+They are injected once or at a rate per move.
+"""
 
 from dataclasses import dataclass
 
@@ -41,7 +44,9 @@ class FaultOrder:
 
 
 def parse_faults(text: str) -> tuple[FaultOrder, ...]:
-    """Fault orders parsed from text: `KIND` (once) or `KIND:RATE` (chance per move).
+    """Fault orders parsed from text.
+
+    `KIND` (once) or `KIND:RATE` (chance per move).
     Raises RigError.
     """
     kind, _, rate = text.partition(":")

@@ -1,4 +1,7 @@
-"""Conformance of a protocol: its driver against its emulator, through each fault, stops, restarts and cut lines."""
+"""Conformance checks of a driver with its emulator.
+
+Of a protocol: through each fault, stops, restarts and cut lines.
+"""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -21,7 +24,7 @@ from rig.driving.emulators.fault_trials import (
 from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stopped
 from rig.formats.json_toml_and_yaml_loading import toml_entries
-from rig.formats.rig_toml.design_file import design_of_entries, load_design
+from rig.formats.rig_toml.design_from_rig_toml import design_of_entries, load_design
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
 from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, new_rig_toml
@@ -43,8 +46,9 @@ class ConformanceCheck:
 
 
 def check_conformance(design: Design, protocol: str, moves: int = 300, seed: int = 1) -> Iterator[ConformanceCheck]:
-    """Each ConformanceCheck of a protocol, as it is done; only the first where that fails.
+    """Each ConformanceCheck of a protocol, as it is done.
 
+    Only the first where that fails.
     design : a rig of struts with a controller; protocol : as rig.toml states it; moves : with all faults at 5 %
     Raises FileError or RigError for a program of the user's own that cannot be used
     """
@@ -70,8 +74,10 @@ def check_conformance(design: Design, protocol: str, moves: int = 300, seed: int
 
 
 def conformance_design(path: Path | None) -> Design:
-    """The rig on which a protocol is tested: of a rig.toml, or a hexapod. Raises RigError for one without struts or
-    controller, and FileError.
+    """Design on which a protocol's conformance is tested.
+
+    Of a rig.toml, or a hexapod.
+    Raises RigError for one without struts or controller, and FileError.
     """
     if path is None:
         text = new_rig_toml(LayoutOptions(radius=RADIUS))

@@ -1,4 +1,7 @@
-"""Emulated axis motion over time (trapezoidal speed, halts, history) and homing, with limits and faults."""
+"""Emulated axis motion, and homing.
+
+Motion over time (trapezoidal speed, halts, history), with limits and faults.
+"""
 
 import bisect
 import threading

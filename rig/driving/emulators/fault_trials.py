@@ -1,4 +1,7 @@
-"""Many moves through an emulator with faults; the emulator, which counts what it carried out, is the judge."""
+"""Fault trials: many moves through an emulator with faults.
+
+The emulator, which counts what it carried out, is the judge.
+"""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -87,9 +90,11 @@ class MoveCounts:
 def emulated_bench(
     design: Design, protocol: str, orders: Sequence[str] = (), seed: int = 1, **controller: object
 ) -> tuple[Driver, Emulator, TrialClock]:
-    """(driver, emulator, clock) of a design's controller on a simulated clock, the struts 1 mm from home.
+    """Emulated bench of a design's controller.
 
     protocol : as rig.toml states it; orders : faults, KIND or KIND:RATE; controller : other entries of [controller]
+
+    Returns (driver, emulator, clock), on a simulated clock, the struts 1 mm from home
     """
     clock = TrialClock()
     stated: dict[str, Any] = {"protocol": protocol, **controller}
@@ -102,8 +107,10 @@ def emulated_bench(
 def move_counts_with_faults(
     design: Design, protocol: str, orders: Sequence[str], moves: int, seed: int, **controller: object
 ) -> MoveCounts:
-    """MoveCounts of moves to places that are all different, with an operator who homes, unlocks and switches off and on
-    where a move was stopped. Raises ControllerFault for a controller that cannot be brought home again.
+    """MoveCounts of moves with faults, to places that are all different.
+
+    Where a move was stopped, an operator homes, unlocks and switches off and on.
+    Raises ControllerFault for a controller that cannot be brought home again.
     """
     driver, emulator, clock = emulated_bench(design, protocol, orders, seed, **controller)
     home, rng, counts = _home(design), np.random.default_rng(seed + 1), MoveCounts()
@@ -135,13 +142,18 @@ def move_counts_with_faults(
 
 
 def times_executed(emulator: Emulator, before: int, target: Floats) -> int:
-    """How often a move to target (axes,) m was carried out, after the first `before` moves."""
+    """How many times a move to target (axes,) m was executed.
+
+    After the first `before` moves.
+    """
     return sum(bool(np.abs(one.target - target).max() < 1e-5) for one in emulator.machine.executed[before:])
 
 
 def bring_home(driver: Driver, emulator: Emulator) -> None:
-    """What an operator does until the rig is at home again: home; where that fails, clear the alarm; at last switch off
-    and on. Raises ControllerFault where nothing helps.
+    """Bring a rig home again, as an operator does.
+
+    Home; where that fails, clear the alarm; at last switch off and on.
+    Raises ControllerFault where nothing helps.
     """
     for attempt in range(12):
         try:

@@ -1,4 +1,7 @@
-"""Emulated PI controller: General Command Set (GCS) 2.0, closed-loop axes in mm."""
+"""Emulated PI controller (GCS).
+
+General Command Set (GCS) 2.0, closed-loop axes in mm.
+"""
 
 import re
 from collections.abc import Callable, Iterable

@@ -1,4 +1,6 @@
-"""Emulated PI hexapod controller (C-887): GCS with poses, X Y Z in mm and U V W in degrees, by a geometry of its own.
+"""Emulated PI hexapod controller (GCS).
+
+C-887: GCS with poses, X Y Z in mm and U V W in degrees, by a geometry of its own.
 
 The controller computes strut lengths from a pose by its nominal geometry. The machine at its struts is built otherwise.
 A move takes as long as the platform's origin, and its fastest strut, need at the platform's velocity (VLS).

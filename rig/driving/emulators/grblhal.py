@@ -1,4 +1,6 @@
-"""Emulated grblHAL controller: answers to G-code lines and real-time bytes as its firmware gives them.
+"""Emulated grblHAL controller.
+
+Answers to G-code lines and real-time bytes as its firmware gives them.
 
 An error stands until a `$` line or an empty one, as in grblHAL: lines of G-code in between are answered by it and not
 carried out.

@@ -1,4 +1,7 @@
-"""Emulated LinuxCNC (linuxcncrsh over TCP): joint moves, or poses through genhexkins."""
+"""Emulated LinuxCNC controller.
+
+It answers as linuxcncrsh over TCP: joint moves, or poses through genhexkins.
+"""
 
 import re
 

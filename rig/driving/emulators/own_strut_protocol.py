@@ -1,4 +1,7 @@
-"""Emulated firmware of our own strut protocol (docs/protocol.md), sound or with faults."""
+"""Emulated firmware of our own strut protocol.
+
+As docs/protocol.md states it, sound or with faults.
+"""
 
 import re
 

@@ -1,4 +1,7 @@
-"""Base class of the emulator of a user's own protocol: lines, axes, and faults that a driver must meet."""
+"""Base class of the emulator of a user's protocol.
+
+Lines, axes, and faults that a driver must meet.
+"""
 
 from typing import ClassVar
 
@@ -121,7 +124,11 @@ class LineEmulator(Emulator):
 
 
 def load_user_emulator(stated: str) -> type[LineEmulator]:
-    """Emulator class in a user's file or package: "file:PATH" or "package:NAME". Raises FileError, RigError."""
+    """Emulator class in a user's file or package.
+
+    "file:PATH" or "package:NAME".
+    Raises FileError, RigError.
+    """
     kind, path = load_user_class(stated, LineEmulator, GROUP, "emulator")
     for name in ("protocol", "answer"):
         if getattr(kind, name, None) is getattr(LineEmulator, name, None):

@@ -1,4 +1,6 @@
-"""Protocol PI General Command Set (GCS) 2.0: struts as closed-loop axes, errors by `ERR?`.
+"""Protocol PI General Command Set (GCS) 2.0.
+
+Struts are closed-loop axes, errors are read by `ERR?`.
 
 Answers carry no number. After a silence the line is brought in step by `*IDN?`, whose answer cannot be taken for
 another. Source: PI GCS 2.0 manuals (e.g. SM151E, MS204E): `#5`, `#7`, `#24` are single bytes; an answer of several

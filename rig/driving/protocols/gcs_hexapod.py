@@ -1,4 +1,6 @@
-"""Protocol of a PI hexapod's own controller (C-887): GCS 2.0 with poses, X Y Z in mm and U V W in degrees.
+"""Protocol of a PI hexapod's own controller (GCS).
+
+C-887: GCS 2.0 with poses, X Y Z in mm and U V W in degrees.
 
 The controller computes strut lengths from a pose by its nominal geometry, that of rig.toml. So lengths that are wanted
 are commanded as the pose of which this geometry makes them, in the controller's frames and about its pivot point, and
@@ -29,7 +31,10 @@ ORDER, MM = "XYZ", 1e3  # of SciPy: about axes that move along, in the order U, 
 
 
 def gcs_values_of_pose(T: RigidTransform) -> Floats:
-    """(..., 6) X, Y, Z in mm and U, V, W in degrees of poses (...), as a hexapod's controller takes them."""
+    """GCS values (..., 6) of poses (...), as a hexapod's controller takes them.
+
+    X, Y, Z in mm and U, V, W in degrees.
+    """
     return np.concatenate([MM * T.translation, T.rotation.as_euler(ORDER, degrees=True)], axis=-1)
 
 

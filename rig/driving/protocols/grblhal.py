@@ -1,4 +1,6 @@
-"""Protocol grblHAL and Grbl 1.1: struts as linear axes in mm, G-code lines and real-time bytes.
+"""Protocol grblHAL and Grbl 1.1.
+
+Struts are linear axes in mm, commanded by G-code lines and real-time bytes.
 
 Moves are in machine coordinates (G53), so that no work offset matters; scaling would, and is switched off. The feed
 word holds what is known of the position: F0 since a start, F1 once greeted after one, more once homed, confirmed or

@@ -1,4 +1,6 @@
-"""Protocol LinuxCNC (linuxcncrsh over TCP): moves as MDI lines, positions as joints.
+"""Protocol LinuxCNC (linuxcncrsh over TCP).
+
+Moves are MDI lines, positions are of joints.
 
 "joint": each axis word is a strut (trivkins, identity kinematics). "world": poses go through the controller's own
 inverse kinematics (genhexkins with this rig.toml's geometry); what is read back are the joints all the same. An

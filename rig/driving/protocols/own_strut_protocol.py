@@ -1,4 +1,7 @@
-"""Our own strut protocol (docs/protocol.md): numbered frames with checksum, watchdog, single execution."""
+"""Our own strut protocol.
+
+As docs/protocol.md states it: numbered frames with checksum, watchdog, single execution.
+"""
 
 import binascii
 import re
@@ -52,7 +55,8 @@ class Frame:
 
 
 def encode_frame(direction: str, number: int | None, text: str) -> bytes:
-    """Encode a numbered text as a frame. direction : ">" to the controller, "<" from it.
+    """Encode a numbered text as a frame.
+
     direction : ">" to the controller, "<" from it.
     """
     body = f"{'-' if number is None else number} {text}"

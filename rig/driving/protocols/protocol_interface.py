@@ -1,4 +1,7 @@
-"""Interface of controller protocols: dialogues that yield request bytes and receive answer lines."""
+"""Interface of controller protocols.
+
+Dialogues that yield request bytes and receive answer lines.
+"""
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
@@ -125,8 +128,9 @@ def pause_dialogue(seconds: float = POLL) -> Dialogue[None]:
 
 
 def await_homed(begun: Verdict, state: Callable[[], Dialogue[State]], timeout: float) -> Dialogue[Verdict]:
-    """Dialogue that waits, timeout s at the most, until a controller that reports states is homed or refuses.
+    """Dialogue that waits until a controller is homed or refuses.
 
+    A controller that reports states; timeout s at the most.
     begun : what its home command came to; state : asks for its State
     """
     for _ in range(max(int(timeout / POLL), 1)):
@@ -142,7 +146,10 @@ def await_homed(begun: Verdict, state: Callable[[], Dialogue[State]], timeout: f
 
 
 def await_stopped(state: Callable[[], Dialogue[State]], command: str) -> Dialogue[Verdict]:
-    """Dialogue that waits, REST s at the most, until a controller that reports states rests after a stop command."""
+    """Dialogue that waits until a controller rests after a stop command.
+
+    A controller that reports states; REST s at the most.
+    """
     for _ in range(int(REST / POLL)):
         if (yield from state()).activity not in ("moving", "homing"):
             return Verdict(True)
@@ -151,14 +158,19 @@ def await_stopped(state: Callable[[], Dialogue[State]], command: str) -> Dialogu
 
 
 def is_never_complete(lines: Sequence[str]) -> bool:
-    """Whether answer lines are complete: never, so that the whole timeout is awaited."""
+    """Whether answer lines are complete, which they never are.
+
+    Never, so that the whole timeout is awaited.
+    """
     return False
 
 
 def query_dialogue(
     data: bytes, is_complete: Callable[[Sequence[str]], bool], timeout: float | None = None, tries: int = TRIES
 ) -> Dialogue[tuple[str, ...]]:
-    """Dialogue of a query that moves nothing: returns the answer lines, repeated up to `tries` times.
+    """Dialogue of a query that moves nothing.
+
+    Returns the answer lines, repeated up to `tries` times
     Raises NoAnswer with the question.
     """
     for _ in range(tries):

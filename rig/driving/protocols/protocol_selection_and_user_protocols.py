@@ -1,4 +1,7 @@
-"""Selection of the protocol that rig.toml states; one of the user's own is loaded, checked, and guarded."""
+"""Selection of the protocol, and user protocols.
+
+The protocol is the one that rig.toml states; a user's own is loaded, checked, and guarded.
+"""
 
 import inspect
 from collections.abc import Callable
@@ -40,8 +43,9 @@ TEXTS = ("name", "accepted", "refused", "stop_line")  # that a class must state
 
 
 def protocol_of_controller(controller: Controller, mechanism: StrutMechanism) -> Protocol:
-    """The Protocol of a controller that drives a mechanism's axes. A program of the user's own is run for it.
+    """The Protocol of a controller that drives a mechanism's axes.
 
+    A program of the user's own is run for it.
     Raises ValueError for a protocol that there is not, FileError and RigError for a program that cannot be used
     """
     axis_count = len(mechanism.axes)
@@ -67,7 +71,11 @@ def protocol_of_controller(controller: Controller, mechanism: StrutMechanism) ->
 
 
 def load_user_protocol(controller: Controller, count: int) -> LineProtocol:
-    """The protocol of `[controller] protocol = "file:.."` or "package:..". Raises FileError with the line."""
+    """Load the user's protocol of `[controller] protocol`.
+
+    It states "file:.." or "package:..".
+    Raises FileError with the line.
+    """
     kind, path = load_user_class(controller.protocol, LineProtocol, GROUP, "protocol")
     if "_guarded" not in vars(kind):
         _check(kind, path)

@@ -1,4 +1,6 @@
-"""Base class of a user's own protocol: requests and answers are lines of text; the base has what each driver needs.
+"""Base class of a user's own line protocol.
+
+Requests and answers are lines of text; the base has what each driver needs.
 
 A question moves nothing and is asked again where no answer comes. A command is sent once, and its answer decides.
 """
@@ -143,7 +145,12 @@ class LineProtocol:
 
 
 def state_problem(state: object, count: int) -> str | None:
-    """What is wrong with a State that a user's protocol gave, for `count` axes; None where nothing is."""
+    """Problem with a State that a user's protocol gave.
+
+    For `count` axes.
+
+    None where nothing is.
+    """
     if not isinstance(state, State):
         return f"gave {type(state).__name__}, not a State"
     if state.activity not in ACTIVITIES:

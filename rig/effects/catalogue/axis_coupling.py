@@ -1,4 +1,7 @@
-"""Axis coupling: an axis takes part in another's travel, by wrist gears, a cable, a shared belt."""
+"""Axis coupling: an axis takes part in another's travel.
+
+By wrist gears, a cable, a shared belt.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self

@@ -1,4 +1,7 @@
-"""Backlash (lost motion): the axis follows its command only once the gap is taken up."""
+"""Backlash (lost motion) of an axis.
+
+The axis follows its command only once the gap is taken up.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar

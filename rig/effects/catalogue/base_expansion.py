@@ -1,4 +1,7 @@
-"""Base expansion: the base plate grows with the room's temperature, its joints move outward."""
+"""Base expansion with temperature.
+
+The base plate grows with the room's temperature, its joints move outward.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar

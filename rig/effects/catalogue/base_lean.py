@@ -1,4 +1,7 @@
-"""Base lean: what the machine stands on, a column or a floor, turns elastically under the weight that it carries."""
+"""Base lean under weight.
+
+What the machine stands on, a column or a floor, turns elastically under the weight that it carries.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -101,7 +104,9 @@ class BaseLean(Effect):
 
 
 def lean_under_link_weight(motion: Motion) -> BaseLean | None:
-    """Lean of an arm's base under the weight of its links, as a fit begins; None where nothing shows it.
+    """Lean of an arm's base under the weight of its links, as a fit begins.
+
+    None where nothing shows it.
 
     Its terms are those that the recording's postures and payloads separate: the links' moments stand for all that the
     arm weighs, and the compliance is a term of its own where a payload varies.

@@ -1,4 +1,7 @@
-"""Camera bump: one camera is knocked at a moment and stands elsewhere from then on."""
+"""Camera bump: one camera is knocked at a moment.
+
+It stands elsewhere from then on.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

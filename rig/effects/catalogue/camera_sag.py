@@ -1,4 +1,7 @@
-"""Camera sag: a camera's mount yields to its own weight as gravity turns in the base's frame."""
+"""Camera sag: a camera's mount yields to its own weight.
+
+As gravity turns in the base's frame.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +13,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.effect_parameters_and_covariates import Context, Linear, Parameter
 from rig.errors import RigError
-from rig.model.base_tilt import GRAVITY, has_gravity, logged_gravity
+from rig.model.base_and_link_tilts import GRAVITY, has_gravity, logged_gravity
 from rig.model.design import Camera
 from rig.model.effect_places_and_part_tolerances import Place
 

@@ -152,6 +152,9 @@ class Compliance(Effect):
 
 
 def places_loaded_by_links_only(context: Context) -> tuple[str, ...]:
-    """Places of axes that only the links load: their load is known through the links' masses."""
+    """Places of axes that only the links load.
+
+    Their load is known through the links' masses.
+    """
     motion = context.moved()
     return motion.places if motion is not None and motion.no_loads() and motion.links().shape[2] else ()

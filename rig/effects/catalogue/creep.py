@@ -1,4 +1,7 @@
-"""Creep: an axis moves on slowly after each move, its last part arriving exponentially with a time constant."""
+"""Creep: an axis moves on slowly after each move.
+
+Its last part arrives exponentially, with a time constant.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -6,7 +9,7 @@ from typing import ClassVar
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect_parameters_and_covariates import Parameter
 from rig.effects.framework.machine_motion_and_play import Motion, lagged_path
-from rig.effects.framework.weighted_sums_of_one_law import WeightedSum, shares_parameter
+from rig.effects.framework.sums_of_law_members import WeightedSum, shares_parameter
 
 SPREAD = 5.0  # times as long as the one before, each further time constant
 

@@ -1,4 +1,7 @@
-"""Cyclic error: periodic in the screw or gear, it repeats with every turn."""
+"""Cyclic error of a screw or gear.
+
+It repeats with every turn.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

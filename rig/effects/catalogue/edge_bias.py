@@ -1,4 +1,7 @@
-"""Edge bias: exposure or print shifts every edge of the black square inward by so many pixels."""
+"""Edge bias: marker edges seen displaced.
+
+Exposure or print shifts every edge of the black square inward by so many pixels.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar

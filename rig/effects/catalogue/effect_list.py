@@ -1,4 +1,7 @@
-"""List of all effects (a file and a line here add one everywhere), described as text, JSON and Markdown."""
+"""List of all effects.
+
+A file and a line here add one everywhere. Effects are described as text, JSON and Markdown.
+"""
 
 import textwrap
 from collections.abc import Iterable, Mapping
@@ -102,7 +105,10 @@ class Plugin:
 
 
 def catalogue_with_files(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
-    """Catalogue {name: class} with the effects of user files (plugins) added. Raises FileError for a name twice."""
+    """Catalogue {name: class} with the effects of user files (plugins) added.
+
+    Raises FileError for a name twice.
+    """
     out: dict[str, type[Effect]] = dict(BY_NAME)
     where: dict[str, Path] = {}
     for plugin in plugins:
@@ -130,17 +136,26 @@ NARROWEST = 100  # characters, below which columns are no longer read
 
 
 def deflection_under_link_weight(place: str, moments: tuple[float, ...]) -> Effect:
-    """The effect by which a joint gives way to the weight of its links: mass and mass moments over its stiffness."""
+    """The effect by which a joint gives way to the weight of its links.
+
+    Mass and mass moments over its stiffness.
+    """
     return Compliance(place, moments=moments)
 
 
 def link_weight_moments(effect: Effect) -> tuple[float, ...]:
-    """Mass and mass moments over the stiffness of a `deflection_under_link_weight`; none of any other effect."""
+    """Mass and mass moments over the stiffness of a `deflection_under_link_weight`.
+
+    None of any other effect.
+    """
     return effect.moments if isinstance(effect, Compliance) else ()
 
 
 def effect_description_dict(effect: type[Effect]) -> Json:
-    """Description of an effect class as a dict of plain values, for JSON: places, parameters, experiment."""
+    """Description of an effect class as a dict of plain values, for JSON.
+
+    Places, parameters, experiment.
+    """
     return {
         "name": effect.name,
         "stage": effect.stage,
@@ -272,7 +287,10 @@ as seen, near ones (large) and farther ones, a stroke at each marker's first cor
 
 
 def catalogue_markdown(effects: Iterable[type[Effect]] = ALL, sketches: Mapping[str, str] | None = None) -> str:
-    """The catalogue in Markdown, stage by stage. sketches : {name: Markdown of its sketch}"""
+    """The catalogue in Markdown, stage by stage.
+
+    sketches : {name: Markdown of its sketch}
+    """
     found, drawn = list(effects), sketches or {}
     parts = [HEAD, SKETCHED if drawn else ""]
     for stage, meaning in STAGES.items():

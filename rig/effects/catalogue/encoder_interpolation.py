@@ -1,4 +1,7 @@
-"""Encoder interpolation: a scale's signals are interpolated wrongly, the same in each of its many periods."""
+"""Encoder interpolation error.
+
+A scale's signals are interpolated wrongly, the same in each of its many periods.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -91,7 +94,10 @@ class EncoderInterpolation(Effect):
 
 
 def fewest_encoder_periods_distinct_from_screw_error(motion: Motion) -> float:
-    """Fewest periods per metre of an encoder; with fewer it would be the screw's cyclic error."""
+    """Fewest periods per metre of an encoder.
+
+    With fewer it would be the screw's cyclic error.
+    """
     return max(FEWEST, OF_SCREW / (motion.actuator.screw_lead or np.inf))
 
 

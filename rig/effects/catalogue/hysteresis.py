@@ -1,4 +1,7 @@
-"""Hysteresis of friction and springs in a drive: nested loops that do not saturate at one gap."""
+"""Hysteresis of friction and springs in a drive.
+
+Nested loops that do not saturate at one gap.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -14,7 +17,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     travel_covariate,
 )
 from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
-from rig.effects.framework.weighted_sums_of_one_law import WeightedSum, shares_parameter
+from rig.effects.framework.sums_of_law_members import WeightedSum, shares_parameter
 from rig.model.effect_places_and_part_tolerances import Place
 
 PLAYS = 8  # operators that stand for the continuum

@@ -1,4 +1,7 @@
-"""Joint clearance: a loose joint settles on one side or the other, as the axis pushes or pulls."""
+"""Joint clearance: play of a loose joint.
+
+It settles on one side or the other, as the axis pushes or pulls.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,4 +1,7 @@
-"""Joint offset: a cardan joint's two axes do not meet, so the strut's end moves as it turns; no zero offset."""
+"""Joint offset: a cardan joint's two axes do not meet.
+
+The strut's end moves as the joint turns; this is no zero offset.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -18,7 +21,8 @@ from rig.effects.framework.effect_parameters_and_covariates import (
 )
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_plate_axes, require_hexapod
+from rig.model.mechanisms.hexapod_singularity_and_cardan_twist import cardan_plate_axes
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 
 BALL = "cardan-ball"
 CARDANS = {"cardan-cardan": (0.0, 1.0), BALL: (0.0,)}  # ends that have one, by [actuator] joints

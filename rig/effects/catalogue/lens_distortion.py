@@ -1,4 +1,7 @@
-"""Lens distortion beyond the stated model: missing terms, or a smooth warp of the image."""
+"""Lens distortion beyond the stated model.
+
+Missing terms, or a smooth warp of the image.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,7 @@
-"""Marker flatness: one corner of a marker stands off its plane, since the paper is lifted or bent."""
+"""Marker flatness: a marker is not plane.
+
+One corner stands off its plane, since the paper is lifted or bent.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -7,7 +10,7 @@ import numpy as np
 
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Drawing, Parameter, draw_number
-from rig.effects.framework.marker_table import Markers, replace_marker_columns
+from rig.effects.framework.marker_table_interface import Markers, replace_marker_columns
 from rig.model.effect_places_and_part_tolerances import Place
 
 CORNERS = 4

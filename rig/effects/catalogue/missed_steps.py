@@ -1,14 +1,18 @@
-"""Missed steps: from one moment on, an axis is off by whole motor steps."""
+"""Missed steps of an axis' motor.
 
-from dataclasses import dataclass
+From one moment on, the axis is off by whole motor steps.
+"""
+
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter, time_covariate
+from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_parameters_and_covariates import Context, Covariate, Parameter, time_covariate
 from rig.effects.framework.machine_motion_and_play import Motion
+from rig.model.effect_places_and_part_tolerances import Place
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,3 +42,11 @@ class MissedSteps(Effect):
 
     def covariate(self, motion: Motion) -> Covariate:
         return time_covariate(motion)
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        found = super(MissedSteps, cls).candidates(place, context)
+        if Place.parse(place).is_axis:
+            return found
+        axes = len(context.moved().places)  # that all miss the same steps at once is a coincidence for each of them
+        return [replace(candidate, extra=candidate.extra + axes - 1) for candidate in found]

@@ -1,4 +1,7 @@
-"""Screw coupling: the platform's cardan turns the nut, so twist of the joints becomes strut length."""
+"""Screw coupling: twist of the joints becomes strut length.
+
+The platform's cardan turns the nut.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -16,7 +19,8 @@ from rig.effects.framework.effect_parameters_and_covariates import (
 )
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_twist_angles_about_struts, require_hexapod
+from rig.model.mechanisms.hexapod_singularity_and_cardan_twist import cardan_twist_angles_about_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 
 
 @dataclass(frozen=True, slots=True)

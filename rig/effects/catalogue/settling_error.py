@@ -1,4 +1,7 @@
-"""Settling error: an axis is photographed before it has arrived; a fixed part of its last step is missing."""
+"""Settling error: an axis is photographed before it has arrived.
+
+A fixed part of its last step is missing.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar

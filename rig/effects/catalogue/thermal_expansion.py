@@ -1,4 +1,7 @@
-"""Thermal expansion: struts, or an arm's links, grow with their logged temperature."""
+"""Thermal expansion of struts, or of an arm's links.
+
+They grow with their logged temperature.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,4 +1,7 @@
-"""Time offset between the cameras' and the commands' clock, from the start or from a moment on."""
+"""Time offset between the cameras' and the commands' clock.
+
+From the start or from a moment on.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar

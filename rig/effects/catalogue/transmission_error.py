@@ -1,4 +1,7 @@
-"""Transmission error of a screw, gear or encoder: a profile that repeats with an axis' own position."""
+"""Transmission error of a screw, gear or encoder.
+
+A profile that repeats with an axis' own position.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -120,7 +123,10 @@ class TransmissionError(Effect):
 
 
 def cubic_spline_values(q: Floats, span: tuple[float, ...] | Floats, values: Floats) -> Floats:
-    """Values (n, ...) at q (n,) of natural cubic splines through values (knots, ...) at even knots over a span."""
+    """Values (n, ...) of cubic splines at q (n,).
+
+    Natural splines through values (knots, ...) at even knots over a span.
+    """
     low, high = span
     return scipy.interpolate.CubicSpline(np.linspace(low, high, len(values)), values, bc_type="natural")(
         np.clip(q, low, high)

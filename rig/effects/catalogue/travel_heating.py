@@ -1,4 +1,7 @@
-"""Travel heating: an axis is warmed by its own travel and cools at rest, so it grows by how much it has moved."""
+"""Travel heating: an axis is warmed by its own travel.
+
+It cools at rest, so it grows by how much it has moved.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,4 +1,7 @@
-"""Vibration of the platform: a sinusoid in time, sampled at the exposures."""
+"""Vibration of the platform.
+
+A sinusoid in time, sampled at the exposures.
+"""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self

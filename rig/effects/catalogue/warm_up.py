@@ -1,4 +1,7 @@
-"""Warm-up: axes move while the machine warms up without a logged temperature."""
+"""Warm-up: axes move while the machine warms up.
+
+There is no logged temperature of it.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -8,7 +11,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter, time_covariate
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.effects.framework.weighted_sums_of_one_law import WeightedSum, shares_parameter
+from rig.effects.framework.sums_of_law_members import WeightedSum, shares_parameter
 
 SPREAD = 3.0  # times as long as the first, the second time constant
 

@@ -1,4 +1,6 @@
-"""Effect, the base class: name, place, parameters with units and bounds, and a hook at the stage where it acts.
+"""Effect, the base class of all effects.
+
+Name, place, parameters with units and bounds, and a hook at the stage where it acts.
 
 Stages, in the order in which a command becomes a corner: `command` (axis commands and their times), `struts` (what
 the axes, struts or joints, do beyond that), `structure` (what the frame and platform do), `targets` (where markers
@@ -32,7 +34,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     signed_size_nodes,
 )
 from rig.effects.framework.machine_motion_and_play import SOON, Motion, Path
-from rig.effects.framework.marker_table import Markers
+from rig.effects.framework.marker_table_interface import Markers
 from rig.errors import RigError
 from rig.model.design import Camera
 from rig.model.effect_places_and_part_tolerances import AXES, Place, Tolerance, axis_mask

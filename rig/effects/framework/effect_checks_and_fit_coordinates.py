@@ -1,4 +1,7 @@
-"""Checks of an effect's place and parameters, and the coordinates in which a fit changes its parameters."""
+"""Checks of an effect, and its fit coordinates.
+
+Checks are of place and parameters; in the coordinates a fit changes its parameters.
+"""
 
 import re
 from dataclasses import dataclass
@@ -144,7 +147,10 @@ def coordinates_of_effects(effects: tuple[Effect, ...]) -> list[Coordinate]:
 def effects_with_coordinates(
     effects: tuple[Effect, ...], coordinates: list[Coordinate], values: Floats
 ) -> tuple[Effect, ...] | None:
-    """The effects with their coordinates at values (c,), in their written form; None where one cannot be so."""
+    """The effects with their coordinates at values (c,), in their written form.
+
+    None where one cannot be so.
+    """
     out = list(effects)
     for c, value in zip(coordinates, values.tolist()):
         out[c.effect] = c.written(out[c.effect], value)
@@ -155,7 +161,10 @@ def effects_with_coordinates(
 
 
 def conserved_coordinate_sums(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> Floats:
-    """Conserved coordinate sums (k, c): sums that a fit must leave as they are, as the effects state them."""
+    """Conserved coordinate sums (k, c).
+
+    Sums that a fit must leave as they are, as the effects state them.
+    """
     rows = [
         [row.get((c.name, c.index), 0.0) * (c.effect == number) for c in coordinates]
         for number, effect in enumerate(effects)
@@ -178,14 +187,20 @@ def _step(p: Parameter) -> float:
 
 
 def prior_precision(parameter: Parameter, index: int | None) -> float:
-    """Prior precision of a parameter, 1 / standard deviation; 0 for a scalar or a direction."""
+    """Prior precision of a parameter, 1 / standard deviation.
+
+    0 for a scalar or a direction.
+    """
     if index is None or parameter.role == "direction":
         return 0.0
     return 1 / ((SWALLOWED if parameter.name in ("terms", "warp") else LOOSE) * parameter.usual[1])
 
 
 def cost_of_priors(effects: tuple[Effect, ...]) -> float:
-    """Cost of the priors on the effects' vector parameters: sum of squares in prior standard deviations."""
+    """Cost of the priors on the effects' vector parameters.
+
+    Sum of squares in prior standard deviations.
+    """
     return float(
         sum(
             np.sum((np.asarray(getattr(e, p.name)) * prior_precision(p, 0)) ** 2)

@@ -1,4 +1,7 @@
-"""Effect parameters and covariates as data types, with recording context and linear columns."""
+"""Effect parameters and covariates as data types.
+
+With recording context and linear columns.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -46,7 +49,7 @@ class ControllerTerm:
 
 
 def controller_channel(name: str) -> str:
-    """The value of a sensor channel in C."""
+    """C expression of a controller's sensor channel."""
     return f"channels[RIG_{name.upper()}]"
 
 
@@ -113,7 +116,10 @@ EDGE = 4  # frames at either end that a moment leaves
 
 
 def parameter_grid(parameter: Parameter, t: Floats) -> list[float]:
-    """Grid of values of a parameter to be tried, by its role and usual size; t : (n,) s, the exposures."""
+    """Grid of values of a parameter to be tried, by its role and usual size.
+
+    t : (n,) s, the exposures
+    """
     low, high = parameter.usual
     if parameter.tried:
         return list(parameter.tried)
@@ -161,7 +167,10 @@ class Drawing:
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """Log-uniform random number between low and high: every order of magnitude as likely."""
+    """Log-uniform random number between low and high.
+
+    Every order of magnitude as likely.
+    """
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
@@ -179,7 +188,10 @@ def draw_parameter(parameter: Parameter, drawing: Drawing, rng: np.random.Genera
 
 
 def draw_number(parameter: Parameter, drawing: Drawing, rng: np.random.Generator) -> float:
-    """Number of a scalar parameter drawn at random over its usual range. Raises ValueError for a vector."""
+    """Number of a scalar parameter drawn at random over its usual range.
+
+    Raises ValueError for a vector.
+    """
     drawn = draw_parameter(parameter, drawing, rng)
     if isinstance(drawn, tuple):
         raise ValueError(f"{parameter.name} has {len(drawn)} numbers")
@@ -242,7 +254,10 @@ def travel_covariate(values: Floats, motion: Motion, label: str, unit_suffix: st
 
 
 def load_covariate(values: Floats, motion: Motion, label: str) -> Covariate:
-    """Covariate of load: values (n, axes) N or N m that the axes carry, with a label."""
+    """Covariate of load.
+
+    Values (n, axes) N or N m that the axes carry, with a label.
+    """
     kind = motion.kind
     per = {"m": ("force", "N"), "rad": ("torque", "N m")}
     names, units = (dict.fromkeys(per[unit][k] for unit in motion.units) for k in (0, 1))
@@ -250,12 +265,18 @@ def load_covariate(values: Floats, motion: Motion, label: str) -> Covariate:
 
 
 def time_covariate(motion: Motion) -> Covariate:
-    """Covariate of time: minutes since the first exposure."""
+    """Covariate of time.
+
+    Minutes since the first exposure.
+    """
     return Covariate((motion.t - motion.t[0]) / 60, "time, min")
 
 
 def temperature_covariate(values: Floats, part: str) -> Covariate:
-    """Covariate of temperature: values (n,) or (n, axes) of a part in degrees Celsius."""
+    """Covariate of temperature.
+
+    Values (n,) or (n, axes) of a part in degrees Celsius.
+    """
     return Covariate(values, f"temperature of {part}, °C")
 
 
@@ -276,7 +297,10 @@ class Linear(NamedTuple):
 def parameter_values(
     linear: Sequence[Linear], node: Node, coefficients: Floats, parameters: Sequence[Parameter]
 ) -> dict[str, object]:
-    """Values {parameter: value} of an effect, from a grid node and coefficients (q,) of its linear columns."""
+    """Values {parameter: value} of an effect.
+
+    From a grid node and coefficients (q,) of its linear columns.
+    """
     values, by = dict(node), {p.name: p for p in parameters}
     vectors = {name: np.zeros(by[name].size or node[COUNT]) for name, index, _ in linear if index is not None}
     for (name, index, _), c in zip(linear, coefficients):
@@ -298,8 +322,11 @@ def parameter_values(
 
 
 def quadrature_columns(travel: Floats, own: Booleans, rates: Sequence[float], phases: Sequence[float]) -> Floats:
-    """(k, n, axes, 2) sine and cosine of rate * travel (n, axes) + phase, of rates and phases (k,), at own axes
-    (axes,).
+    """Quadrature columns (k, n, axes, 2): sine and cosine of rate * travel + phase.
+
+    Travel (n, axes).
+
+    Of rates and phases (k,), at own axes (axes,).
     """
     angle = np.array(rates)[:, None, None] * travel[:, own] + np.array(phases)[:, None, None]
     out = np.zeros((len(rates), *travel.shape, 2))

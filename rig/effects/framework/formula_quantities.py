@@ -1,4 +1,7 @@
-"""Quantities of a machine's motion that a formula may use: name, unit, values and Python code of each."""
+"""Quantities that a formula may use.
+
+Of a machine's motion: name, unit, values and Python code of each.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -35,7 +38,10 @@ class Quantity:
 
 
 def quantity_by_name(name: str, axis_word: str) -> Quantity:
-    """The Quantity of a name on a machine whose axes are called axis_word (strut, joint, slide), or a channel."""
+    """The Quantity of a name on a machine.
+
+    Its axes are called axis_word (strut, joint, slide); or a channel.
+    """
     unit = "rad" if axis_word == "joint" else "m"
     if name in OWN:
         return _own(name, unit, axis_word)
@@ -142,7 +148,10 @@ def _own(name: str, unit: str, word: str) -> Quantity:
 
 
 def quantities_of_motion(motion: Motion, per_axis: bool) -> list[Quantity]:
-    """Quantities of a Motion: per axis, or of the platform's pose; with time and logged channels."""
+    """Quantities of a Motion.
+
+    Per axis, or of the platform's pose; with time and logged channels.
+    """
     word = motion.kind.AXIS
     names = [name for name in OWN if name != "own load" or motion.no_loads() is None] if per_axis else []
     names += [f"travel of {place}" for place in motion.places] if per_axis else []

@@ -1,4 +1,4 @@
-"""Motion of the machine as effects see it: the commanded path, the state at the exposures, and play along it."""
+"""Motion of the machine as effects see it, and play along it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -17,7 +17,7 @@ from rig.effects.framework.weight_of_platform_and_hands import (
 )
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.base_tilt import gravity_at_exposures
+from rig.model.base_and_link_tilts import gravity_at_exposures
 from rig.model.design import Actuator, Platform
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, MechanismKinematics, has_links
 from rig.recording.recording_folder import PAYLOAD, Sensors

@@ -1,4 +1,7 @@
-"""Effects proportional to a travel from home, whose proportion may grow along it: a scale with a curvature."""
+"""Scale with a curvature, a base of effects.
+
+They are proportional to a travel from home, and their proportion may grow along it.
+"""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING

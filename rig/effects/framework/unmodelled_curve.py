@@ -1,4 +1,6 @@
-"""Smooth curves that stand for what no effect of the catalogue explains: over time, travel, a loop or a sensor.
+"""Unmodelled smooth curve, as an effect.
+
+It stands for what no effect of the catalogue explains: over time, travel, a loop or a sensor.
 
 They act as effects do, and are stored with a calibration as such; no search for names knows of them.
 """
@@ -149,23 +151,28 @@ def _words(over: str) -> str:
 
 
 def covariate_words(effect: Effect) -> str:
-    """What a curve, as an effect, is over, in words."""
+    """Words for what a curve, as an effect, is over."""
     return _words(effect.name.removeprefix(PREFIX))
 
 
 def _restored(over: str, place: str, values: Mapping[str, object]) -> UnmodelledCurve:
-    return unmodelled_curve(over)(place, **values)  # type: ignore[arg-type]
+    return curve_class_over_covariate(over)(place, **values)  # type: ignore[arg-type]
 
 
 @cache
-def unmodelled_curve(over: str) -> type[UnmodelledCurve]:
-    """The class of curves over a covariate: TIME, TRAVEL, HISTORY, one of POSE or a sensor channel."""
+def curve_class_over_covariate(over: str) -> type[UnmodelledCurve]:
+    """Class of the curves over a covariate.
+
+    TIME, TRAVEL, HISTORY, one of POSE or a sensor channel.
+    """
     own = {"__slots__": (), "over": over, "name": PREFIX + over, "on_pose": over in POSE, "sudden": over == TIME}
     return type("UnmodelledCurve", (UnmodelledCurve,), own)
 
 
-def unmodelled_curves(channels: tuple[str, ...]) -> dict[str, type[UnmodelledCurve]]:
-    """{name: class} of the curves that sensor channels allow, those over time and motion among them; a channel that is
-    called like one of these has none.
+def curve_classes_by_covariate(channels: tuple[str, ...]) -> dict[str, type[UnmodelledCurve]]:
+    """Curve classes by covariate, {name: class}.
+
+    Those that sensor channels allow, those over time and motion among them. A channel that is called like one of these
+    has none.
     """
-    return {kind.name: kind for kind in map(unmodelled_curve, dict.fromkeys((*OWN, *channels)))}
+    return {kind.name: kind for kind in map(curve_class_over_covariate, dict.fromkeys((*OWN, *channels)))}

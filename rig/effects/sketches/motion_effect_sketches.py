@@ -1,4 +1,7 @@
-"""Sketches of effects on motion: an example of usual size run on one hexapod, and its figures."""
+"""Sketches of effects on motion.
+
+An example of usual size run on one hexapod, and its figures.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -15,15 +18,15 @@ from rig.effects.framework.effect_parameters_and_covariates import Drawing, Para
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
 from rig.formats.json_toml_and_yaml_loading import toml_entries
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
-from rig.model.base_tilt import BaseTilt
+from rig.model.base_and_link_tilts import BaseTilt
 from rig.model.design import Camera, Design
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.pose import exp, pose_difference
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording.recording_folder import PAYLOAD, Commands, Sensors, sensors_with_gravity
-from rig.report.pages.page_templates_and_elements import TEXT, WIDTH, svg_figure, svg_text
+from rig.report.pages.html_and_svg_elements import TEXT, WIDTH, svg_figure, svg_text
 from rig.report.pages.plots import Series, plot_panel_svg
 
 RADIUS, LEAD, PAYLOAD_AT = (
@@ -51,7 +54,7 @@ WARM, LOADED, TILTED = 20.0, 6.0, 60.0  # K, kg and degrees, by which temperatur
 @dataclass(frozen=True, slots=True)
 class Sketch:
     """What an effect does. words : where it sits and how large it is; figures : one or two, as
-    rig.report.pages.page_templates_and_elements makes them.
+    rig.report.pages.page_templates_and_index_page makes them.
     """
 
     words: str
@@ -79,8 +82,9 @@ def example_run_with_effect(
     design: Design | None = None,
     displaced: Callable[[Effect, Camera], float] = lambda effect, camera: 1.0,
 ) -> ExampleRun:
-    """Example run (ExampleRun) with an effect of a kind at a place, `factor` times its largest usual size.
+    """Example run (ExampleRun) with an effect of a kind at a place.
 
+    `factor` times its largest usual size.
     design : the Design with the cameras and targets that it may sit at, by default none; displaced : see Drawing.
 
         Raises
@@ -107,7 +111,7 @@ def example_run_with_effect(
 @cache
 def sketch_hexapod() -> Design:
     """Design of the hexapod used in all sketches, with an off-centre payload."""
-    design = design_file.design_of_entries(
+    design = design_from_rig_toml.design_of_entries(
         toml_entries(
             hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(RADIUS, cameras=1, cubes=1), Path("layout")
         )
@@ -318,7 +322,10 @@ def enlargement_text(text: str, factor: float) -> str:
 
 
 def largest_suitable_unit(size: float, units: dict[float, str]) -> tuple[float, str]:
-    """Largest of the units in which a size is 2 or more: (value, unit)."""
+    """Largest of the units in which a size is 2 or more.
+
+    Returns (value, unit)
+    """
     return next(
         ((value, name) for value, name in sorted(units.items(), reverse=True) if size >= 2 * value), min(units.items())
     )

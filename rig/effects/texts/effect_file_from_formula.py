@@ -1,4 +1,7 @@
-"""Effect file written from a formula: the Python source of an effect, which a person can edit."""
+"""Effect file written from a formula.
+
+The Python source of an effect, which a person can edit.
+"""
 
 import re
 import textwrap
@@ -288,8 +291,9 @@ EXAMPLE = Written(
 
 
 def load_suggested_formula(folder: Path, place: str | None) -> tuple[str, Written]:
-    """Load the formula that a diagnosis in a folder suggests: (place, Written).
+    """Load the formula that a diagnosis in a folder suggests.
 
+    Returns (place, Written)
     Raises RigError where it suggests nothing there, or several things anywhere.
     """
     table = json_toml_and_yaml_loading.load_json(folder / "diagnosis.json", "diagnosis", "diagnosis/1")
@@ -336,8 +340,9 @@ class NewEffect:
 def new_effect_from_suggestion_or_example(
     name: str, path: Path, diagnosis_folder: Path | None = None, place: str | None = None
 ) -> NewEffect:
-    """New effect of a name, by the formula that a diagnosis suggests at a place, or by an example.
+    """New effect of a name, from a suggestion or an example.
 
+    By the formula that a diagnosis suggests at a place, or by an example.
     path : of its file, to be named in errors; diagnosis_folder : with diagnosis.json, or None for the example
     place : None where the diagnosis suggests one formula
     Raises RigError for an invalid name, a place without a diagnosis, and as `load_suggested_formula`

@@ -1,4 +1,7 @@
-"""Effects parsed from text (backlash:strut3:gap=40e-6), and checks that their name and place exist."""
+"""Parsing of effects from text.
+
+As backlash:strut3:gap=40e-6; it is checked that their name and place exist.
+"""
 
 import re
 from collections.abc import Mapping
@@ -69,7 +72,11 @@ def _place(text: str, kind: type[Effect]) -> str:
 
 
 def named_effect(name: str, text: str, known: Kinds) -> type[Effect]:
-    """Class of the effect of a name, of known ones. text : for the message. Raises RigError for an unknown name."""
+    """Class of the effect of a name, of known ones.
+
+    text : for the message.
+    Raises RigError for an unknown name.
+    """
     if name not in known:
         near = nearest_known_word(name, known)
         every = f"there are {', '.join(known)}; user-defined ones are in files named by --effects"
@@ -79,7 +86,10 @@ def named_effect(name: str, text: str, known: Kinds) -> type[Effect]:
 
 
 def require_nonzero_effect(effect: Effect) -> Effect:
-    """Require that an effect is nonzero, and return it. Raises RigError where its parameters amount to no effect."""
+    """Require that an effect is nonzero, and return it.
+
+    Raises RigError where its parameters amount to no effect.
+    """
     if effect.parameters and effect == type(effect)(effect.place):
         p = effect.parameters_at(effect.place)[0]
         usual = (
@@ -95,7 +105,10 @@ def require_nonzero_effect(effect: Effect) -> Effect:
 
 
 def require_known_effect(text: str, design: Design, known_effects: Kinds = BY_NAME) -> str:
-    """Require that a text "EFFECT" or "EFFECT PLACE" names a known effect and place. Raises RigError otherwise."""
+    """Require that a text "EFFECT" or "EFFECT PLACE" names a known effect and place.
+
+    Raises RigError otherwise.
+    """
     name, _, place = text.partition(" ")
     kind = named_effect(name, name, known_effects)
     if not place:
@@ -108,7 +121,10 @@ def require_known_effect(text: str, design: Design, known_effects: Kinds = BY_NA
 
 
 def parse_effect_and_place(text: str, design: Design, known_effects: Kinds = BY_NAME) -> tuple[str, str]:
-    """Parse an effect and its place from "EFFECT PLACE", of known effects. Raises RigError otherwise."""
+    """Parse an effect and its place from "EFFECT PLACE", of known effects.
+
+    Raises RigError otherwise.
+    """
     name, _, place = text.partition(" ")
     kind = named_effect(name, text, known_effects)
     if kind.discrete:
@@ -125,7 +141,10 @@ def parse_effect_and_place(text: str, design: Design, known_effects: Kinds = BY_
 
 
 def require_existing_place(effect: Effect, design: Design) -> Effect:
-    """Require that an effect's place exists in the design, and return the effect. Raises RigError otherwise."""
+    """Require that an effect's place exists in the design, and return the effect.
+
+    Raises RigError otherwise.
+    """
     site, places = effect.site, mechanisms.axis_places(design.mechanism)
     kind, name = site.kind, site.name
     slide = replace(site, kind="slide")

@@ -1,4 +1,6 @@
-"""Loading of a user's effect files: Python files checked, run, and added to the catalogue.
+"""Loading of a user's effect files.
+
+Python files are checked, run, and added to the catalogue.
 
 The file is run: it is a program, to be trusted as one. What is wrong with it, when it is read or while its model is
 computed, is reported with file and line.
@@ -41,13 +43,20 @@ T = TypeVar("T", bound=ArrayLike)
 
 
 def load_effect_file(path: Path) -> Plugin:
-    """Load a user's effect file as a Plugin. Raises FileError, with the line, where it cannot be read, run or used."""
+    """Load a user's effect file as a Plugin.
+
+    Raises FileError, with the line, where it cannot be read, run or used.
+    """
     text, digest = read_user_text(path)
     return Plugin(path, digest, effects_of_source(text, path))
 
 
 def effects_of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
-    """Effect classes defined by a source text. path : its name in errors. Raises FileError."""
+    """Effect classes defined by a source text.
+
+    path : its name in errors.
+    Raises FileError.
+    """
     found: list[type[Effect]] = UserModule(path, text, "", run_user_text(text, path)).classes(Effect)
     if not found:
         raise FileError(path, "defines no effect: a dataclass derived from rig.effects.base.Effect")
@@ -69,7 +78,10 @@ def effects_of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
 
 
 def effect_name_problem(name: str) -> str | None:
-    """Problem with the name of an effect, in words; None for a valid name."""
+    """Problem with the name of an effect, in words.
+
+    None for a valid name.
+    """
     if not name.isidentifier() or keyword.iskeyword(name) or name != name.lower() or name.startswith("_"):
         return f"takes a name of small letters, digits and underscores, not {name!r}"
     return f"collides with the catalogue's {name}: choose another name" if name in BY_NAME else None

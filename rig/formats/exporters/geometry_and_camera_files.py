@@ -1,4 +1,6 @@
-"""Geometry, compensation and cameras for other programs: JSON, CSV, LinuxCNC, ROS and OpenCV.
+"""Geometry and camera files for other programs.
+
+Geometry, compensation and cameras: JSON, CSV, LinuxCNC, ROS and OpenCV.
 
 Source: ROS, camera_calibration_parsers, sensor_msgs/CameraInfo and distortion_models.hpp; OpenCV, FileStorage
 
@@ -20,7 +22,8 @@ from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.design import Camera
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_twist_angles_about_struts, is_hexapod
+from rig.model.mechanisms.hexapod_singularity_and_cardan_twist import cardan_twist_angles_about_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 from rig.model.pose import pose_to_entry, pose_to_vector
 
 HEXAPOD = (
@@ -61,7 +64,10 @@ def geometry_json(mechanism: Hexapod | Arm) -> str:
 
 
 def geometry_csv(mechanism: Hexapod | Arm) -> str:
-    """Geometry as CSV: a row per strut of a Hexapod, a row per joint of an Arm."""
+    """Geometry as CSV.
+
+    A row per strut of a Hexapod, a row per joint of an Arm.
+    """
     header: tuple[str, ...]
     parts: Iterable[tuple[Floats, ...]]
     if is_hexapod(mechanism):
@@ -83,7 +89,10 @@ ROS = {5: "plumb_bob", 8: "rational_polynomial"}  # models, by their terms
 
 
 def ros_camera_info(camera: Camera) -> str:
-    """ROS camera_info YAML of a Camera. Raises RigError for a lens that ROS has no model of."""
+    """ROS camera_info YAML of a Camera.
+
+    Raises RigError for a lens that ROS has no model of.
+    """
     terms = np.append(camera.distortion, 0.0) if len(camera.distortion) == 4 else camera.distortion
     if len(terms) not in ROS:
         raise RigError(
@@ -220,8 +229,9 @@ SCALE = {"mm": 1e3, "m": 1.0}
 
 
 def linuxcnc_compensation_file(joint_positions: Floats, corrections: Floats, units: str = "mm") -> str:
-    """LinuxCNC compensation file of one joint: corrections (n,) m at joint positions (n,) m.
+    """LinuxCNC compensation file of one joint.
 
+    Corrections (n,) m at joint positions (n,) m.
     units : of the machine, "mm" or "m". Raises ValueError for more entries than it takes, or none that grow
     """
     if not 2 <= len(joint_positions) <= MOST or not (np.diff(joint_positions) > 0).all():
@@ -233,7 +243,9 @@ def linuxcnc_compensation_file(joint_positions: Floats, corrections: Floats, uni
 
 
 def correction_grid_csv(configurations: Floats, corrections: Floats, axes: tuple[str, ...], unit: str) -> str:
-    """CSV of corrections (n, axes) on a grid of configurations (n, axes), with comment lines that explain them.
+    """CSV of corrections (n, axes) on a grid of configurations (n, axes).
+
+    With comment lines that explain them.
     unit : of both, "m" or "rad".
     """
     lines = [

@@ -1,4 +1,6 @@
-"""Recording as a Rerun file, its poses as a TUM trajectory, its tables as Parquet.
+"""Recording as Rerun, TUM or Parquet files.
+
+All of it as a Rerun file, its poses as a TUM trajectory, its tables as Parquet.
 
 Rerun's image coordinates begin at the first pixel's corner, ours in its middle: half a pixel is added. Its pinhole
 knows no distortion: images are shown as they were taken, corners as they were found in them; a projection into an
@@ -42,7 +44,9 @@ class RecordingStream(Protocol):
 
 
 def import_rerun() -> ModuleType:
-    """Import the module rerun. Raises MissingLibrary that names its installation.
+    """Import the module rerun.
+
+    Raises MissingLibrary that names its installation.
     Raises MissingLibrary that says how to install it.
     """
     try:
@@ -53,9 +57,10 @@ def import_rerun() -> ModuleType:
 
 
 def write_rerun_file(recording: Recording, out: Path, rerun: ModuleType) -> int:
-    """Write a recording to a Rerun file (.rrd); returns the number of images left out.
+    """Write a recording to a Rerun file (.rrd).
 
     rerun : the module rerun
+    Returns the number of images left out
     """
     stream = rerun.RecordingStream("rig")
     stream.save(str(out))
@@ -179,7 +184,10 @@ WHOLE, TEXT = ("frame", "marker", "corner"), ("camera", "image")  # columns; all
 
 
 def tum_trajectory(recording: Recording) -> str:
-    """TUM trajectory text of a recording's poses, sorted by time. Raises RigError where it has none."""
+    """TUM trajectory text of a recording's poses, sorted by time.
+
+    Raises RigError where it has none.
+    """
     poses = recording.poses
     if poses is None or not len(poses.frame):
         raise RigError(f"{recording.folder}: has no poses.csv; rig measure writes one")

@@ -1,4 +1,6 @@
-"""URDF of an arm, and URDF and SDF of a hexapod.
+"""URDF and SDF of a machine.
+
+URDF of an arm, and URDF and SDF of a hexapod.
 
 A = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta) turns about the z of the frame before it, or slides along it, so that
 joint i's origin is what is fixed behind joint i - 1, times Rz(theta). Source: the URDF specification, <joint>; rpy are
@@ -33,7 +35,9 @@ from rig.model.pose import pose
 
 
 def arm_urdf(arm: Arm, name: str = "arm") -> str:
-    """URDF of an Arm: links base, link_1 .. link_n, platform; joints named as commands.csv heads its columns.
+    """URDF of an Arm.
+
+    Links base, link_1 .. link_n, platform; joints named as commands.csv heads its columns.
 
     An Arm that has a base (frame of poses to its own) or a tool (its last frame to the platform) carries them as fixed
     joints. Of several hands each is a link of its name.
@@ -109,7 +113,9 @@ class Strut:
 
 
 def simulator_struts(hexapod: Hexapod) -> list[Strut]:
-    """The struts of a Hexapod as simulators model them: universal joint, slide, ball joint.
+    """The struts of a Hexapod as simulators model them.
+
+    Universal joint, slide, ball joint.
     Raises RigError for a base joint on the z axis, or a strut along its cardan's first axis: no cardan is there.
     """
     found = []
@@ -146,7 +152,9 @@ TURN = np.pi  # rad, to either side: what a joint may do, of which a rig.toml sa
 
 
 def hexapod_urdf(hexapod: Hexapod, name: str = "hexapod") -> str:
-    """URDF of a Hexapod: links base, strut_N, strut_N_rod, platform; the loops are listed for the simulator.
+    """URDF of a Hexapod.
+
+    Links base, strut_N, strut_N_rod, platform; the loops are listed for the simulator.
     Raises RigError where no cardan can be.
     """
     all_struts = simulator_struts(hexapod)
@@ -208,7 +216,9 @@ def _joint(
 
 
 def hexapod_sdf(hexapod: Hexapod, name: str = "hexapod") -> str:
-    """SDF of a Hexapod: links base, strut_N, strut_N_rod and platform, frames at home.
+    """SDF of a Hexapod.
+
+    Links base, strut_N, strut_N_rod and platform, frames at home.
     Raises RigError where no cardan can be.
     """
     lines = [

@@ -1,4 +1,7 @@
-"""Arm read from a URDF or a table of Denavit-Hartenberg rows (columns in any order), and the rig.toml text of it."""
+"""Arm read from a URDF or a Denavit-Hartenberg table.
+
+Columns of the table stand in any order; also the rig.toml text of the arm.
+"""
 
 import json
 from dataclasses import dataclass
@@ -49,8 +52,9 @@ class DenavitHartenbergTable:
 def load_denavit_hartenberg_table(
     path: Path, is_modified: bool = False, units: str | None = None
 ) -> DenavitHartenbergTable:
-    """DenavitHartenbergTable of a CSV with a header: theta, d, a, alpha; optional beta, joint, name, lower, upper.
+    """DenavitHartenbergTable of a CSV with a header.
 
+    Its columns: theta, d, a, alpha; optional beta, joint, name, lower, upper.
     is_modified : whether the rows are in Craig's convention (alpha and a of a row before its theta and d), not distal
     units : "mm,deg" and the like, of columns whose header states none; None for m and rad
     Raises FileError for what is missing, unknown or no number, and for figures that are no radians or metres
@@ -293,6 +297,7 @@ def read_arm_file(options: ArmFileOptions) -> ReadArm | None:
 def read_urdf_arm(path: Path, tips: tuple[str, ...] = (), root: str | None = None) -> ReadArm:
     """ReadArm of a URDF's joints from a root link to a tip, or to several, whose forward kinematics is the URDF's.
 
+    Whose forward kinematics is the URDF's.
     Raises FileError as rig.formats.importers.urdf_joint_chain.load_joint_chain
     """
     if len(tips) > 1:

@@ -1,4 +1,7 @@
-"""Foreign tables of commands and of sensors read into a recording's commands.csv and sensors.csv."""
+"""Foreign tables of commands and of sensors.
+
+Read into a recording's commands.csv and sensors.csv.
+"""
 
 import re
 from collections.abc import Callable
@@ -64,8 +67,10 @@ class ImportedSensors:
 
 
 def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool]) -> ImportedSensors:
-    """Read the sensor channels of a foreign table. Raises RigError for unusable ones.
+    """Read the sensor channels of a foreign table.
+
     are_plausible : whether times (n,) s from the first can be so. Raises RigError for what cannot be used
+    Raises RigError for unusable ones.
     """
     cells = read_foreign_table_header_and_cells(table, "sensors")
     stated = {header: ours for ours, header in table.columns if ours != "t"}
@@ -130,7 +135,9 @@ class ImportedCommands:
 
 
 def read_commands(table: ForeignTable, design: Design) -> ImportedCommands:
-    """Read the commands of a foreign table. Raises RigError for unusable or ambiguous ones.
+    """Read the commands of a foreign table.
+
+    Raises RigError for unusable or ambiguous ones.
     Raises RigError for what cannot be used and for what reads well in two ways.
     """
     axes = design.mechanism.axes

@@ -1,4 +1,7 @@
-"""CSV dialect of a foreign table: encoding, separator, decimal sign and comments, detected."""
+"""CSV dialect of a foreign table.
+
+Encoding, separator, decimal sign and comments, detected.
+"""
 
 import csv
 import re

@@ -1,4 +1,7 @@
-"""Columns of foreign tables: cells as text and numbers, columns found by their headers, headers and times added."""
+"""Columns of foreign tables.
+
+Cells as text and numbers, columns found by their headers, headers and times added.
+"""
 
 import difflib
 import re
@@ -120,17 +123,21 @@ def _normalised_header(header: str) -> str:
 
 
 def axis_header_names(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """Accepted header names {axis: names} of the axes l1.. or q1.."""
+    """Accepted header names of axes.
+
+    Returns {axis: names} of the axes l1.. or q1..
+    """
     return {name: tuple(f"{word}{name[1:]}" for word in (LIMB if name[0] == "l" else JOINT)) for name in names}
 
 
 def find_columns(
     cells: Cells, section: str, header_names: Mapping[str, tuple[str, ...]], required_names: Iterable[str]
 ) -> dict[str, int]:
-    """Columns found by their headers: {our name: column index}.
+    """Columns found by their headers.
 
     header_names : {our name: what a header may be called}; required_names : that must be there. Raises RigError for
         what is missing or there twice
+    Returns {our name: column index}
     """
     stated = dict(cells.table.columns)
     found: dict[str, int] = {}
@@ -252,7 +259,9 @@ class TableWithHeader:
 
 
 def lines_with_missing_header_added(table: ForeignTable, section: str, lines: list[tuple[int, str]]) -> TableWithHeader:
-    """Lines of a table with a header added where it has none: the stated one, or TUM's.
+    """Lines of a table with a header added where it has none.
+
+    The stated one, or TUM's.
     section : of the table's section
 
     Raises FileError where samples were lost and nothing tells when

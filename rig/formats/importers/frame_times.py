@@ -1,4 +1,7 @@
-"""Times of imported frames: of image names, a table or the commands' rows; one clock with the commands."""
+"""Times of imported frames.
+
+Of image names, a table or the commands' rows; one clock with the commands.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,9 +14,10 @@ from rig.array_and_json_types import Floats
 from rig.checks.mistake_dataclass_and_clock_mistakes import dwell_clock_shift
 from rig.errors import FileError, RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
-from rig.formats.importers import image_file_frames
+from rig.formats.importers import exposures_from_image_names
 from rig.formats.importers.command_and_sensor_tables import ImportedCommands
 from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
+from rig.formats.importers.exposures_from_image_names import ImportedExposures
 from rig.formats.importers.foreign_table_columns import (
     CAMERA,
     FRAME,
@@ -23,7 +27,6 @@ from rig.formats.importers.foreign_table_columns import (
     column_headers_for_import_recipe,
     find_columns,
 )
-from rig.formats.importers.image_file_frames import ImportedExposures
 from rig.formats.importers.import_recipe import ForeignTable, Recipe
 from rig.formats.importers.units_and_timestamps import UnclearInput
 from rig.recording.recording_folder import LAST_DWELL
@@ -35,8 +38,9 @@ Like = Callable[[Floats], bool]
 def exposures_with_times(
     exposed: ImportedExposures, commanded: ImportedCommands | None, recipe: Recipe, like: Like
 ) -> tuple[ImportedExposures, Recipe]:
-    """Exposures with times: of their names, of a table of frames, or of the commands' rows, one for one.
+    """Exposures with times.
 
+    Of their names, of a table of frames, or of the commands' rows, one for one.
     like : whether times (n,) s from the first can be so. Raises RigError where nothing tells the times
     """
     if recipe.frames is not None:
@@ -90,7 +94,7 @@ def _by_table(
     if "frame" not in found and "image" not in found:
         found |= find_columns(cells, "frames", IMAGE, ("image",))
     if "image" not in found and any(
-        Path(cell).suffix.lower() in image_file_frames.KINDS for cell in cells.column(found["frame"])
+        Path(cell).suffix.lower() in exposures_from_image_names.KINDS for cell in cells.column(found["frame"])
     ):
         found["image"] = found.pop("frame")  # a column such as Bild may number images or name their files
     of_images = recipe.images

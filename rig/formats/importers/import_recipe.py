@@ -1,4 +1,7 @@
-"""Import recipe: what is stated about foreign files, from options or TOML; written back completed."""
+"""Recipe of an import of foreign files.
+
+What is stated about them, from options or TOML; written back completed.
+"""
 
 import os
 from collections.abc import Sequence
@@ -108,8 +111,10 @@ class Recipe:
 
 
 def load_recipe(path: Path, settings: tuple[str, ...] = ()) -> Recipe:
-    """Load the Recipe of a TOML file, with settings "KEY=VALUE" that override it. Raises FileError.
+    """Load the Recipe of a TOML file, with settings "KEY=VALUE" that override it.
+
     settings : "KEY=VALUE" that replace what it says. Raises FileError.
+    Raises FileError.
     """
     root = toml_entries(read_text(path, LARGEST), path)
     root.schema("recipe of an import", SCHEMA)
@@ -125,7 +130,9 @@ def recipe_of_options(
     cameras: Sequence[Path] = (),
     bags: Sequence[Path] = (),
 ) -> Recipe:
-    """Recipe of command line options: rig, image folders, tables, settings, cameras, bags.
+    """Recipe of command line options.
+
+    Rig, image folders, tables, settings, cameras, bags.
     tables : {one of TABLES: file or None}; cameras, bags : files of them. Raises RigError.
     """
     tree: Json = {} if rig is None else {"rig": str(rig)}
@@ -160,8 +167,9 @@ def _set(tree: Json, settings: tuple[str, ...]) -> None:
 
 
 def recipe_with_settings(recipe: Recipe, settings: Sequence[str]) -> Recipe:
-    """The recipe with settings that an error supposes: SECTION.columns.NAME=HEADER, images.cameras.WORD=NAME,
-    SECTION.shift=S.
+    """The recipe with settings that an error supposes.
+
+    SECTION.columns.NAME=HEADER, images.cameras.WORD=NAME, SECTION.shift=S.
     """
     for setting in settings:
         key, _, value = setting.partition("=")

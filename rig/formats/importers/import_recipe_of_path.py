@@ -1,4 +1,7 @@
-"""Import recipe of the data of one machine at a path: a table, a bag, or a folder of either or of images."""
+"""Import recipe of the data at a path.
+
+The data of one machine: a table, a bag, or a folder of either or of images.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,7 +29,10 @@ MOST_RADIANS = 6.5  # that joint values reach; so few degrees of travel calibrat
 
 
 def require_data(data: Path) -> None:
-    """Raise FileError for a path where nothing is, with the nearest that there is, and for an empty folder."""
+    """Require data at a path, else raise FileError.
+
+    With the nearest that there is, and for an empty folder.
+    """
     if not exists(data):
         parent = data.parent
         near = nearest_known_word(data.name, list_folder(parent)) if is_folder(parent) else None
@@ -43,8 +49,9 @@ def is_recording_folder(data: Path) -> bool:
 def import_recipe_of_path(
     data: Path, rig: Path, design: Design, joint_names: Sequence[str] = (), settings: Sequence[str] = ()
 ) -> Recipe:
-    """Recipe of data at a path. rig : file of the machine, design : the same; joint_names : its axes' in other files
+    """Recipe of data at a path.
 
+    rig : file of the machine, design : the same; joint_names : its axes' in other files
     settings : "KEY=VALUE" as of `rig import --set`, which decide against what is found out
     Raises FileError for what is no data, RigError where several tables could be meant
     """

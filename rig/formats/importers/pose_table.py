@@ -1,4 +1,7 @@
-"""Pose table of another program: units, rotation vectors, quaternions or Euler angles."""
+"""Pose table of another program.
+
+Units, rotation vectors, quaternions or Euler angles.
+"""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
@@ -78,7 +81,9 @@ def read_poses(
     are_plausible: Callable[[Floats], bool],
     of_commands: Collection[str] = (),
 ) -> ImportedPoses:
-    """Read the poses of a foreign table. Raises RigError where it is ambiguous.
+    """Read the poses of a foreign table.
+
+    Raises RigError where it is ambiguous.
     Raises RigError for what reads well in two ways.
 
     commands_of_rows : of n rows' (times, frame numbers, n) what was commanded, (n, 6) m, or None where that is not

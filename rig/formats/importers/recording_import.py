@@ -1,4 +1,7 @@
-"""Import of a recording: all foreign files of a recipe assembled and written as one recording."""
+"""Import of a recording.
+
+All foreign files of a recipe are assembled and written as one recording.
+"""
 
 import shlex
 from dataclasses import dataclass, replace
@@ -11,7 +14,7 @@ import numpy as np
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
-from rig.formats.importers import image_file_frames
+from rig.formats.importers import exposures_from_image_names
 from rig.formats.importers.camera_calibrations import rig_toml_with_cameras
 from rig.formats.importers.command_and_sensor_tables import (
     ImportedCommands,
@@ -19,6 +22,7 @@ from rig.formats.importers.command_and_sensor_tables import (
     read_commands,
     read_sensors,
 )
+from rig.formats.importers.exposures_from_image_names import ImportedExposures
 from rig.formats.importers.frame_times import (
     LISTED,
     Like,
@@ -26,14 +30,13 @@ from rig.formats.importers.frame_times import (
     require_one_clock,
     seconds_since_origin,
 )
-from rig.formats.importers.image_file_frames import ImportedExposures
 from rig.formats.importers.import_recipe import Images, Recipe, recipe_with_settings
 from rig.formats.importers.pose_table import ImportedPoses, read_poses
 from rig.formats.importers.units_and_timestamps import UnclearInput
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_bytes, read_text
 from rig.formats.output_files import write_bytes
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Design
@@ -62,18 +65,24 @@ class ImportedRecording:
 
 
 def design_with_imported_cameras(recipe: Recipe) -> tuple[Design, str | None, tuple[str, ...]]:
-    """Design with the imported cameras of a recipe: (Design, its rig.toml text, sentences).
+    """Design with the imported cameras of a recipe.
+
+    Returns (Design, its rig.toml text, sentences)
     Raises RigError for what cannot be used.
     """
-    design = design_file.load_design(recipe.rig)
+    design = design_from_rig_toml.load_design(recipe.rig)
     if recipe.cameras is None:
         return design, None, ()
-    text, said = rig_toml_with_cameras(recipe.cameras, read_text(recipe.rig, design_file.LARGEST), design.cameras)
-    return design_file.design_of_entries(toml_entries(text, recipe.rig)), text, said
+    text, said = rig_toml_with_cameras(
+        recipe.cameras, read_text(recipe.rig, design_from_rig_toml.LARGEST), design.cameras
+    )
+    return design_from_rig_toml.design_of_entries(toml_entries(text, recipe.rig)), text, said
 
 
 def unpack_recipe_bags(recipe: Recipe, folder: Path) -> Recipe:
-    """Unpack the bags of a recipe into a folder; returns the Recipe of the unpacked files.
+    """Unpack the bags of a recipe into a folder.
+
+    Returns the Recipe of the unpacked files
     Raises RigError.
     """
     if recipe.bag is None:
@@ -126,8 +135,8 @@ def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
     commanded = read_commands(recipe.commands, design) if recipe.commands else None
     like = _like(commanded.t if commanded else None)
     exposed = (
-        image_file_frames.group_images_into_exposures(
-            image_file_frames.list_image_files(recipe.images, design), recipe.images, like
+        exposures_from_image_names.group_images_into_exposures(
+            exposures_from_image_names.list_image_files(recipe.images, design), recipe.images, like
         )
         if recipe.images
         else None

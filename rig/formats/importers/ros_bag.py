@@ -1,4 +1,6 @@
-"""ROS 1 and 2 bags and MCAP files unpacked into images and tables, topics selected by type.
+"""ROS bags unpacked into images and tables.
+
+ROS 1 and 2 bags and MCAP files, topics selected by type.
 
 Source: ROS, common_interfaces (sensor_msgs, geometry_msgs, nav_msgs) and REP 103: m, rad, quaternions x y z w; read by
     the package rosbags
@@ -41,8 +43,9 @@ SAME_MOMENT = 50_000_000  # ns that a pose may be from an image, to be of its fr
 
 
 def unpack_bags(recipe: Recipe, design: Design, folder: Path) -> Recipe:
-    """Unpack the bags of a recipe into a folder; returns the Recipe of the unpacked files.
+    """Unpack the bags of a recipe into a folder.
 
+    Returns the Recipe of the unpacked files
     Raises MissingLibrary without rosbags, FileError for what cannot be read, RigError where several topics can be meant
     """
     bag = recipe.bag

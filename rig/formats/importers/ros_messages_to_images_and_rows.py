@@ -1,4 +1,6 @@
-"""ROS messages written as image files (raw as PNG, compressed unchanged) and as table rows.
+"""ROS messages as image files and table rows.
+
+Raw images are written as PNG, compressed ones unchanged.
 
 Rows are of joints, poses and temperatures.
 
@@ -137,8 +139,10 @@ class Topic:
 
 
 def encode_image_message(message: ImageMessage, compressed: bool, place: str) -> tuple[str, bytes]:
-    """Encode a ROS image message as an image file: (suffix, bytes).
+    """Encode a ROS image message as an image file.
+
     place : of it, for complaints. Raises RigError for what is not taken, and for half an image.
+    Returns (suffix, bytes)
     """
     if compressed:
         whole = bytes(message.data)
@@ -173,7 +177,9 @@ def encode_image_message(message: ImageMessage, compressed: bool, place: str) ->
 
 
 def append_stamp(topic: Topic, message: Message, received: int, file: Path) -> None:
-    """Append a message's time in ns: of its header, or of when it was received where headers are empty.
+    """Append a message's time in ns.
+
+    Of its header, or of when it was received where headers are empty.
     Raises FileError where only some messages of a topic are stamped.
     """
     stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
@@ -187,7 +193,10 @@ def append_stamp(topic: Topic, message: Message, received: int, file: Path) -> N
 
 
 def write_image_message(folder: Path, topic: Topic, message: Message, file: Path) -> None:
-    """Write a message's image into a folder, named by its time. Raises FileError for two of one time."""
+    """Write a message's image into a folder, named by its time.
+
+    Raises FileError for two of one time.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     suffix, content = encode_image_message(
         message, topic.kind.endswith("CompressedImage"), f"{file}: topic {topic.name}, message {len(topic.t)}"
@@ -199,7 +208,10 @@ def write_image_message(folder: Path, topic: Topic, message: Message, file: Path
 
 
 def append_row(topic: Topic, message: Message, file: Path) -> None:
-    """Append a table's row of a message. Raises FileError for joints that are not those of the first message."""
+    """Append a table's row of a message.
+
+    Raises FileError for joints that are not those of the first message.
+    """
     if topic.kind in JOINTS:
         names = tuple(message.name) or tuple(f"l{i + 1}" for i in range(len(message.position)))
         topic.header = topic.header or names

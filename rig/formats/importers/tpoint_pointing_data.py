@@ -1,4 +1,6 @@
-"""TPOINT's pointing data (observed and telescope places of stars) read, and written as a recording of directions.
+"""TPOINT's pointing data, imported.
+
+Observed and telescope places of stars are read, and written as a recording of directions.
 
 A file has a caption, option records that begin with a colon, one record of run parameters (latitude in degrees, minutes
 and seconds, date, weather), a record for each star, and END; remarks begin with an exclamation mark. Read are three
@@ -212,7 +214,9 @@ def zenith_distances(places: Floats, latitude: float) -> Floats:
 
 
 def refracted_hour_angle_and_declination(places: Floats, latitude: float, weather: Weather) -> Floats:
-    """Hour angle and declination (n, 2) rad of stars as observed through the air, of those without it.
+    """Hour angle and declination (n, 2) rad of stars as observed through the air.
+
+    Of those without it.
 
     By the first two terms of refraction in the tangent of the zenith distance, which hold to an arc second above some
     15 degrees
@@ -232,7 +236,11 @@ def refracted_hour_angle_and_declination(places: Floats, latitude: float, weathe
 
 
 def refraction_terms(latitude: float, weather: Weather) -> tuple[float, float]:
-    """(rad of the tangent of the observed zenith distance, rad of its cube) of refraction. latitude : rad"""
+    """Refraction terms of light from stars.
+
+    latitude : rad
+    Returns (rad of the tangent of the observed zenith distance, rad of its cube)
+    """
     t, p, wave = weather.temperature, weather.pressure * 0.750062, weather.wavelength**-2
     vapour = weather.humidity * 4.579 * 10 ** (7.5 * t / (237.3 + t))  # mm of mercury, by Magnus
     index = 64.328 + 29498.1 / (146 - wave) + 255.4 / (41 - wave)
@@ -244,7 +252,10 @@ def refraction_terms(latitude: float, weather: Weather) -> tuple[float, float]:
 
 
 def write_pointing_recording(data: PointingData, sigma: float, folder: Path) -> None:
-    """Write a recording of directions into an empty folder. sigma : rad, noise of a direction along each of two axes"""
+    """Write a recording of directions into an empty folder.
+
+    sigma : rad, noise of a direction along each of two axes
+    """
     q, n = data.telescope, len(data.star)
     limits = np.stack([q.min(axis=0) - MARGIN, q.max(axis=0) + MARGIN], axis=1).round(4).tolist()
     joints = "[[0.0, 0.0, 0.0, -1.5707963267948966], [1.5707963267948966, 0.0, 0.0, 1.5707963267948966]]"

@@ -1,4 +1,7 @@
-"""Units of columns and timestamps of foreign tables; an error that lists all readings where ambiguous."""
+"""Units and timestamps of foreign tables.
+
+Of columns; an error lists all readings where they are ambiguous.
+"""
 
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -26,7 +29,9 @@ class UnclearInput(RigError):
 
 
 def ambiguity_error(subject: str, readings: Iterable[tuple[str, str]]) -> RigError:
-    """Error about an ambiguous input that lists all readings, each with the setting that selects it.
+    """Error about an ambiguous input that lists all readings.
+
+    Each with the setting that selects it.
     readings : (what it would mean, "key=value" that decides for it)
     """
     return RigError("\n".join([f"{subject}:", *(f"  {reading}: --set '{setting}'" for reading, setting in readings)]))
@@ -72,7 +77,10 @@ LEAST_TRAVEL = 0.02  # of its range that a strut moves in a recording
 
 
 def split_header(header: str) -> tuple[str, str | None]:
-    """Header split into (name, unit or None): `L1 [mm]`, `t (s)`, `l1_mm`, `x/m`."""
+    """Header split into (name, unit or None).
+
+    `L1 [mm]`, `t (s)`, `l1_mm`, `x/m`.
+    """
     found = BRACKETS.match(header)
     if found and found[1]:
         return found[1].strip(), parse_unit(found[2])
@@ -104,7 +112,9 @@ def fits_ranges(values: Floats, ranges: Floats) -> bool:
 def likely_length_units(
     values: Floats, ranges: Floats, home_lengths: Floats, units: Sequence[str], relative: Sequence[str]
 ) -> list[tuple[str, str]]:
-    """Likely units and zeros (unit, "zero" or "home") that bring lengths (n, axes) into their ranges (axes, 2) m.
+    """Likely units and zeros (unit, "zero" or "home") of lengths.
+
+    Those that bring lengths (n, axes) into their ranges (axes, 2) m.
     home_lengths : (axes,) m
     """
     return [
@@ -116,7 +126,10 @@ def likely_length_units(
 
 
 def is_likely_length_unit(values: Floats, ranges: Floats, unit: str, relative: str) -> bool:
-    """Whether a unit is likely for lengths (n, axes): they travel a plausible share of their ranges (axes, 2) m."""
+    """Whether a unit is likely for lengths (n, axes).
+
+    They travel a plausible share of their ranges (axes, 2) m.
+    """
     travel = np.ptp(values)
     about_zero = values.min() <= MOST_BEYOND * travel and values.max() >= -MOST_BEYOND * travel
     return bool(
@@ -125,7 +138,10 @@ def is_likely_length_unit(values: Floats, ranges: Floats, unit: str, relative: s
 
 
 def likely_angle_units(values: Floats, limits: Floats, units: Sequence[str]) -> list[str]:
-    """Likely units of angles (n, axes): those that keep them within their limits (axes, 2) rad."""
+    """Likely units of angles (n, axes).
+
+    Those that keep them within their limits (axes, 2) rad.
+    """
     return [u for u in units if fits_ranges(values / ANGLES[u], limits)]
 
 
@@ -157,7 +173,9 @@ def read_times(
     shift: float,
     are_plausible: Callable[[Floats], bool] = lambda t: True,
 ) -> Times:
-    """Times read from text cells: in s, ms, us, ns, since 1970 or a start, or as ISO 8601.
+    """Times read from text cells.
+
+    In s, ms, us, ns, since 1970 or a start, or as ISO 8601.
     section : of the section, as settings call it; subject : is read, in words; unit : stated, or None; shift : s added
 
     are_plausible : whether (n,) s from the first can be so

@@ -1,4 +1,6 @@
-"""URDF files: the joints from a root link to a tip link, read with checks; what they are, in words.
+"""Joint chain read from a URDF.
+
+The joints from a root link to a tip link, read with checks; what they are, in words.
 
 Sources: the URDF specification, <joint>, <origin>, <axis>, <limit>, <mimic>; xacro, "Command line"
 """
@@ -67,7 +69,11 @@ class UrdfJoint:
 
 
 def limits_text(limits: Sequence[float], slide: bool) -> str:
-    """Limits of a joint for people: mm of a slide, else degrees. limits : (2,) m or rad"""
+    """Limits of a joint for people.
+
+    In mm of a slide, else in degrees.
+    limits : (2,) m or rad
+    """
     low, high = np.asarray(limits) * (1e3 if slide else 180 / np.pi)
     return f"{low:.6g} .. {high:.6g} {'mm' if slide else 'deg'}"
 
@@ -101,8 +107,9 @@ class JointChain:
 
 
 def load_joint_chain(path: Path, tip: str | None = None, root: str | None = None) -> JointChain:
-    """JointChain of a URDF file, from its root link, or the one that is named, to the tip that is named.
+    """JointChain of a URDF file.
 
+    From its root link, or the one that is named, to the tip that is named.
     tip : may be None where only one link is at an end
     Raises FileError, with the line, for what is no URDF, Xacro that is not expanded, links and joints that make no
         tree, a joint on the way that an arm cannot have, and an unknown or missing link

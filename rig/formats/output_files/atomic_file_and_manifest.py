@@ -1,4 +1,7 @@
-"""Files written whole or not at all, and the manifest of the files that a command wrote into a folder."""
+"""Atomic writing of files, and the manifest.
+
+Files are written whole or not at all; the manifest lists the files that a command wrote into a folder.
+"""
 
 import errno
 import json
@@ -25,7 +28,10 @@ PART = ".rig-{}.part"  # name of a temporary; its length does not depend on the 
 
 
 def write_text(path: str | PathLike[str], text: str) -> None:
-    """Write a UTF-8 text file atomically; raises as `write_bytes` does."""
+    """Write a UTF-8 text file atomically.
+
+    Raises as `write_bytes` does
+    """
     try:
         data = text.encode("utf-8")
     except UnicodeEncodeError as error:
@@ -76,7 +82,10 @@ def path_status(path: str | PathLike[str]) -> os.stat_result | None:
 
 
 def is_written_directly(path: str | PathLike[str]) -> bool:
-    """Whether a path is written directly, not atomically: a device, a pipe, or this process's standard output."""
+    """Whether a path is written directly, not atomically.
+
+    A device, a pipe, or this process's standard output.
+    """
     try:
         there = path_status(path)
     except OSError:
@@ -166,7 +175,10 @@ UNSEEN = re.compile(
 
 
 def escape_unprintable(text: str) -> str:
-    """Text with unprintable characters escaped: control and direction characters, invalid UTF-8."""
+    """Text with unprintable characters escaped.
+
+    Control and direction characters, invalid UTF-8.
+    """
     return UNSEEN.sub(_escape, text)
 
 
@@ -257,7 +269,9 @@ class FolderManifest:
 
 
 def load_manifest(folder: Path) -> FolderManifest:
-    """Load the FolderManifest of a folder, empty where there is none. Raises FileError for an invalid manifest.
+    """Load the FolderManifest of a folder, empty where there is none.
+
+    Raises FileError for an invalid manifest.
     Raises FileError for a manifest that is none.
     """
     path = folder / MANIFEST
@@ -295,7 +309,10 @@ def load_manifest(folder: Path) -> FolderManifest:
 
 
 def require_complete_folder(folder: Path) -> None:
-    """Raise FileError unless a folder is complete, that is, no command was interrupted while writing it.
+    """Raise FileError unless a folder is complete.
+
+    That is, no command was interrupted while writing it.
+
     A folder that nobody has marked is taken as it is.
     """
     origin = load_manifest(Path(folder)).origin

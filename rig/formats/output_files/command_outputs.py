@@ -1,4 +1,7 @@
-"""Outputs of one command: no foreign file overwritten unless forced, all moved to their places when complete."""
+"""Outputs of one command.
+
+No foreign file is overwritten unless forced; all are moved to their places when complete.
+"""
 
 import os
 from collections.abc import Iterable

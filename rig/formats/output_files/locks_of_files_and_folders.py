@@ -1,4 +1,6 @@
-"""Locks of files and folders between processes; a lock ends with the process that holds it, however that ends.
+"""Locks of files and folders between processes.
+
+A lock ends with the process that holds it, however that ends.
 
 Where the system locks open files and folders themselves (flock), nothing is left behind and every user is kept out.
 Elsewhere (Windows) a lock is a file in the user's temporary folder, named by what it locks.
@@ -53,8 +55,9 @@ class _LockFile:
 
 
 def lock_folder(folder: Path, wait: bool) -> HeldLock:
-    """Lock a folder. On a file system that knows no locks nobody is kept out.
+    """Lock a folder.
 
+    On a file system that knows no locks nobody is kept out.
     Raises BlockingIOError where another process holds it and `wait` is false, OSError where the folder cannot be opened
     """
     if not FLOCK:
@@ -72,7 +75,9 @@ def lock_folder(folder: Path, wait: bool) -> HeldLock:
 
 
 def lock_open_file(descriptor: int, path: Path) -> HeldLock | None:
-    """Lock an open file at a path; None where the lock ends as the descriptor is closed.
+    """Lock an open file at a path.
+
+    None where the lock ends as the descriptor is closed.
     Raises OSError where another process holds it, or it cannot be locked.
     """
     if not FLOCK:

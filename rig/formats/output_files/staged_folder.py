@@ -1,4 +1,7 @@
-"""Staged folder: files written aside, then moved into the folder together with its manifest."""
+"""Staged folder of outputs.
+
+Files are written aside, then moved into the folder together with its manifest.
+"""
 
 import os
 import secrets
@@ -25,8 +28,9 @@ GROWING = f"{NEW}growing"  # stands in a folder, locked, while a command writes 
 
 
 def lock_unused_folder(folder: Path) -> HeldLock:
-    """Lock a folder where nobody writes. Raises RigError where another process does, OSError where the folder cannot be
-    opened.
+    """Lock a folder where nobody writes.
+
+    Raises RigError where another process does, OSError where the folder cannot be opened.
     """
     try:
         return lock_folder(folder, wait=False)

@@ -1,4 +1,7 @@
-"""Table [dynamics] of an arm's rig.toml: link masses, joint torque limits, friction, sensor noise."""
+"""Arm dynamics entries of rig.toml, table [dynamics].
+
+Link masses, joint torque limits, friction, sensor noise.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +11,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import LinkMasses
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import axis_units, has_links
@@ -54,12 +57,14 @@ class ArmDynamics:
 
 
 def load_arm_dynamics(path: Path | str) -> tuple[Design, ArmDynamics]:
-    """Load (Design, ArmDynamics) of an arm's rig.toml; what [dynamics] lacks is None.
+    """Load (Design, ArmDynamics) of an arm's rig.toml.
+
+    What [dynamics] lacks is None.
     Raises FileError with line and column for figures that cannot be, RigError for a mechanism that is no arm cannot
     be, RigError for a mechanism that is no arm
     """
-    root = design_file.load_entries(path)
-    design = design_file.design_of_entries(root)
+    root = design_from_rig_toml.load_entries(path)
+    design = design_from_rig_toml.design_of_entries(root)
     if not has_links(design.mechanism):
         raise RigError(f"{path} has a mechanism of kind {design.mechanism.kind!r}; forces at the hand are for arms")
     table = root.in_stated_units().table("dynamics", optional=True)
@@ -67,10 +72,12 @@ def load_arm_dynamics(path: Path | str) -> tuple[Design, ArmDynamics]:
 
 
 def dynamics_of_table(table: Entries, joint_units: tuple[str, ...]) -> ArmDynamics:
-    """ArmDynamics of the table [dynamics] of an arm. joint_units : "rad", of slides "m".
+    """ArmDynamics of the table [dynamics] of an arm.
+
+    joint_units : "rad", of slides "m".
     Raises FileError with line and column for figures that cannot be
     """
-    table.refuse_misspelt(design_file.DYNAMICS)
+    table.refuse_misspelt(design_from_rig_toml.DYNAMICS)
     joint_count = len(joint_units)
     each = {
         name: table.each(

@@ -1,4 +1,7 @@
-"""Tables [[camera]], [instrument], [experiment] and [turned] (cubes) of rig.toml, read; [[camera]] written."""
+"""Camera, instrument and cube entries of rig.toml.
+
+Tables [[camera]], [instrument], [experiment] and [turned] (cubes), read; [[camera]] written.
+"""
 
 import math
 import re
@@ -33,7 +36,8 @@ SOURCES = ("uvc", "gstreamer", "genicam", "folder", "emulator", "command", *NETW
 
 
 def cameras_of_tables(tables: list[Entries]) -> tuple[Camera, ...]:
-    """The Cameras of [[camera]] tables. Raises FileError with line and column.
+    """The Cameras of [[camera]] tables.
+
     Raises FileError with line and column for anything that is no camera.
     """
     found: list[Camera] = []
@@ -133,7 +137,10 @@ def _capture(table: Entries, source: str | None) -> CaptureSettings:
 def check_hand_mounted_cameras(
     root: Entries, cameras: tuple[Camera, ...], targets: tuple[Target, ...], mechanism: Mechanism
 ) -> None:
-    """Raise FileError for hand-mounted cameras that these targets or this mechanism do not support."""
+    """Check of hand-mounted cameras.
+
+    Raises FileError for those that these targets or this mechanism do not support
+    """
     held = [camera.mount == "hand" for camera in cameras]
     for table, camera, mine in zip(root.tables("camera"), cameras, held):
         if any(held) and not mine:
@@ -198,7 +205,9 @@ ROTATIONS_ALONE = ("orientation", "direction")
 
 
 def instrument_of_table(table: Entries) -> Instrument:
-    """Instrument of the table [instrument]. Raises FileError for missing or implausible figures.
+    """Instrument of the table [instrument].
+
+    Raises FileError for missing or implausible figures.
     Raises FileError for figures that are missing, implausible or of what its kind does not see.
     """
     table.refuse_misspelt([field.name for field in fields(Instrument)])
@@ -223,7 +232,9 @@ def instrument_of_table(table: Entries) -> Instrument:
 
 
 def experiment_permission(table: Entries, targets: tuple[Target, ...]) -> Permission:
-    """Permission of the table [experiment]: what experiments may do, and to which cubes.
+    """Permission of the table [experiment].
+
+    What experiments may do, and to which cubes.
     Raises FileError for what is none of it.
     """
     table.refuse_misspelt(("may",))
@@ -309,8 +320,9 @@ def camera_toml(camera: Camera, has_pose: bool = False, units: LengthAndAngleUni
 
 
 def replace_target_markers(text: str, markers: dict[str, tuple[Marker, ...]]) -> str:
-    """The rig.toml text with the markers of each target replaced; cubes and boards become lists of markers.
+    """The rig.toml text with the markers of each target replaced.
 
+    Cubes and boards become lists of markers.
     text : a valid rig.toml; markers : {target name: (Marker, ...)}
     A marker that is not among them and whose pose is not stated remains so.
     """
@@ -349,7 +361,11 @@ ENTRY_POINT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")  # of a package's 
 
 
 def user_program_text(table: Entries, key: str, stated: str) -> str:
-    """A stated "file:PATH" with PATH joined to the folder of rig.toml, or "package:NAME" as it is. Raises FileError."""
+    """Text of a user's program as rig.toml states it.
+
+    A stated "file:PATH" with PATH joined to the folder of rig.toml, or "package:NAME" as it is.
+    Raises FileError.
+    """
     kind, _, place = stated.partition(":")
     if kind == "package":
         if not ENTRY_POINT.fullmatch(place):

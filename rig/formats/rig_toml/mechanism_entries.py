@@ -1,4 +1,7 @@
-"""Table [mechanism] of rig.toml: hexapod, planar pair, arm, chain or free, read with checks."""
+"""Mechanism entries of rig.toml, table [mechanism].
+
+Hexapod, planar pair, arm, chain or free, read with checks.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -15,7 +18,8 @@ from rig.formats.rig_toml.arm_branch_and_hand_entries import branches_of_tables,
 from rig.model.arm_branches_and_hands import hand_names
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2, Stage
 from rig.model.mechanisms.file_mechanism import nominal_mechanism
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, singular_geometry_problem
+from rig.model.mechanisms.hexapod_singularity_and_cardan_twist import singular_geometry_problem
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 
 FILE = "file:"  # before the name of a kinematics file
 SHORTEST = 2e-3  # m; no strut is shorter, so that a smaller figure in a file in mm is in metres
@@ -47,7 +51,9 @@ class Joint:
 
 
 def joint_rows_and_kinds(table: Entries) -> tuple[Floats, Booleans]:
-    """Joint rows (n, 4 or 5) of theta, d, a, alpha, beta (rad, m), and joint kinds (n,), true where prismatic.
+    """Joint rows and joint kinds of a table.
+
+    Rows (n, 4 or 5) of theta, d, a, alpha, beta (rad, m); kinds (n,) are true where prismatic.
 
     A row may begin with "revolute", the default, or "prismatic"; or each joint is a table with these figures by name,
     `joint` its kind and perhaps `limits`. Raises FileError for anything else, no rows, or lengths beyond any rig
@@ -126,10 +132,12 @@ def _slides(table: Entries, i: int, row: list[object]) -> bool:
 
 
 def joint_limits(table: Entries, is_prismatic: Booleans) -> Floats:
-    """Joint limits (n, 2) rad, m for prismatic joints. Raises FileError where they are invalid.
+    """Joint limits (n, 2) rad, m for prismatic joints.
+
     is_prismatic : (n,) bool. Raises FileError where they do not run from small to large, or a slide's are beyond any
         rig.
     to large, or a slide's are beyond any rig.
+    Raises FileError where they are invalid.
     """
     rows = table.get("joints")
     if not isinstance(rows, list):
@@ -181,7 +189,10 @@ def _disordered(table: Entries, key: str, limits: tuple[float, float], unit: str
 
 
 def mechanism_of_table(table: Entries) -> Mechanism:
-    """Mechanism of the table [mechanism], lengths in m, angles in rad. Raises FileError."""
+    """Mechanism of the table [mechanism], lengths in m, angles in rad.
+
+    Raises FileError.
+    """
     stated = table.get("kind", "")
     if isinstance(stated, str) and stated.startswith(FILE):
         table.refuse_misspelt(("kind",))
@@ -190,7 +201,11 @@ def mechanism_of_table(table: Entries) -> Mechanism:
 
 
 def mechanism_of_file(table: Entries, key: str, name: str) -> FileMechanism:
-    """Mechanism of a kinematics file beside the file that names it. key : where that is. Raises FileError."""
+    """Mechanism of a kinematics file beside the file that names it.
+
+    key : where that is.
+    Raises FileError.
+    """
     if not name.endswith(".py") or Path(name).name != name:
         table.fail(f"{table.name(key)} names a Python file beside this one, such as file:delta.py, not {name!r}", key)
     path = table.file.parent / name
@@ -199,8 +214,9 @@ def mechanism_of_file(table: Entries, key: str, name: str) -> FileMechanism:
 
 
 def write_kinematics_file(folder: Path, mechanism: Mechanism) -> None:
-    """Write the kinematics file of a mechanism into a folder, beside a file that names it; nothing for other kinds.
+    """Write the kinematics file of a mechanism into a folder, beside a file that names it.
 
+    Nothing for other kinds.
     Raises FileError where another file of that name is there
     """
     for name, text in mechanism.files.items():

@@ -1,4 +1,7 @@
-"""rig.toml text in m and rad, rewritten in the units that its owner reads ("mm, deg"), remarks included."""
+"""Text of rig.toml in other units.
+
+From m and rad, rewritten in the units that its owner reads ("mm, deg"), remarks included.
+"""
 
 import re
 from collections.abc import Iterator
@@ -15,7 +18,7 @@ from rig.formats.checked_entries import Key
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.length_and_angle_units import SI, LengthAndAngleUnits, UnitNames
 from rig.formats.rig_toml.arm_dynamics_entries import dynamics_of_table
-from rig.formats.rig_toml.design_file import design_of_entries
+from rig.formats.rig_toml.design_from_rig_toml import design_of_entries
 from rig.formats.rig_toml.mechanism_entries import ROW_UNITS
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import axis_units, has_links
 
@@ -24,7 +27,9 @@ REMARK = re.compile(r"(#\s+|\()(m|rad)(?=(/s(\^2)?)?( per revolution|,|\)|\s*$))
 
 
 def rig_toml_in_units(text: str, units: LengthAndAngleUnits) -> str:
-    """The text of a rig.toml in m and rad with its lengths and angles in other units, which it states.
+    """The text of a rig.toml in m and rad with its lengths and angles in other units.
+
+    Which it states.
 
     Figures are converted by the units that the reader of rig.toml asks for; layout and remarks remain.
     text : whose boards, if any, are listed markers

@@ -2,7 +2,6 @@
 geometry of rig.model.mechanism_geometry_classes.
 """
 
-from rig.model.kinematics_file import Axis, Parameter
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     ALL,
     MechanismKinematics,
@@ -12,6 +11,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     kinematics_of,
     travel_unit,
 )
+from rig.model.user_kinematics_file import Axis, Parameter
 
 __all__ = [
     "Axis",

@@ -1,4 +1,6 @@
-"""Arm of any number of turning or sliding joints: forward and inverse kinematics, Jacobian, limits, loads.
+"""Arm of any number of joints.
+
+Turning or sliding joints: forward and inverse kinematics, Jacobian, limits, loads.
 
 Distal Denavit-Hartenberg with Hayati's extra turn: A_i = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta), of a slide
 Rz(theta) Tz(d + q) ..
@@ -26,8 +28,9 @@ REACH = 1.0  # m; a radian counts like so much
 
 
 def link_frames(q: Floats, arm: Arm) -> Floats:
-    """Frames (..., n + 2, 4, 4) of the arm's links at joint values, frames 0..n and the platform's.
+    """Frames (..., n + 2, 4, 4) of the arm's links at joint values.
 
+    Frames 0..n and the platform's.
     q : (..., n) rad, of slides m. Frame i - 1 carries axis i (its z). Raises ValueError for another number of joints or
         values not finite, RigError for an arm with several hands
     """
@@ -101,12 +104,20 @@ def poses_of_hands(q: Floats, arm: Arm, hand: Integers | None) -> RigidTransform
 
 
 def joint_values_with_zero_for_slides(q: Floats, arm: Arm) -> Floats:
-    """Turn angles (..., n) rad of the joints at joint values q (..., n): 0 for slides."""
+    """Joint values (..., n) rad with zero for slides.
+
+    Turn angles of the joints at joint values q (..., n).
+
+    0 for slides.
+    """
     return np.where(arm.slides, 0.0, q) if arm.slides.any() else np.asarray(q, float)
 
 
 def link_transform(q: Floats, dh_row: Floats) -> Floats:
-    """Transform (..., 4, 4) of a link by its Denavit-Hartenberg row (theta, d, a, alpha, beta) at q (...,)."""
+    """Transform (..., 4, 4) of a link by its Denavit-Hartenberg row.
+
+    dh_row : theta, d, a, alpha, beta; q (...,)
+    """
     theta, d, a, alpha, beta = dh_row
     ct, st = np.cos(q + theta), np.sin(q + theta)
     ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
@@ -161,18 +172,27 @@ def geometric_jacobian(frames: JointFrames, arm: Arm, output_axes: str = "platfo
 
 
 def signed_limit_excess(q: Floats, arm: Arm) -> Floats:
-    """Excess of joint values over their limits, (..., n) rad or m: negative below, positive above, 0 inside."""
+    """Excess of joint values over their limits, (..., n) rad or m.
+
+    Negative below, positive above, 0 inside.
+    """
     low, high = arm.limits.T
     return np.minimum(q - low, 0) + np.maximum(q - high, 0)
 
 
 def travel_ranges(arm: Arm) -> Floats:
-    """Travel (n, 2) rad or m of the joints: their limits."""
+    """Travel (n, 2) rad or m of the joints.
+
+    Their limits.
+    """
     return arm.limits
 
 
 def home_values(arm: Arm) -> Floats:
-    """Home joint values (n,) rad or m: all zero."""
+    """Home joint values (n,) rad or m.
+
+    All zero.
+    """
     return np.zeros(len(arm.joints))
 
 
@@ -182,8 +202,9 @@ def axis_loads(T: RigidTransform, q: Floats, arm: Arm, wrench: Floats) -> Floats
 
 
 def link_weight_loads(T: RigidTransform, q: Floats, arm: Arm, gravity: Floats) -> Floats:
-    """Loads (m, n, 4 n) N m of the links' own weight on the joints, per kg and kg m of each link.
+    """Loads (m, n, 4 n) N m of the links' own weight on the joints.
 
+    Per kg and kg m of each link.
     gravity : (3,), or (m, 3) of each posture, m/s^2 in the frame of poses
     Source: Luh, Walker and Paul's recursion at rest, as a regressor: Gautier and Khalil 1990
     """
@@ -204,8 +225,9 @@ def link_weight_loads(T: RigidTransform, q: Floats, arm: Arm, gravity: Floats) -
 
 
 def link_weight_base_moments(q: Floats, arm: Arm, gravity: Floats) -> Floats:
-    """Moments (m, 3, 4 n) N m of the links' own weight about the base's origin, per kg and kg m of each link.
+    """Moments (m, 3, 4 n) N m of the links' own weight about the base's origin.
 
+    Per kg and kg m of each link.
     gravity : (m, 3) m/s^2 of each posture; both in the frame of poses
     """
     after, n = joint_frames(q, arm).after, len(arm.joints)
@@ -230,8 +252,9 @@ def axis_deviation_and_sway_by_member_growth(
 
 
 def inverse_kinematics_jacobian(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
-    """Jacobian (m, n, 6) of inverse kinematics: least change of joint values with the pose's tangent.
+    """Jacobian (m, n, 6) of inverse kinematics.
 
+    Least change of joint values with the pose's tangent.
     q : (m, n) rad or m
     """
     return np.asarray(np.linalg.pinv(jacobian(q, arm)))
@@ -269,8 +292,9 @@ def strut_ends(T: RigidTransform, arm: Arm) -> None:
 
 
 def inverse(T_base_platform: RigidTransform, arm: Arm, guess: Floats | None = None) -> Floats:
-    """Inverse kinematics: joint values (..., n) rad or m of a pose, within limits if possible, near the guess.
+    """Inverse kinematics.
 
+    Joint values (..., n) rad or m of a pose, within limits if possible, near the guess.
     T_base_platform : RigidTransform (...); guess : (n,) or (..., n) rad or m, the middle of the limits by default
     Raises Unreachable with the index of poses to which no start leads, and how near (m, rad) the arm comes
     """
@@ -285,10 +309,11 @@ def inverse(T_base_platform: RigidTransform, arm: Arm, guess: Floats | None = No
 def solve_inverse(
     T_base_platform: RigidTransform, arm: Arm, guess: Floats | None = None, starts: int = STARTS, seed: int = 0
 ) -> tuple[Floats, Floats]:
-    """Inverse kinematics solved by damped least squares from a guess, then random starts: (q, error left).
+    """Inverse kinematics solved by damped least squares from a guess, then random starts.
 
     left : greater of the position's (m) and rotation's (rad) remaining error; above GOOD means no solution was found
     A solution outside the limits is only given where no start leads to one inside.
+    Returns (q, error left)
     Source: Sugihara, Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method, T-RO 2011 (the
         damping)
     """

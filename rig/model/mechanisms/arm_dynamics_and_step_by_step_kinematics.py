@@ -1,4 +1,6 @@
-"""Dynamics of an arm (joint torques, mass matrix, momentum rate), and its kinematics step by step for a reader.
+"""Arm dynamics, and kinematics step by step.
+
+Joint torques, mass matrix, momentum rate; the steps are for a reader.
 
 Source: Luh, Walker and Paul, On-line computational scheme for mechanical manipulators, 1980 (sliding joints: there
     too).
@@ -58,8 +60,9 @@ class LinkMasses:
 def joint_torques(
     q: Floats, speed: Floats, acceleration: Floats, arm: Arm, links: LinkMasses, gravity: Floats
 ) -> Floats:
-    """Joint torques (..., n) N m (slides: N) for an arm's weight and motion alone, with nothing at the hand.
+    """Joint torques (..., n) N m (slides: N) for an arm's weight and motion alone.
 
+    With nothing at the hand.
     q : (..., n) rad, of slides m; speed, acceleration : (..., n) of these per s and s^2; gravity : (3,) m/s^2 in the
         axes of poses
     """
@@ -111,8 +114,9 @@ def mass_matrix(q: Floats, arm: Arm, links: LinkMasses) -> Floats:
 
 
 def torque_free_momentum_rate(q: Floats, speed: Floats, arm: Arm, links: LinkMasses, gravity: Floats) -> Floats:
-    """Rate (..., n) N m of an arm's momentum without joint torques and hand wrench: C^T v - g.
+    """Rate (..., n) N m of an arm's momentum without joint torques and hand wrench.
 
+    C^T v - g.
     q, speed : (..., n) rad and rad/s; gravity : (3,) m/s^2 in the axes of poses
     """
     still, ahead = np.zeros(np.shape(q)), STEP * np.asarray(speed, float)

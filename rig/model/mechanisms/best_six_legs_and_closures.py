@@ -1,4 +1,6 @@
-"""Redundant leg closures of a platform (more than six legs): best six for the pose, closure errors of the others.
+"""Best six of redundant legs, and closures.
+
+Of a platform with more than six legs: best six for the pose, closure errors of the others.
 
 Legs are driven struts and measuring limbs alike. What a closure is expected to be follows from every leg's own error
 and from how well its geometry is known; one leg that is off by the same all along shows in all closures that depend on
@@ -70,8 +72,9 @@ class LegClosures:
 def combine_leg_sets(
     leg_sets: list[tuple[str, Hexapod | MeasuringLimbs, Floats, Floats]], home_pose: RigidTransform
 ) -> RedundantLegs:
-    """Combine leg sets into RedundantLegs: each set (letter, geometry, sigma, covariance), about one home pose.
+    """Combine leg sets into RedundantLegs.
 
+    Each set (letter, geometry, sigma, covariance), about one home pose.
     home_pose : T_base_platform, about which they are looked for
     """
     blocks, names, zeros = [], list[str](), []
@@ -98,7 +101,10 @@ def combine_leg_sets(
 
 
 def leg_lengths_and_pose_and_base_jacobians(legs: RedundantLegs, T: RigidTransform) -> tuple[Floats, Floats, Floats]:
-    """Leg lengths (n, k) m, their Jacobians (n, k, 6) with the pose, and with the base joints (n, k, 3)."""
+    """Leg lengths (n, k) m, and their Jacobians with pose and base joints.
+
+    Jacobians (n, k, 6) with the pose, and (n, k, 3) with the base joints.
+    """
     matrix = T.as_matrix()
     R, place = matrix[:, :3, :3], matrix[:, :3, 3]
     along = np.einsum("nij,kj->nki", R, legs.platform) + place[:, None] - legs.base
@@ -109,7 +115,10 @@ def leg_lengths_and_pose_and_base_jacobians(legs: RedundantLegs, T: RigidTransfo
 
 
 def leg_parameter_jacobians(legs: RedundantLegs, T: RigidTransform) -> Floats:
-    """Jacobians (n, k, 7 k) of leg lengths with each leg's parameters: base joint, platform joint, zero."""
+    """Jacobians (n, k, 7 k) of leg lengths with each leg's parameters.
+
+    Base joint, platform joint, zero.
+    """
     own = _slope(leg_lengths_and_pose_and_base_jacobians(legs, T)[2], T)
     return (np.eye(own.shape[1])[:, :, None] * own[:, :, None]).reshape(*own.shape[:2], -1)
 
@@ -125,7 +134,9 @@ def _slope(to_base: Floats, T: RigidTransform) -> Floats:
 
 
 def best_six_legs(legs: RedundantLegs, T: RigidTransform) -> Integers:
-    """Indices (6,) of the six legs that determine poses T (n,) best in the worst direction and pose.
+    """Indices (6,) of the best six legs.
+
+    Those that determine poses T (n,) best in the worst direction and pose.
     Raises RigError
     where none of them holds the platform
     """
@@ -143,7 +154,9 @@ def best_six_legs(legs: RedundantLegs, T: RigidTransform) -> Integers:
 
 
 def leg_closures(legs: RedundantLegs, lengths: Floats, chosen_six: Integers) -> LegClosures:
-    """LegClosures of leg lengths (n, k) m: errors of the other legs at poses from the six chosen ones.
+    """LegClosures of leg lengths (n, k) m.
+
+    Errors of the other legs at poses from the six chosen ones.
     Raises RigError where the six leave the platform loose at a pose
     """
     checks = np.setdiff1d(np.arange(len(legs.names)), chosen_six)

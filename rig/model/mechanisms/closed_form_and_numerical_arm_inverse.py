@@ -1,4 +1,6 @@
-"""Inverse kinematics of arms: closed form of six joints (all eight branches), and numerical from many starts.
+"""Closed-form and numerical inverse kinematics of arms.
+
+Closed form of six joints (all eight branches), and numerical from many starts.
 
 The frame stands at the crossing of axes 1 and 2 (or where 1 comes nearest to 2), z along axis 1, y along axis 2. It
 serves arms whose axes 4, 5, 6 cross (spherical wrist) with 2 parallel to 3, and arms with 2, 3, 4 parallel and 5
@@ -89,7 +91,10 @@ class InverseBranches:
 
 
 def six_joint_arm(arm: Arm) -> SixJointArm:
-    """Six-joint arm (SixJointArm) of an Arm with a closed form. Raises RigError, with the misfit, for any other."""
+    """Six-joint arm (SixJointArm) of an Arm with a closed form.
+
+    Raises RigError, with the misfit, for any other.
+    """
     if len(arm.joints) != 6:
         raise RigError(f"the closed form is for six joints, not {len(arm.joints)}")
     if arm.slides.any():
@@ -108,7 +113,10 @@ def six_joint_arm(arm: Arm) -> SixJointArm:
 
 
 def frame_at_first_axes_crossing(arm: Arm) -> RigidTransform:
-    """Frame T_base_global of an Arm at the crossing of its first axes 1 and 2: z along axis 1, y along axis 2."""
+    """Frame T_base_global of an Arm at the crossing of its first axes 1 and 2.
+
+    Its z is along axis 1, y along axis 2.
+    """
     chain = mechanism.link_frames(np.zeros(len(arm.joints)), arm)
     o, u = chain[:2, :3, 3], chain[:2, :3, 2]
     y = u[1] - (u[1] @ u[0]) * u[0]
@@ -157,8 +165,9 @@ def _hand(matrix: Floats, six: SixJointArm) -> Floats:
 def closed_form_inverse(
     T_base_platform: RigidTransform, six_arm: SixJointArm, free_joint_values: Floats | None = None
 ) -> InverseBranches:
-    """Inverse kinematics in closed form: InverseBranches of poses (...), singular and unreachable ones marked.
+    """Inverse kinematics in closed form.
 
+    InverseBranches of poses (...), singular and unreachable ones marked.
     free_joint_values : (6,) rad, zero by default: what a joint takes that a singular pose leaves free
     """
     matrix = T_base_platform.as_matrix()
@@ -203,7 +212,10 @@ class DirectionCounts(NamedTuple):
 
 
 def hand_motion_direction_counts(arm: Arm) -> DirectionCounts:
-    """DirectionCounts of an Arm's hand: in how many directions of position and rotation it can move."""
+    """DirectionCounts of an Arm's hand.
+
+    In how many directions of position and rotation it can move.
+    """
     low, high = arm.limits.T
     J = mechanism.jacobian(np.random.default_rng(0).uniform(low, high, (SAMPLES, len(low))), arm)
     place = int(np.linalg.matrix_rank(J[:, :3], rtol=NONE).max())
@@ -217,8 +229,9 @@ def nearest_joint_values(
     directions: DirectionCounts,
     effective: Callable[[Floats], Floats] | None = None,
 ) -> tuple[Floats, Floats, Booleans]:
-    """Joint values q (m, n) nearest to poses (m,) from a start (m, n), the rest (m, 6), settled (m,) bool.
+    """Joint values q (m, n) nearest to poses (m,) from a start (m, n).
 
+    The rest (m, 6), settled (m,) bool.
     directions : Directions in which it may be led; rest : tangent on the right, in the hand, that still leads to the
         pose
     effective : q (m, n) -> values (m, n) that the joints really take, q itself by default
@@ -277,7 +290,10 @@ class InverseSolutions(NamedTuple):
 
 
 def numerical_inverse_solutions(T_base_platform: RigidTransform, arm: Arm, starts: int = STARTS) -> InverseSolutions:
-    """Numerical InverseSolutions of one pose () of an Arm from many starts, those within the limits first."""
+    """Numerical InverseSolutions of one pose () of an Arm from many starts.
+
+    Those within the limits first.
+    """
     n, (low, high) = len(arm.joints), arm.limits.T
     begin = np.random.default_rng(0).uniform(low, high, (starts, n))
     many = RigidTransform.from_matrix(np.tile(T_base_platform.as_matrix(), (starts, 1, 1)))

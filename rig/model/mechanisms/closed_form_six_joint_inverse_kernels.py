@@ -1,4 +1,6 @@
-"""Compiled closed-form inverses of six-joint arms: spherical wrist, or three parallel axes.
+"""Kernels of closed-form inverses of six-joint arms.
+
+Compiled: spherical wrist, or three parallel axes.
 
 All branches: two shoulders, two elbows, two wrists. Points and axes are those at zero, in the global frame. Each joint
 is read from a point or a direction that the joints behind it cannot move, and then turned back before the next is read.
@@ -43,7 +45,10 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 @njit(cache=True, error_model="numpy")
 def add_scaled(a: Vector, b: Vector, k: float) -> Vector:
-    """a with b added, scaled: a + k b."""
+    """a with b added, scaled.
+
+    It is a + k b.
+    """
     return a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2]
 
 
@@ -62,7 +67,10 @@ def rotate_point(p: Vector, o: Vector, u: Vector, c: float, s: float) -> Vector:
 
 @njit(cache=True, error_model="numpy")
 def angle_about_axis(a: Vector, b: Vector, u: Vector) -> tuple[float, float, float, float]:
-    """Angle from a to b about the axis u, with its cosine, sine and the product of their lengths across u."""
+    """Angle from a to b about the axis u.
+
+    With its cosine, sine and the product of their lengths across u.
+    """
     a, b = add_scaled(a, u, -dot(a, u)), add_scaled(b, u, -dot(b, u))
     s, c = dot(u, cross(a, b)), dot(a, b)
     size = sqrt(s * s + c * c)
@@ -79,10 +87,12 @@ def wrap_angle(t: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def cosine_equation_angles(a: float, b: float, r_minus_c: float, r_plus_c: float) -> tuple[float, float, float]:
-    """Both angles of the equation a cos x + b sin x = c, from r - c and r + c: (first, second, sine).
+    """Both angles of the equation a cos x + b sin x = c, from r - c and r + c.
 
     less and more come in the form that keeps their digits where they are small; a negative one is the caller's to
     refuse.
+
+    Returns (first, second, sine)
     """
     h = sqrt(max(r_minus_c, 0.0) * max(r_plus_c, 0.0))
     c = 0.5 * (r_plus_c - r_minus_c)
@@ -94,7 +104,10 @@ def cosine_equation_angles(a: float, b: float, r_minus_c: float, r_plus_c: float
 def both_first_joint_angles_for_point_level(
     point: Vector, o: Vector, u1: Vector, u2: Vector, level: float
 ) -> tuple[float, float, float, float, float]:
-    """Both shoulder angles (joint 1) that bring the point to `level` along axis 2, with spread and distances."""
+    """Both shoulder angles (joint 1) that bring the point to `level` along axis 2.
+
+    With spread and distances.
+    """
     w = add_scaled(point, o, -1.0)
     flat = add_scaled(u2, u1, -dot(u1, u2))
     a, b = dot(flat, w), -dot(flat, cross(u1, w))
@@ -108,7 +121,10 @@ def both_first_joint_angles_for_point_level(
 def both_elbow_points(
     o: Vector, u: Vector, upper_arm: float, forearm: float, point: Vector
 ) -> tuple[Vector, Vector, float, float, float, float]:
-    """Both elbow points at distance `upper_arm` from axis (o, u) and `forearm` from a point, with distances in m.
+    """Both elbow points at distance `upper_arm` from axis (o, u) and `forearm` from a point.
+
+    With distances in m.
+
     (first, second, height, by how much the point is too far, too near, its distance), all in m.
     """
     d = add_scaled(point, o, -1.0)
@@ -191,8 +207,9 @@ def spherical_wrist_inverse(
     wrist_crossing: Floats,
     free_joint_values: Floats,
 ) -> Found:
-    """Inverse of arms with a spherical wrist (axes 4, 5, 6 cross in `wrist_crossing`), axes 2 and 3 parallel.
+    """Inverse of arms with a spherical wrist (axes 4, 5, 6 cross in `wrist_crossing`).
 
+    Axes 2 and 3 parallel.
     wanted_hand_points : (m, 3, 3) points A, B, C wanted, AB and AC of length 1, hand_points_at_zero : (3, 3) the same
         at zero; key : (3,) at zero
     free_joint_values : (6,) rad, taken where a joint is free
@@ -293,7 +310,10 @@ def parallel_axes_inverse(
     wrist_crossing: Floats,
     free_joint_values: Floats,
 ) -> Found:
-    """Inverse of arms with parallel axes 2, 3, 4; 5 and 6 cross in `wrist_crossing`: q (m, 8, 6), flags, reasons."""
+    """Inverse of arms with parallel axes 2, 3, 4.
+
+    Axes 5 and 6 cross in `wrist_crossing`: q (m, 8, 6), flags, reasons.
+    """
     q, flags = np.full((len(wanted_hand_points), 8, 6), np.nan), np.full((len(wanted_hand_points), 8), -1)
     reason, gap = np.zeros(len(wanted_hand_points), np.int64), np.zeros(len(wanted_hand_points))
     o1, o2, o3, o4 = (

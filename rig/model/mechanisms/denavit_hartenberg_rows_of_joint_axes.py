@@ -1,4 +1,7 @@
-"""Denavit-Hartenberg rows of an arm from the lines of its joint axes, and from a table in Craig's convention."""
+"""Denavit-Hartenberg rows of an arm's joint axes.
+
+From the lines of its axes, and from a table in Craig's convention.
+"""
 
 from typing import NamedTuple
 
@@ -23,8 +26,9 @@ class PlacedRows(NamedTuple):
 
 
 def denavit_hartenberg_rows_of_joint_axes(points: Floats, directions: Floats, T_root_tip: RigidTransform) -> PlacedRows:
-    """PlacedRows of an arm whose joints turn about, or slide along, these lines while all joint values are 0.
+    """Denavit-Hartenberg rows (PlacedRows) of an arm's joint axes.
 
+    Its joints turn about, or slide along, these lines while all joint values are 0.
     points : (n, 3) m, a point on each axis, where the origins of Hayati's rows are put; directions : (n, 3) of length
     1, about which a joint value is right-handed; both in the root's frame. T_root_tip : the tip's pose at 0
     Hayati's beta is not 0 only where an axis is nearly parallel to the next one, and not exactly.
@@ -98,8 +102,9 @@ def _nearest(normal: Floats, x: Floats) -> Floats:
 
 
 def distal_rows_of_modified_rows(modified: Floats) -> PlacedRows:
-    """PlacedRows of a table in Craig's (modified) convention: Rx(alpha) Tx(a) Rz(theta + q) Tz(d) for each row.
+    """PlacedRows of a table in Craig's (modified) convention.
 
+    That is Rx(alpha) Tx(a) Rz(theta + q) Tz(d) for each row.
     modified : (n, 4) theta, d, a, alpha, rad and m. The first row's a and alpha are the base; a row here takes those of
     the next. Raises ValueError for another shape. Source: Craig, Introduction to Robotics, ch. 3
     """

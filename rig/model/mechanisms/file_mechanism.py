@@ -1,4 +1,6 @@
-"""Mechanism whose kinematics its owner states in a file: forward by Newton or the file's own, Jacobians, limits.
+"""Mechanism whose kinematics its owner states in a file.
+
+Forward by Newton or the file's own, Jacobians, limits.
 
 The axes follow from the pose by the file's inverse; all else is derived from that, by derivatives of it. A platform of
 fewer than six freedoms keeps its other coordinates as at home, or as the file's forward gives them; the inverse
@@ -13,9 +15,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, Unreachable
-from rig.model.kinematics_file import KinematicsFile, freedom_columns, parameter_columns
-from rig.model.kinematics_file_checks import kinematics_of_source, locked_poses
 from rig.model.mechanism_geometry_classes import FileMechanism
+from rig.model.user_kinematics_file import KinematicsFile, freedom_columns, parameter_columns
+from rig.model.user_kinematics_file_checks import kinematics_of_source, locked_poses
 
 AXIS, UNIT = "axis", "m"
 SCALE = 5e-4  # m that a parameter's tolerance counts as, so that lengths and angles share one scale
@@ -26,13 +28,17 @@ LEAST_REACH = 0.05  # m, which that distance counts as at least
 
 
 def nominal_mechanism(file: str, source: str) -> FileMechanism:
-    """The mechanism of a kinematics file as its owner believes it. Raises FileError for a file that cannot be used."""
+    """The mechanism of a kinematics file as its owner believes it.
+
+    Raises FileError for a file that cannot be used.
+    """
     return FileMechanism(file, source, kinematics_of_source(source, file).nominal)
 
 
 def inverse(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Floats:
-    """Inverse kinematics: axis values (..., axes) m or rad of poses (...), of the nearest that the platform can take.
+    """Inverse kinematics.
 
+    Axis values (..., axes) m or rad of poses (...), of the nearest that the platform can take.
     Raises Unreachable with the index of poses for which the file has no values
     """
     poses = locked_poses(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
@@ -48,8 +54,9 @@ def inverse(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Floats
 
 
 def forward(values: Floats, mechanism: FileMechanism, guess: RigidTransform | None = None) -> RigidTransform:
-    """Forward kinematics: T_base_platform (...) of axis values (..., axes), by the file's forward or by Newton.
+    """Forward kinematics.
 
+    T_base_platform (...) of axis values (..., axes), by the file's forward or by Newton.
     guess : RigidTransform () or (...), the home pose by default; unused where the file has a forward
     Raises NotConverged with index, values and residual of those that have no pose near the guess, or beyond a
     singularity; ValueError for a wrong shape or values that are not finite
@@ -142,7 +149,10 @@ def _require_solved(left: Floats, values: Floats, mechanism: FileMechanism) -> N
 
 
 def nearest_reachable(T_base_platform: RigidTransform, mechanism: FileMechanism) -> RigidTransform:
-    """Poses (...) with the coordinates that are no freedoms as at home: the nearest that the platform can take."""
+    """Nearest reachable poses (...) of a platform with few freedoms.
+
+    The nearest that the platform can take.
+    """
     matrices = T_base_platform.as_matrix()
     return RigidTransform.from_matrix(
         locked_poses(mechanism.stated, matrices.reshape(-1, 4, 4)).reshape(matrices.shape)
@@ -160,7 +170,10 @@ def _free_directions(poses: Floats, mechanism: FileMechanism) -> Floats:
 
 
 def jacobian(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Floats:
-    """Jacobian (..., axes, 6) of the axis values with the pose's tangent on the right; 0 along what is no freedom."""
+    """Jacobian (..., axes, 6) of the axis values with the pose's tangent on the right.
+
+    0 along what is no freedom.
+    """
     poses = locked_poses(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
     columns = freedom_columns(mechanism.stated, poses, mechanism.parameters)
     out = columns @ np.swapaxes(_free_directions(poses, mechanism), 1, 2)
@@ -173,7 +186,10 @@ def identified_parameters(mechanism: FileMechanism) -> Integers:
 
 
 def scaled_parameters(mechanism: FileMechanism) -> Floats:
-    """(k,) m, the identified parameters less the owner's in tolerances, each of which counts as SCALE."""
+    """Scaled parameters (k,) m of a mechanism.
+
+    The identified parameters less the owner's in tolerances, each of which counts as SCALE.
+    """
     free, stated = identified_parameters(mechanism), mechanism.stated
     return SCALE * (mechanism.parameters - stated.nominal)[free] / stated.tolerances[free]
 
@@ -188,13 +204,19 @@ def with_scaled_parameters(mechanism: FileMechanism, scaled: Floats) -> FileMech
 
 
 def with_random_parameters(mechanism: FileMechanism, rng: np.random.Generator, size: float) -> FileMechanism:
-    """The mechanism with parameters drawn at random about its own, standard deviation `size` of their tolerances."""
+    """The mechanism with parameters drawn at random about its own.
+
+    Standard deviation `size` of their tolerances.
+    """
     tolerances = mechanism.stated.tolerances
     return replace(mechanism, parameters=mechanism.parameters + size * tolerances * rng.normal(size=len(tolerances)))
 
 
 def loop_jacobian(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Floats:
-    """Loop Jacobian (..., axes, k): change of minus the axis values with the scaled parameters, at poses (...)."""
+    """Loop Jacobian (..., axes, k).
+
+    Change of minus the axis values with the scaled parameters, at poses (...).
+    """
     poses = locked_poses(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
     free = identified_parameters(mechanism)
     out = -parameter_columns(mechanism.stated, poses, mechanism.parameters, free)
@@ -203,7 +225,10 @@ def loop_jacobian(T_base_platform: RigidTransform, mechanism: FileMechanism) -> 
 
 
 def parameter_units_and_scales(mechanism: FileMechanism) -> tuple[tuple[str, ...], Floats]:
-    """(units; (k,) unit of it for each m of the scaled parameters) of the identified parameters."""
+    """Units and scales of the identified parameters.
+
+    Returns (units; (k,) unit of it for each m of the scaled parameters)
+    """
     free, stated = identified_parameters(mechanism), mechanism.stated
     return tuple(stated.units[k] for k in free), stated.tolerances[free] / SCALE
 
@@ -215,7 +240,10 @@ def parameter_names(mechanism: FileMechanism) -> tuple[str, ...]:
 
 
 def signed_limit_excess(values: Floats, mechanism: FileMechanism) -> Floats:
-    """Excess (..., axes) of commanded values over their travel: negative below, positive above, 0 inside."""
+    """Excess (..., axes) of commanded values over their travel.
+
+    Negative below, positive above, 0 inside.
+    """
     low, high = travel_ranges(mechanism).T
     return np.minimum(values - low, 0) + np.maximum(values - high, 0)
 
@@ -226,30 +254,45 @@ def travel_ranges(mechanism: FileMechanism) -> Floats:
 
 
 def home_values(mechanism: FileMechanism) -> Floats:
-    """Home values (axes,) m or rad: of the home pose."""
+    """Home values (axes,) m or rad.
+
+    Of the home pose.
+    """
     return inverse(mechanism.home_pose, mechanism)
 
 
 def axis_loads(T: RigidTransform, values: Floats, mechanism: FileMechanism, wrench: Floats) -> Floats:
-    """Loads (n, axes) N or N m of the axes that hold a wrench (n, 6) on the platform. Guides take the rest."""
+    """Axis loads (n, axes) N or N m that hold a wrench.
+
+    A wrench (n, 6) on the platform. Guides take the rest.
+    """
     return -np.einsum("nij,ni->nj", np.linalg.pinv(jacobian(T, mechanism)), wrench)
 
 
 def link_weight_loads(T: RigidTransform, values: Floats, mechanism: FileMechanism, gravity: Floats) -> Floats:
-    """Loads of the links' own weight: none (n, axes, 0), the file states no masses."""
+    """Loads of the links' own weight.
+
+    None (n, axes, 0), the file states no masses.
+    """
     return np.zeros((*np.shape(values), 0))
 
 
 def axis_deviation_and_sway_by_member_growth(
     T: RigidTransform, values: Floats, mechanism: FileMechanism, share: Floats
 ) -> tuple[Floats, Floats]:
-    """Deviation (n, axes) and sway (n, 6) by the growth of axes by shares (n, axes): of slides; of joints none."""
+    """Deviation (n, axes) and sway (n, 6) by the growth of axes by shares (n, axes).
+
+    Of slides; of joints none.
+    """
     slides = np.array([axis.unit == "m" for axis in mechanism.stated.axes])
     return share * values * slides, np.zeros((len(share), 6))
 
 
 def inverse_kinematics_jacobian(T: RigidTransform, values: Floats, mechanism: FileMechanism) -> Floats:
-    """Jacobian (n, axes, 6) of inverse kinematics: change of the axis values with the pose's tangent at T (n,)."""
+    """Jacobian (n, axes, 6) of inverse kinematics.
+
+    Change of the axis values with the pose's tangent at T (n,).
+    """
     return jacobian(T, mechanism)
 
 
@@ -259,7 +302,10 @@ def jacobian_rows_by_axis(T: RigidTransform, values: Floats, mechanism: FileMech
 
 
 def link_points(values: Floats, mechanism: FileMechanism) -> None:
-    """Points of links for drawing at values (n, axes): none, the file states no shapes."""
+    """Points of links for drawing at values (n, axes).
+
+    None, the file states no shapes.
+    """
     return None
 
 

@@ -1,4 +1,7 @@
-"""Hexapod (Gough-Stewart platform): forward and inverse kinematics, Jacobian, strut limits and loads."""
+"""Hexapod (Gough-Stewart platform).
+
+Forward and inverse kinematics, Jacobian, strut limits and loads.
+"""
 
 from functools import lru_cache
 from typing import cast
@@ -21,8 +24,9 @@ CHUNK = 4096  # poses at a time, so that the work stays in the cache
 
 
 def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> Floats:
-    """Inverse kinematics: commanded strut lengths of a pose, joint centre to joint centre less strut zeros.
+    """Inverse kinematics.
 
+    Commanded strut lengths of a pose, joint centre to joint centre less strut zeros.
     T_base_platform : RigidTransform (...); hexapod : Hexapod
     Returns (..., 6) m; whether they are within the strut range is for `limits` to say
     Source: Merlet, Parallel Robots, 2nd ed., ch. 3
@@ -50,8 +54,9 @@ def jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> Floats:
 
 
 def forward(lengths: Floats, hexapod: Hexapod, guess: RigidTransform | None = None) -> RigidTransform:
-    """Forward kinematics: the platform pose of commanded strut lengths, by Newton on SE(3) in batches.
+    """Forward kinematics.
 
+    The platform pose of commanded strut lengths, by Newton on SE(3) in batches.
     lengths : (..., 6) m, as commanded (the strut zeros are added here)
     guess : RigidTransform () or (...), the home pose by default; decides which assembly is meant
     Returns T_base_platform : RigidTransform (...)
@@ -85,43 +90,62 @@ def forward(lengths: Floats, hexapod: Hexapod, guess: RigidTransform | None = No
 
 
 def signed_limit_excess(lengths: Floats, hexapod: Hexapod) -> Floats:
-    """Excess of commanded lengths over their limits, (..., 6) m: negative below, positive above, 0 inside."""
+    """Excess of commanded lengths over their limits, (..., 6) m.
+
+    Negative below, positive above, 0 inside.
+    """
     low, high = hexapod.strut_range.T
     return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
 
 
 def travel_ranges(hexapod: Hexapod) -> Floats:
-    """Travel (6, 2) m of the struts: shortest and longest commanded length."""
+    """Travel (6, 2) m of the struts.
+
+    Shortest and longest commanded length.
+    """
     return hexapod.strut_range
 
 
 def home_values(hexapod: Hexapod) -> Floats:
-    """Home lengths (6,) m: commanded lengths at the home pose."""
+    """Home lengths (6,) m.
+
+    Commanded lengths at the home pose.
+    """
     return inverse(hexapod.home, hexapod)
 
 
 def axis_loads(T: RigidTransform, lengths: Floats, hexapod: Hexapod, wrench: Floats) -> Floats:
-    """Loads (n, 6) N of the struts, pushing, that hold a wrench (n, 6) on the platform: J^T f + w = 0.
+    """Axis loads (n, 6) N of the struts that hold a wrench.
 
+    Pushing, with a wrench (n, 6) on the platform: J^T f + w = 0.
     Source: Merlet, Parallel Robots, 2nd ed., ch. 9
     """
     return cast(Floats, np.linalg.solve(np.swapaxes(jacobian(T, hexapod), 1, 2), -wrench[..., None])[..., 0])
 
 
 def link_weight_loads(T: RigidTransform, lengths: Floats, hexapod: Hexapod, gravity: Floats) -> Floats:
-    """Empty loads (n, 6, 0): a hexapod has no arm links, and the base carries the struts."""
+    """Empty loads (n, 6, 0).
+
+    A hexapod has no arm links, and the base carries the struts.
+    """
     return np.zeros((*np.shape(lengths), 0))
 
 
 def axis_deviation_and_sway_by_member_growth(
     T: RigidTransform, lengths: Floats, hexapod: Hexapod, share: Floats
 ) -> tuple[Floats, Floats]:
-    """Deviation (n, 6) m and sway (n, 6) by the growth of struts by shares (n, 6) of their length: no sway."""
+    """Deviation (n, 6) m and sway (n, 6) by the growth of struts by shares (n, 6) of their length.
+
+    No sway.
+    """
     return share * lengths, np.zeros((len(share), 6))
 
 
 def inverse_kinematics_jacobian(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
-    """Jacobian (n, 6, 6) of inverse kinematics: change of strut lengths with the pose's tangent, at poses T (n,)."""
+    """Jacobian (n, 6, 6) of inverse kinematics.
+
+    Change of strut lengths with the pose's tangent, at poses T (n,).
+    """
     return jacobian(T, hexapod)
 
 
@@ -134,12 +158,18 @@ def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, hexapod: Hexapod) 
 
 
 def link_points(lengths: Floats, hexapod: Hexapod) -> None:
-    """None, for lengths (n, 6) m: a hexapod has no arm links to draw."""
+    """Link points of a hexapod: none.
+
+    For lengths (n, 6) m; it has no arm links to draw.
+    """
     return None
 
 
 def strut_ends(T: RigidTransform, hexapod: Hexapod) -> tuple[Floats, Floats]:
-    """Ends of the struts: base joints (6, 3) and platform joints (n, 6, 3) m, base frame, at poses T (n,)."""
+    """Ends of the struts.
+
+    Base joints (6, 3) and platform joints (n, 6, 3) m, base frame, at poses T (n,).
+    """
     return hexapod.base_joints, transform_points(T, hexapod.platform_joints)
 
 

@@ -1,4 +1,6 @@
-"""Mechanism chain, each on the platform of the one before: forward and inverse kinematics, Jacobian.
+"""Chain of mechanisms, each on the one before.
+
+Each stands on the platform of the one before: forward and inverse kinematics, Jacobian.
 
 T_base_platform = T_1(x_1) T_2(x_2) .. T_n(x_n): the platform of each stage is the base of the next. More axes than six
 leave the inverse a choice: the configuration nearest to the middle of all travels, each axis in shares of its own.
@@ -27,7 +29,9 @@ LONGEST = 0.25  # of a travel, of one step
 
 
 def stages_and_values(values: Floats, chain: Chain) -> Iterator[tuple[Stage, Floats]]:
-    """Stages of a chain, each with its values (..., axes), from commanded values (..., axes of all).
+    """Stages of a chain, each with its values (..., axes).
+
+    From commanded values (..., axes of all).
     Raises ValueError for another number of values
     """
     values = np.asarray(values, float)
@@ -53,12 +57,19 @@ def stage_poses(values: Floats, chain: Chain) -> list[RigidTransform]:
 
 
 def forward(values: Floats, chain: Chain, guess: RigidTransform | None = None) -> RigidTransform:
-    """Forward kinematics: T_base_platform (...) of commanded values (..., axes of all). guess : unused."""
+    """Forward kinematics.
+
+    T_base_platform (...) of commanded values (..., axes of all).
+    guess : unused.
+    """
     return stage_poses(values, chain)[-1]
 
 
 def stage_tangent_maps(transforms: list[RigidTransform]) -> list[Floats]:
-    """Maps (..., 6, 6) of each stage's tangent to the whole chain's tangent, from the stages' transforms."""
+    """Maps (..., 6, 6) of each stage's tangent to the whole chain's tangent.
+
+    From the stages' transforms.
+    """
     after, out = np.broadcast_to(np.eye(4), transforms[0].as_matrix().shape), []
     for T in reversed(transforms):
         R, t = after[..., :3, :3], after[..., :3, 3]
@@ -89,7 +100,9 @@ def _stage_jacobian(values: Floats, T: RigidTransform, stage: Stage) -> Floats:
 
 
 def inverse(T_base_platform: RigidTransform, chain: Chain, guess: Floats | None = None) -> Floats:
-    """Inverse kinematics: commanded values (..., axes of all) of poses, nearest to the middle of all travels.
+    """Inverse kinematics.
+
+    Commanded values (..., axes of all) of poses, nearest to the middle of all travels.
 
     Damped steps, what leaves the pose as it is spent on the way to the middle (Liegeois 1977)
     Raises Unreachable with the index of poses to which none leads
@@ -134,36 +147,54 @@ def _misses(x: Floats, target: RigidTransform, going: Integers, chain: Chain) ->
 
 
 def signed_limit_excess(values: Floats, chain: Chain) -> Floats:
-    """Excess (..., axes) m or rad of commanded values over their limits: negative below, positive above, 0 inside."""
+    """Excess (..., axes) m or rad of commanded values over their limits.
+
+    Negative below, positive above, 0 inside.
+    """
     return np.concatenate(
         [KINDS[stage.kind].signed_limit_excess(own, stage) for stage, own in stages_and_values(values, chain)], axis=-1
     )
 
 
 def travel_ranges(chain: Chain) -> Floats:
-    """Travel (axes of all, 2) m or rad of the axes: least and greatest commanded value."""
+    """Travel (axes of all, 2) m or rad of the axes.
+
+    Least and greatest commanded value.
+    """
     return np.concatenate([KINDS[stage.kind].travel_ranges(stage) for stage in chain.stages])
 
 
 def home_values(chain: Chain) -> Floats:
-    """Home values (axes of all,) m or rad: the home of every stage."""
+    """Home values (axes of all,) m or rad.
+
+    The home of every stage.
+    """
     return np.concatenate([KINDS[stage.kind].home_values(stage) for stage in chain.stages])
 
 
 def axis_loads(T: RigidTransform, values: Floats, chain: Chain, wrench: Floats) -> Floats:
-    """Loads (n, axes of all) N or N m of the axes that hold a wrench (n, 6) on the platform, each alone."""
+    """Axis loads (n, axes of all) N or N m that hold a wrench.
+
+    Those that hold a wrench (n, 6) on the platform, each alone.
+    """
     return -np.einsum("nij,ni->nj", jacobian(values, chain), wrench)
 
 
 def link_weight_loads(T: RigidTransform, values: Floats, chain: Chain, gravity: Floats) -> Floats:
-    """Empty loads (n, axes of all, 0): the weight of a chain's stages is not modelled."""
+    """Empty loads (n, axes of all, 0).
+
+    The weight of a chain's stages is not modelled.
+    """
     return np.zeros((*np.shape(values), 0))
 
 
 def axis_deviation_and_sway_by_member_growth(
     T: RigidTransform, values: Floats, chain: Chain, share: Floats
 ) -> tuple[Floats, Floats]:
-    """Deviation (n, axes of all) and sway (n, 6) by the growth of the stages' members by shares (n, axes of all)."""
+    """Axis deviation and sway by growth of the stages' members.
+
+    Deviation (n, axes of all) and sway (n, 6), by shares (n, axes of all) of the growth.
+    """
     parts, at, deviations, sway = stage_transforms(values, chain), 0, [], np.zeros((len(share), 6))
     for (stage, own), part, back in zip(stages_and_values(values, chain), parts, stage_tangent_maps(parts)):
         longer, moved = KINDS[stage.kind].axis_deviation_and_sway_by_member_growth(
@@ -176,7 +207,10 @@ def axis_deviation_and_sway_by_member_growth(
 
 
 def inverse_kinematics_jacobian(T: RigidTransform, values: Floats, chain: Chain) -> Floats:
-    """Jacobian (n, axes of all, 6) of inverse kinematics: least change of the axes with the pose's tangent."""
+    """Jacobian (n, axes of all, 6) of inverse kinematics.
+
+    Least change of the axes with the pose's tangent.
+    """
     return np.asarray(np.linalg.pinv(jacobian(values, chain)))
 
 
@@ -186,7 +220,10 @@ def jacobian_rows_by_axis(T: RigidTransform, values: Floats, chain: Chain) -> Fl
 
 
 def link_points(values: Floats, chain: Chain) -> None:
-    """None: there are no points of links to draw at values (n, axes), as a chain is drawn without links."""
+    """Link points of a chain: none.
+
+    At values (n, axes); a chain is drawn without links.
+    """
     return None
 
 

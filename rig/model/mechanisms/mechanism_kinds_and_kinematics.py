@@ -1,6 +1,7 @@
-"""Mechanism kinds, as predicates and requirements, and the kinematics module of each kind.
+"""Mechanism kinds, and the kinematics of each.
 
-Their common interface, axis names and units; singularity of a hexapod's geometry, and its cardan twist.
+Predicates and requirements of kinds, and the kinematics module of each kind with their common interface, axis names
+and units.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from rig.errors import RigError
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2
 from rig.model.mechanisms import arm, file_mechanism, hexapod, mechanism_chain, two_strut_plane
-from rig.model.pose import exp
 
 if TYPE_CHECKING:
     from typing_extensions import TypeIs
+
 
 Mechanism = Hexapod | Planar2 | FileMechanism | Arm | Chain | Free
 Struts = Hexapod | Planar2  # what moves a platform, or a hinge, on struts
@@ -34,12 +35,18 @@ def has_struts(mechanism: Mechanism) -> TypeIs[Struts]:
 
 
 def is_parallel(mechanism: Mechanism) -> TypeIs[Parallel]:
-    """Whether each axis of a mechanism follows from the pose by an equation of its own."""
+    """Whether a mechanism is parallel.
+
+    Each of its axes follows from the pose by an equation of its own.
+    """
     return mechanism.closes_loops
 
 
 def is_hexapod(mechanism: Mechanism) -> TypeIs[Hexapod]:
-    """Whether a mechanism is a hexapod: struts between two plates, holding all six coordinates of a pose."""
+    """Whether a mechanism is a hexapod.
+
+    Struts between two plates, holding all six coordinates of a pose.
+    """
     return mechanism.plates is not None
 
 
@@ -49,7 +56,7 @@ def has_links(mechanism: Mechanism) -> TypeIs[Arm]:
 
 
 def has_stages(mechanism: Mechanism) -> TypeIs[Chain]:
-    """Whether a mechanism is made of others, one upon the other."""
+    """Whether a mechanism has stages, one upon the other."""
     return len(mechanism.stages) > 1
 
 
@@ -61,7 +68,10 @@ def has_axes(mechanism: Mechanism) -> TypeIs[Commanded]:
 def require_hexapod(
     mechanism: Mechanism, refusal: str = "this requires a hexapod, not a mechanism of kind {kind!r}"
 ) -> Hexapod:
-    """Require that a mechanism is a hexapod, and return it. Raises RigError for another kind."""
+    """Require that a mechanism is a hexapod, and return it.
+
+    Raises RigError for another kind.
+    """
     if not is_hexapod(mechanism):
         raise RigError(refusal.format(kind=mechanism.kind))
     return mechanism
@@ -70,7 +80,10 @@ def require_hexapod(
 def require_struts(
     mechanism: Mechanism, refusal: str = "this requires a platform on struts, not a mechanism of kind {kind!r}"
 ) -> Struts:
-    """Require that a mechanism has struts (hexapod or planar), and return it. Raises RigError for another kind."""
+    """Require that a mechanism has struts (hexapod or planar), and return it.
+
+    Raises RigError for another kind.
+    """
     if not has_struts(mechanism):
         raise RigError(refusal.format(kind=mechanism.kind))
     return mechanism
@@ -79,108 +92,54 @@ def require_struts(
 def require_parallel(
     mechanism: Mechanism, refusal: str = "this requires a parallel mechanism, not one of kind {kind!r}"
 ) -> Parallel:
-    """Require that each axis of a mechanism follows from the pose, and return it. Raises RigError for another kind."""
+    """Require that a mechanism is parallel, and return it.
+
+    Each of its axes follows from the pose.
+    Raises RigError for another kind.
+    """
     if not is_parallel(mechanism):
         raise RigError(refusal.format(kind=mechanism.kind))
     return mechanism
 
 
 def require_arm(mechanism: Mechanism, refusal: str = "this requires an arm, not a mechanism of kind {kind!r}") -> Arm:
-    """Require that a mechanism is an arm, and return it. Raises RigError for another kind."""
+    """Require that a mechanism is an arm, and return it.
+
+    Raises RigError for another kind.
+    """
     if not has_links(mechanism):
         raise RigError(refusal.format(kind=mechanism.kind))
     return mechanism
 
 
 def require_chain(mechanism: Mechanism) -> Chain:
-    """Require that a mechanism is a chain, and return it. Raises RigError for another kind."""
+    """Require that a mechanism is a chain, and return it.
+
+    Raises RigError for another kind.
+    """
     if not has_stages(mechanism):
         raise RigError(f"this requires a chain of mechanisms, not a mechanism of kind {mechanism.kind!r}")
     return mechanism
 
 
 def target_bodies(mechanism: Mechanism) -> tuple[str, ...]:
-    """Names of a mechanism's bodies that may carry targets: platform, base, and a chain's lower stages."""
+    """Names of a mechanism's bodies that may carry targets.
+
+    Platform, base, and a chain's lower stages.
+    """
     return ("platform", "base", *mechanism.bodies)
 
 
 def require_axes(
     mechanism: Mechanism, refusal: str = "this requires a machine with axes, not a body that is moved by hand"
 ) -> Commanded:
-    """Require that a mechanism has axes to command, and return it. Raises RigError for a free body."""
+    """Require that a mechanism has axes to command, and return it.
+
+    Raises RigError for a free body.
+    """
     if not has_axes(mechanism):
         raise RigError(refusal.format(kind=mechanism.kind))
     return mechanism
-
-
-SINGULAR = 1e-6  # of the largest singular value of the Jacobian, rotations weighed by the platform's size
-MOVES = np.array(
-    [[0.1, 0, 0, 0, 0, 0], [0, 0.1, 0, 0.1, 0, 0], [0, 0, 0.1, 0, 0.1, 0], [0, 0, 0, 0, 0, 0.1]]
-)  # platform sizes, rad
-
-
-def singular_geometry_problem(hexapod: Hexapod) -> str | None:
-    """Problem of a hexapod that is singular at home or by its architecture, in words; None where it is not.
-
-    Joints on similar hexagons, one plate turned against the other or not, leave it loose wherever it stands.
-    Sources: Ma and Angeles, Architecture singularities of parallel manipulators, 1992; Merlet, Parallel Robots, 2nd
-    ed., ch. 6
-    """
-    size = max(
-        float(np.linalg.norm(hexapod.platform_joints - hexapod.platform_joints.mean(axis=0), axis=1).mean()), 1e-9
-    )
-    if _least(hexapod, np.zeros(6), size) > SINGULAR:
-        return None
-    if all(_least(hexapod, move, size) <= SINGULAR for move in MOVES * np.repeat([size, 1.0], 3)):
-        return (
-            "is singular by its architecture: whatever the strut lengths, the platform is loose at every "
-            "pose, since base and platform joints "
-            "lie on similar hexagons or the like (Ma and Angeles 1992); set the joints of one plate nearer in pairs"
-        )
-    return (
-        "is singular: there the strut lengths do not hold the platform, and no pose follows from them; another "
-        "home is needed, turned or tilted"
-    )
-
-
-def _least(hexapod: Hexapod, move: Floats, size: float) -> float:
-    """Least singular value of the Jacobian at home moved by a tangent (m, rad), as a share of the largest; 0 where a
-    strut has no length.
-    """
-    matrix = (hexapod.home * exp(move)).as_matrix()
-    R, a = matrix[:3, :3], hexapod.platform_joints
-    struts = (a @ R.T + matrix[:3, 3] - hexapod.base_joints) @ R
-    lengths = np.linalg.norm(struts, axis=1)
-    if lengths.min() <= 0:
-        return 0.0
-    u = struts / lengths[:, None]
-    values = np.linalg.svd(np.hstack([u, np.cross(a, u) / size]), compute_uv=False)
-    return float(values[-1] / values[0])
-
-
-def cardan_twist_angles_about_struts(T: RigidTransform, mechanism: Hexapod) -> Floats:
-    """Twist (..., 6) rad of each strut's platform-side cardan against its base-side one, about the strut.
-
-    A cardan's first axis lies in its plate, tangential, (-y, x, 0) of the joint in the plate's frame; its second is
-    perpendicular to the first and to the strut. Right-handed about u, from base to platform.
-    """
-    R = T.rotation.as_matrix()[..., None, :, :]
-    u = T.as_matrix()[..., None, :3, 3] + (R @ mechanism.platform_joints[..., None])[..., 0] - mechanism.base_joints
-    u /= np.linalg.norm(u, axis=-1, keepdims=True)
-    base, moved = (
-        cardan_plate_axes(mechanism.base_joints),
-        (R @ cardan_plate_axes(mechanism.platform_joints)[..., None])[..., 0],
-    )
-    a, b = np.cross(u, np.broadcast_to(base, u.shape)), np.cross(u, moved)
-    return np.arctan2(np.einsum("...i,...i->...", np.cross(a, b), u), np.einsum("...i,...i->...", a, b))
-
-
-def cardan_plate_axes(joints: Floats) -> Floats:
-    """First axes (6, 3) of the cardans at joints (6, 3) m of a plate, in its frame.
-
-    Tangential, as long as the joint is off its middle.
-    """
-    return np.stack([-joints[:, 1], joints[:, 0], np.zeros(len(joints))], axis=1)
 
 
 K = TypeVar("K", bound=Hexapod | Planar2 | FileMechanism | Arm | Chain | Free)
@@ -273,14 +232,20 @@ AXIS_UNITS = {"strut": "m", "slide": "m", "joint": "rad"}  # by what an axis is 
 
 
 def kinematics_of(mechanism: K) -> MechanismKinematics[K]:
-    """The kinematics module of a mechanism by its kind. Raises RigError for a kind without kinematics."""
+    """The kinematics module of a mechanism by its kind.
+
+    Raises RigError for a kind without kinematics.
+    """
     if mechanism.kind not in ALL:
         raise RigError(f"no kinematics for a mechanism of kind {mechanism.kind!r}; there are {', '.join(ALL)}")
     return ALL[mechanism.kind]
 
 
 def axis_places(mechanism: Mechanism) -> tuple[Place, ...]:
-    """Places of a mechanism's axes: strut 1 .., joint 1 .., slide 3, a chain's stage 2 strut 1."""
+    """Places of a mechanism's axes.
+
+    They are strut 1 .., joint 1 .., slide 3, a chain's stage 2 strut 1.
+    """
     if mechanism.bodies:
         return tuple(place for k, stage in enumerate(mechanism.stages) for place in _numbered(stage.axis_words, k + 1))
     return _numbered(mechanism.axis_words)
@@ -293,7 +258,10 @@ def _numbered(words: tuple[str, ...], stage: int = 0) -> tuple[Place, ...]:
 
 
 def axis_place_texts(mechanism: Mechanism) -> tuple[str, ...]:
-    """Texts of the places of a mechanism's axes: "strut 1" .., a chain's "stage 2 strut 1"."""
+    """Texts of the places of a mechanism's axes.
+
+    They are "strut 1" .., a chain's "stage 2 strut 1".
+    """
     return _texts(axis_places(mechanism))
 
 
@@ -303,12 +271,18 @@ def _texts(places: tuple[Place, ...]) -> tuple[str, ...]:
 
 
 def travel_unit(mechanism: Mechanism) -> str:
-    """Unit of the axes' travel, "m" or "rad"; "rad or m" for an arm with both."""
+    """Unit of the axes' travel, "m" or "rad".
+
+    It is "rad or m" for an arm with both.
+    """
     return " or ".join(dict.fromkeys(sorted(axis_units(mechanism), reverse=True)))
 
 
 def axis_units(mechanism: Mechanism) -> tuple[str, ...]:
-    """Unit of each axis of a mechanism, "m" or "rad"; none for a free body."""
+    """Unit of each axis of a mechanism, "m" or "rad".
+
+    None for a free body.
+    """
     return tuple(AXIS_UNITS[word] for word in mechanism.axis_words)
 
 
@@ -334,7 +308,9 @@ S = TypeVar("S", Hexapod, Planar2, FileMechanism, Hexapod | Planar2, Hexapod | P
 
 
 def geometric_parameters(mechanism: Parallel) -> Floats:
-    """Geometric parameters (p,) m: joints and zeros in the order of NAMES.
+    """Geometric parameters (p,) m.
+
+    Joints and zeros in the order of NAMES.
 
     Of a kinematics file its parameters less the owner's, each tolerance counted as `file_mechanism.SCALE`
     """
@@ -345,14 +321,20 @@ def geometric_parameters(mechanism: Parallel) -> Floats:
 
 
 def parameter_units_and_scales(mechanism: Parallel) -> tuple[tuple[str, ...], Floats]:
-    """(units, "m" or "rad"; (p,) how much of it each of the geometric parameters counts) of a parallel mechanism."""
+    """Units and scales of a parallel mechanism's parameters.
+
+    Returns (units, "m" or "rad"; (p,) how much of it each of the geometric parameters counts)
+    """
     if isinstance(mechanism, FileMechanism):
         return file_mechanism.parameter_units_and_scales(mechanism)
     return ("m",) * len(NAMES[mechanism.kind]), np.ones(len(NAMES[mechanism.kind]))
 
 
 def parameter_group_sizes(mechanism: Parallel) -> tuple[int, int]:
-    """How many of the parameters are joints' coordinates and how many are zeros; a kinematics file has one group."""
+    """Sizes of the groups of parameters.
+
+    How many are joints' coordinates and how many are zeros; a kinematics file has one group.
+    """
     count = len(geometric_parameters(mechanism))
     return (count, 0) if isinstance(mechanism, FileMechanism) else (count - len(mechanism.axes), len(mechanism.axes))
 
@@ -369,7 +351,10 @@ def mechanism_with_parameters(mechanism: S, p: Floats) -> S:
 
 
 def strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Parallel) -> Floats:
-    """Jacobian (..., axes, 6) of the strut lengths, or the axes, m/m and m/rad, by the poses' tangents on the right."""
+    """Jacobian (..., axes, 6) of the strut lengths, or the axes, m/m and m/rad.
+
+    By the poses' tangents on the right.
+    """
     if isinstance(mechanism, FileMechanism):
         return file_mechanism.jacobian(T_base_platform, mechanism)
     if isinstance(mechanism, Hexapod):
@@ -387,7 +372,10 @@ def nearest_reachable_poses(T_base_platform: RigidTransform, mechanism: Mechanis
 
 
 def loop_closure_parameter_jacobian(T_base_platform: RigidTransform, mechanism: Parallel) -> Floats:
-    """Loop closure Jacobian (..., axes, p): change of zero - length with the parameters, at poses (...)."""
+    """Loop closure Jacobian (..., axes, p).
+
+    Change of zero - length with the parameters, at poses (...).
+    """
     if isinstance(mechanism, FileMechanism):
         return file_mechanism.loop_jacobian(T_base_platform, mechanism)
     if isinstance(mechanism, Planar2):

@@ -1,4 +1,7 @@
-"""Two struts to one hinge in the plane z = 0: kinematics of the configuration-space patent's example."""
+"""Two struts to one hinge in the plane.
+
+Plane z = 0: kinematics of the configuration-space patent's example.
+"""
 
 from typing import cast
 
@@ -13,7 +16,10 @@ AXIS, UNIT = "strut", "m"
 
 
 def inverse(T_base_platform: RigidTransform, planar: Planar2) -> Floats:
-    """Inverse kinematics: commanded strut lengths (..., 2) m of a pose (...), from its x and y."""
+    """Inverse kinematics.
+
+    Commanded strut lengths (..., 2) m of a pose (...), from its x and y.
+    """
     position = T_base_platform.translation[..., None, :2]
     return np.linalg.norm(position - planar.base_joints, axis=-1) - planar.strut_zeros
 
@@ -30,8 +36,9 @@ def jacobian(T_base_platform: RigidTransform, planar: Planar2) -> Floats:
 
 
 def forward(lengths: Floats, planar: Planar2, guess: RigidTransform | None = None) -> RigidTransform:
-    """Forward kinematics: hinge position, unrotated RigidTransform (...), of commanded lengths (..., 2) m.
+    """Forward kinematics.
 
+    Hinge position, unrotated RigidTransform (...), of commanded lengths (..., 2) m.
     guess : unused; the hinge is on the left of the line from base joint 1 to base joint 2
     Raises NotConverged with index, lengths and residual (m) where the circles do not meet
     """
@@ -60,37 +67,55 @@ def forward(lengths: Floats, planar: Planar2, guess: RigidTransform | None = Non
 
 
 def signed_limit_excess(lengths: Floats, planar: Planar2) -> Floats:
-    """Excess of commanded lengths over their limits, (..., 2) m: negative below, positive above, 0 inside."""
+    """Excess of commanded lengths over their limits, (..., 2) m.
+
+    Negative below, positive above, 0 inside.
+    """
     low, high = planar.strut_range.T
     return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
 
 
 def travel_ranges(planar: Planar2) -> Floats:
-    """Travel (2, 2) m of the struts: shortest and longest commanded length."""
+    """Travel (2, 2) m of the struts.
+
+    Shortest and longest commanded length.
+    """
     return planar.strut_range
 
 
 def home_values(planar: Planar2) -> Floats:
-    """Home values (2,) m: the strut lengths at the middle of their ranges."""
+    """Home values (2,) m.
+
+    The strut lengths at the middle of their ranges.
+    """
     return planar.strut_range.mean(axis=1)
 
 
 def axis_loads(T: RigidTransform, lengths: Floats, planar: Planar2, wrench: Floats) -> Floats:
-    """Loads (n, 2) N of the struts, pushing, that hold a wrench (n, 6) on the hinge; a guide takes the rest."""
+    """Axis loads (n, 2) N of the struts that hold a wrench.
+
+    Pushing, with a wrench (n, 6) on the hinge; a guide takes the rest.
+    """
     return cast(
         Floats, np.linalg.solve(np.swapaxes(jacobian(T, planar)[..., :2], 1, 2), -wrench[..., :2, None])[..., 0]
     )
 
 
 def link_weight_loads(T: RigidTransform, lengths: Floats, planar: Planar2, gravity: Floats) -> Floats:
-    """Empty loads (n, 2, 0): the mechanism has no arm links, and the base carries the struts."""
+    """Empty loads (n, 2, 0).
+
+    The mechanism has no arm links, and the base carries the struts.
+    """
     return np.zeros((*np.shape(lengths), 0))
 
 
 def axis_deviation_and_sway_by_member_growth(
     T: RigidTransform, lengths: Floats, planar: Planar2, share: Floats
 ) -> tuple[Floats, Floats]:
-    """Deviation (n, 2) m and sway (n, 6) by the growth of struts by shares (n, 2) of their length: no sway."""
+    """Deviation (n, 2) m and sway (n, 6) by the growth of struts by shares (n, 2) of their length.
+
+    No sway.
+    """
     return share * lengths, np.zeros((len(share), 6))
 
 
@@ -100,7 +125,9 @@ def inverse_kinematics_jacobian(T: RigidTransform, lengths: Floats, planar: Plan
 
 
 def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, planar: Planar2) -> Floats:
-    """Rows (n, 2, 6) of the strut lengths' Jacobian with the pose, one for each strut, at poses T (n,).
+    """Rows (n, 2, 6) of the strut lengths' Jacobian with the pose.
+
+    One for each strut, at poses T (n,).
 
     They coincide where the machine is singular.
     """
@@ -108,17 +135,26 @@ def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, planar: Planar2) -
 
 
 def link_points(lengths: Floats, planar: Planar2) -> None:
-    """None, for lengths (n, 2) m: two struts have no arm links to draw."""
+    """Link points of two struts: none.
+
+    For lengths (n, 2) m; they have no arm links to draw.
+    """
     return None
 
 
 def strut_ends(T: RigidTransform, planar: Planar2) -> tuple[Floats, Floats]:
-    """Ends of the struts: base joints (2, 3) and the hinge (n, 2, 3) m, base frame, at poses T (n,)."""
+    """Ends of the struts.
+
+    Base joints (2, 3) and the hinge (n, 2, 3) m, base frame, at poses T (n,).
+    """
     return np.pad(planar.base_joints, ((0, 0), (0, 1))), np.repeat(T.translation[:, None], 2, axis=1)
 
 
 def two_strut_loop_jacobian(T_base_platform: RigidTransform, mechanism: Planar2) -> Floats:
-    """Loop Jacobian (..., 2, 6) of two struts: change of zero - length with base joints and zeros (m/m)."""
+    """Loop Jacobian (..., 2, 6) of two struts.
+
+    Change of zero - length with base joints and zeros (m/m).
+    """
     struts = T_base_platform.translation[..., None, :2] - mechanism.base_joints
     u = struts / np.linalg.norm(struts, axis=-1, keepdims=True)
     out = np.zeros((*u.shape[:-1], 6))

@@ -1,4 +1,7 @@
-"""rig.toml layouts of a hexapod or two struts from a few dimensions; placement of cameras and cubes in layouts."""
+"""Hexapod layouts, and placement of cameras.
+
+rig.toml layouts of a hexapod or two struts from a few dimensions; cameras and cubes are placed in layouts.
+"""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -30,7 +33,10 @@ class CubeRing(NamedTuple):
 
 
 def require_possible_layout(radius: float, cameras: int, cubes: int, dictionary: str) -> None:
-    """Raise RigError unless a layout is possible: its radius, counts, and enough markers for its cubes."""
+    """Raise RigError unless a layout is possible.
+
+    Its radius, counts, and enough markers for its cubes.
+    """
     if not 0.01 <= radius <= 20:
         raise RigError(f"a radius of {radius:g} m makes no rig; expected 0.01 .. 20 m")
     if cameras < 1 or cubes < 1:
@@ -43,7 +49,9 @@ def require_possible_layout(radius: float, cameras: int, cubes: int, dictionary:
 
 
 def camera_ring_lines(centre: Floats, reach: float, count: int, width: int, height: int) -> list[str]:
-    """rig.toml lines of a ring of cameras evenly around a centre (3,) m, with a field of view of `reach` m.
+    """rig.toml lines of a ring of cameras evenly around a centre (3,) m.
+
+    With a field of view of `reach` m.
     width, height : px
     """
     distance = DISTANCE_SHARE * reach
@@ -121,7 +129,10 @@ def cube_lines(
 
 
 def cube_ring_lines(cubes: int, dictionary: str, platform_ring: CubeRing, base_ring: CubeRing) -> list[str]:
-    """rig.toml lines of rings of cubes on the platform and on the base, each face with its own marker id."""
+    """rig.toml lines of rings of cubes on the platform and on the base.
+
+    Each face with its own marker id.
+    """
     lines = []
     for k, (body, ring) in enumerate((("platform", platform_ring), ("base", base_ring))):
         for i in range(cubes):

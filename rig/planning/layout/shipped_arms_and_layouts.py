@@ -1,4 +1,6 @@
-"""Shipped arms (rig/arms): names, files, and rig.toml layouts with cameras and cubes.
+"""Shipped arms (rig/arms), and their layouts.
+
+Names, files, and rig.toml layouts with cameras and cubes.
 
 The arm is to move about one posture, far from its singular ones, in which hand and cubes stay in view: its limits are
 narrowed to that.
@@ -15,13 +17,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats.length_and_angle_units import SI, LengthAndAngleUnits
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.rig_toml_text_in_other_units import rig_toml_in_units
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout.hexapod_layout_and_camera_placement import (
     FACES,
     CubeRing,
@@ -61,7 +63,9 @@ def shipped_arm_names() -> list[str]:
 
 
 def shipped_arm_path(path_or_name: str) -> Path:
-    """Path of the rig.toml of a shipped arm by its name, or the path itself. Raises RigError.
+    """Path of the rig.toml of a shipped arm by its name, or the path itself.
+
+    Raises RigError.
     Raises RigError for what is neither.
     """
     if Path(path_or_name).exists() or Path(path_or_name).suffix:
@@ -75,14 +79,16 @@ def shipped_arm_path(path_or_name: str) -> Path:
 
 def load_shipped_arm_design(path_or_name: str) -> Design:
     """Load the Design of a shipped arm by its name, or of a rig.toml by its path.
-    Raises RigError for what is neither, FileError as rig.formats.rig_toml.design_file.load_design.
-    rig.formats.rig_toml.design_file.load_design.
+    Raises RigError for what is neither, FileError as rig.formats.rig_toml.design_from_rig_toml.load_design.
+    rig.formats.rig_toml.design_from_rig_toml.load_design.
     """
-    return design_file.load_design(shipped_arm_path(path_or_name))
+    return design_from_rig_toml.load_design(shipped_arm_path(path_or_name))
 
 
 def shipped_arm_rig_toml(name: str) -> str:
-    """rig.toml text of a shipped arm measured by an instrument. Raises RigError for an unknown name.
+    """rig.toml text of a shipped arm measured by an instrument.
+
+    Raises RigError for an unknown name.
     Raises RigError for a name that there is not.
     """
     if name not in shipped_arm_names():
@@ -253,8 +259,9 @@ class LayoutOptions:
 
 
 def new_rig_toml(options: LayoutOptions) -> str:
-    """rig.toml text of a new hexapod, two struts or a shipped arm, with cameras and cubes placed.
+    """rig.toml text of a new rig.
 
+    A hexapod, two struts or a shipped arm, with cameras and cubes placed.
     Raises RigError as `hexapod_layout_rig_toml`, `two_strut_layout_rig_toml` and `arm_layout_rig_toml`
     """
     return rig_toml_in_units(_rig_toml_in_si(options), options.units)

@@ -1,4 +1,7 @@
-"""Figures of the image plane (arrows, outlines, cells), and the interactive 3-D view of a rig in a page."""
+"""Image plane figures, and 3-D views, of pages.
+
+Arrows, outlines, cells; the 3-D view of a rig is interactive.
+"""
 
 import json
 from collections.abc import Callable, Sequence
@@ -7,17 +10,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rig.array_and_json_types import Floats, Integers, Json
-from rig.report.pages.page_templates_and_elements import (
+from rig.report.pages.html_and_svg_elements import (
     TEXT,
     WIDTH,
     escape_html,
     inline_html,
     note_html,
-    read_page_asset,
     svg_figure,
     svg_text,
     svg_tooltip,
 )
+from rig.report.pages.page_templates_and_index_page import read_page_asset
 
 TOP = TEXT + 11.0
 Placed = Callable[[Floats], Floats]  # (n, 2) of the plane -> (n, 2) of the figure
@@ -96,9 +99,10 @@ def image_plane_figure(
 
 
 def patch_means(uv: Floats, values: Floats, cell: float) -> tuple[Floats, Floats]:
-    """Means of values (n, k) by square patches of uv (n, 2) >= 0: (centres (c, 2), means (c, k)).
+    """Means of values (n, k) by square patches of uv (n, 2) >= 0.
 
     cell : a square's side, as uv
+    Returns (centres (c, 2), means (c, k))
     """
     keys, index, count = np.unique((uv // cell).astype(int) @ [1, 1000], return_inverse=True, return_counts=True)
     centre = np.stack([keys % 1000, keys // 1000], axis=1) * cell + cell / 2
@@ -202,7 +206,10 @@ def view_3d_html(scene: Scene) -> list[str]:
 
 
 def view_3d_scripts_if_needed(parts: Sequence[str]) -> tuple[str, ...]:
-    """Scripts of the 3-D view, where a page's parts contain one; else ()."""
+    """Scripts of the 3-D view, where a page's parts contain one.
+
+    Else ().
+    """
     return (
         (read_page_asset("view3d.js") + read_page_asset("stage.js"),)
         if any('id="stage-data"' in part for part in parts)

@@ -1,4 +1,7 @@
-"""Plots as SVG: panels of dots, lines and intervals over two axis scales, and bar charts."""
+"""Plots as SVG.
+
+Panels of dots, lines and intervals over two axis scales, and bar charts.
+"""
 
 import math
 from collections.abc import Sequence
@@ -8,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from rig.array_and_json_types import Floats, Integers
-from rig.report.pages.page_templates_and_elements import (
+from rig.report.pages.html_and_svg_elements import (
     TEXT,
     escape_html,
     round_ticks,
@@ -114,7 +117,10 @@ class Series:
 
 
 def panel_row_html(*figures: str) -> str:
-    """Row of panels: figures side by side where there is room, else below each other."""
+    """Row of panels.
+
+    Figures side by side where there is room, else below each other.
+    """
     return '<div class="panels">' + "".join(figures) + "</div>"
 
 
@@ -163,8 +169,9 @@ def bar_chart_svg(
     unit: str,
     marked: Sequence[str] = (),
 ) -> str:
-    """Horizontal bar chart as SVG: a bar per name and group.
+    """Horizontal bar chart as SVG.
 
+    A bar per name and group.
     groups : (name, values in unit, colour); marked : bold names
     """
     rows = _rows([g[0] for g in groups])

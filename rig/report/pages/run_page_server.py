@@ -1,4 +1,6 @@
-"""HTTP server on the loopback for the page of one run: page, live events, camera images, a stop button.
+"""HTTP server of the page of one run.
+
+On the loopback: page, live events, camera images, a stop button.
 
 Who asks must come from this computer, name it as the host, come from no other site, and know the token; every path is
 one of a fixed few. See docs/operating.md for what that guards against.

@@ -29,7 +29,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose_difference
-from rig.planning import configuration_sets, plan
+from rig.planning import configuration_generators, plan
 from rig.recording import recording_folder, recording_table_loading_and_writing
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_table_loading_and_writing import Poses
@@ -159,7 +159,7 @@ def test_a_folder_of_all_lacks_the_pdf_where_nothing_draws_it_and_says_so(held, 
 def test_the_promise_is_so(held, design):
     """Against thousands of poses of the machine as it is, come to from everywhere."""
     correction = calibration_file.load(held.folder / "cal.json").correction
-    goals = configuration_sets.sobol_configurations(design.mechanism.strut_range, 2000, seed=8)[
+    goals = configuration_generators.sobol_configurations(design.mechanism.strut_range, 2000, seed=8)[
         np.random.default_rng(1).permutation(2000)
     ]
     route = plan.plan_of_configurations(goals, goals[0], plan.planned_axis_speeds(design))

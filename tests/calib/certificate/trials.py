@@ -31,7 +31,7 @@ from rig.effects.framework.effect_parameters_and_covariates import Drawing
 from rig.errors import NotConverged
 from rig.model import mechanisms, motion_simulation
 from rig.model.pose import exp, pose_difference
-from rig.planning import configuration_sets, plan
+from rig.planning import configuration_generators, plan
 from synthetic import secret_machine_and_truth_file
 
 KINDS = (
@@ -91,7 +91,7 @@ def trial(design, seed, level=(0.95, 0.95), sizes=SIZES, kinds=None, noise=1.0):
     strokes = design.mechanism.strut_range
     goals = np.concatenate(
         [
-            configuration_sets.sobol_configurations(strokes, FITTED, seed=seed),
+            configuration_generators.sobol_configurations(strokes, FITTED, seed=seed),
             plan.scale_to_strokes(strokes, rng.uniform(-1, 1, (POSES, 6)), plan.FILL),
         ]
     )

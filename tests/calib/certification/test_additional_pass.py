@@ -24,7 +24,7 @@ from calib.samples.pose_samples import Samples
 from rig.errors import FileError, NotEnoughData
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from synthetic import secret_machine_and_truth_file
 from tests.calib.noisy_samples import rms
 from tests.numerical_derivatives import jacobian

@@ -11,7 +11,7 @@ from calib.certification.held_out_errors import errors_before_and_after_correcti
 from calib.certification.platform_certification import certify_platform, platform_workspace_claim
 from calib.samples.pose_samples import Samples, sample_recording
 from rig.effects.texts.effect_text_parsing import parse_effect, require_existing_place, require_nonzero_effect
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning import plan
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine_and_truth_file
@@ -24,7 +24,7 @@ INSTRUMENT = '\n[instrument]\nkind = "pose"\nbase = "rig"\ntool = "rig"\npositio
 def test_random_play_stands_out_on_a_balanced_plan(tmp_path: Path, seed: int) -> None:
     text = (BENCH / "fit" / "rig.toml").read_text() + INSTRUMENT
     (tmp_path / "rig.toml").write_text(text)
-    design = design_file.load_design(tmp_path / "rig.toml")
+    design = design_from_rig_toml.load_design(tmp_path / "rig.toml")
     gaps = np.random.default_rng(seed).uniform(20e-6, 80e-6, 6)
     secret = secret_machine_and_truth_file.draw_machine(
         design,

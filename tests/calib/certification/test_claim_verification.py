@@ -13,7 +13,7 @@ from calib.certification.error_claim_over_workspace import Claim
 from calib.samples.pose_samples import Samples
 from rig.model.mechanisms import hexapod
 from rig.model.pose import adjoint, exp
-from rig.planning import configuration_sets
+from rig.planning import configuration_generators
 from tests.calib.noisy_samples import rms
 
 POSITION, ROTATION = 20e-6, 60e-6  # m, rad: upper ends of the claim
@@ -29,7 +29,7 @@ def trial(design, seed, size, own=5e-6, shared=0.0, count=60, turned=None):
     shared : m, and five times that in rad
     turned : as size for rotation, the same by default"""
     rng = np.random.default_rng(seed)
-    commands = configuration_sets.sobol_configurations(design.mechanism.strut_range, count, 0.8, seed)[
+    commands = configuration_generators.sobol_configurations(design.mechanism.strut_range, count, 0.8, seed)[
         rng.permutation(count)
     ]
     predicted = hexapod.forward(commands, design.mechanism)

@@ -20,7 +20,7 @@ from calib.files import calibration_file
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import divided_grid_configurations, sobol_configurations
+from rig.planning.configuration_generators import divided_grid_configurations, sobol_configurations
 from tests.calib.noisy_samples import real, rms, sampled, workspace
 
 OWN = np.array([1e-7, 1e-7, 1e-7, 1e-6, 1e-6, 1e-6])  # m, rad; so little that what is left is the way's own

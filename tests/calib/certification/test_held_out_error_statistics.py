@@ -25,7 +25,7 @@ from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import certify_arm as certify_arm
 from calib.models.arm.workspace_claim import arm_workspace_claim as promised_arm
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from tests.calib import secret_arms as worlds
 from tests.calib.noisy_samples import real, rms, sampled
 from tests.rig.arms import UR10

@@ -9,10 +9,10 @@ from calib.certification import measuring_limb_identification_and_agreement
 from calib.online.information_filter import Online
 from calib.samples.pose_samples import sample_recording
 from rig.errors import FileError, NotEnoughData, RigError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
-from rig.planning import configuration_sets
+from rig.planning import configuration_generators
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording.recording_folder import Sensors
 from tests.calib.noisy_samples import rms
@@ -119,7 +119,7 @@ def test_struts_are_learnt_from_the_limbs_alone(limbed, measured):
     updates = [learner.update(*each) for each in zip(commands, T, own, common)]
     assert not any(update.changes or update.dropped for update in updates)
     true = done.world.true.mechanism
-    lengths = configuration_sets.sobol_configurations(true.strut_range, 100, 0.8)
+    lengths = configuration_generators.sobol_configurations(true.strut_range, 100, 0.8)
     error = rms(pose_difference(hexapod.forward(lengths, true), hexapod.forward(lengths, learner.hexapod)))
     before = rms(pose_difference(hexapod.forward(lengths, true), hexapod.forward(lengths, read.design.mechanism)))
     assert error[0] < before[0] / 20
@@ -163,7 +163,7 @@ def test_what_is_missing_is_said(limbed, design, tmp_path):
         )
     )
     with pytest.raises(FileError, match="insitu.length_sigma must be > 0"):
-        design_file.load_design(tmp_path / "rig.toml")
+        design_from_rig_toml.load_design(tmp_path / "rig.toml")
 
 
 def test_too_few_poses_for_limits(measured):

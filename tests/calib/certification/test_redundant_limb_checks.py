@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from calib.certification import measuring_limb_identification_and_agreement, redundant_limb_checks
-from calib.online import measuring_limb_poses_checked_by_vision, measuring_limbs_file
+from calib.online import accepted_limbs_file, measuring_limb_poses_checked_by_vision
 from calib.online.measuring_limb_poses_checked_by_vision import LiveLimbPoses
 from rig.cli import command_line
 from rig.errors import RigError
 from rig.formats.json_toml_and_yaml_loading import toml_entries
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.model.pose import transform_points
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from synthetic import secret_machine_and_truth_file
@@ -31,7 +31,7 @@ def machine(tmp_path_factory):
     """(Design with eight limbs, as it truly is, what these read at 60 poses (60, 8) m, with noise)"""
     folder = tmp_path_factory.mktemp("eight")
     (folder / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=EIGHT))
-    design = design_file.load_design(folder / "rig.toml")
+    design = design_from_rig_toml.load_design(folder / "rig.toml")
     true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(5)).true
     T = hexapod.forward(sobol_configurations(true.mechanism.strut_range, 60, 0.8), true.mechanism)
     m = true.insitu
@@ -83,7 +83,7 @@ def test_checks_close_on_stretches_left_out_by_as_much_as_is_said(machine, limbs
 
 def test_of_six_limbs_none_is_over_to_be_checked(machine):
     _, true, read, _ = machine
-    stated = design_file.design_of_entries(
+    stated = design_from_rig_toml.design_of_entries(
         toml_entries(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6), "rig.toml")
     ).insitu
     six = measuring_limb_identification_and_agreement.Limbs(
@@ -106,14 +106,14 @@ def test_a_limb_that_slips_is_named_by_the_others_within_five_poses(machine, lim
     assert 40 <= found.at < 45 and found.limb in (None, limb + 1)
     assert which == "chosen" or found.limb is not None
     assert found.limb is None or abs(found.size - 3e-5) < 1e-5
-    source = LiveLimbPoses(measuring_limbs_file.Accepted(limbs, limbs.hexapod, None, None, {}), 10)
+    source = LiveLimbPoses(accepted_limbs_file.Accepted(limbs, limbs.hexapod, None, None, {}), 10)
     told = [source.is_closed(one) for one in slipped[38:44]]
     assert told[0] is None and told[1] is None and any(told) and not source.in_force
 
 
 def test_fewer_limbs_than_freedoms_are_refused_with_the_reason(tmp_path):
     (tmp_path / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=4))
-    design = design_file.load_design(tmp_path / "rig.toml")
+    design = design_from_rig_toml.load_design(tmp_path / "rig.toml")
     with pytest.raises(
         RigError,
         match="has 4 measuring limbs in .insitu., and a platform has six freedoms: fewer than six lengths tell no",
@@ -138,7 +138,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     rows = re.findall(r"^m(\d) +\S+ +(\S+) +(\S+)$", said, re.MULTILINE)
     assert "give the pose; the others minus prediction, um:" in said and len(rows) == 2
     assert all(0.3 < float(rms) / float(expected) < 2 for _, rms, expected in rows)
-    kept = measuring_limbs_file.load_limbs(limbs)
+    kept = accepted_limbs_file.load_limbs(limbs)
     assert (
         sorted([*(kept.limbs.chosen + 1), *(kept.limbs.checks.limbs + 1)]) == list(range(1, EIGHT + 1))
         and kept.verdict == "accepted"
@@ -168,7 +168,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     said = capsys.readouterr().err
     assert "The measuring limbs no longer agree with one another: their acceptance is withdrawn" in said
     assert 30 <= int(re.search(r"frame (\d+)", said)[1]) < 35 and f"limb {limb} is longer" in said
-    assert measuring_limbs_file.load_limbs(limbs).verdict == "withdrawn"
+    assert accepted_limbs_file.load_limbs(limbs).verdict == "withdrawn"
     rig(
         "insitu",
         tmp_path / "rec",
@@ -180,16 +180,16 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
         "--out",
         tmp_path / "first.json",
     )
-    assert (measuring_limbs_file.load_limbs(tmp_path / "first.json").limbs.chosen == np.arange(6)).all()
+    assert (accepted_limbs_file.load_limbs(tmp_path / "first.json").limbs.chosen == np.arange(6)).all()
     assert command_line.main(["insitu", str(tmp_path / "rec"), "--use", "m1,m2,m3,m4,m5,m9"]) == 1
     assert "six different limbs of m1 .. m8" in capsys.readouterr().err
     with pytest.raises(RigError, match="of other limbs than rig.toml states in .insitu.: of 8, not of 6"):
-        measuring_limbs_file.accepted_limbs(tmp_path / "first.json", _with_limbs(tmp_path, 6))
+        accepted_limbs_file.accepted_limbs(tmp_path / "first.json", _with_limbs(tmp_path, 6))
     assert measuring_limb_poses_checked_by_vision.limb_poses(
-        read, measuring_limbs_file.load_limbs(tmp_path / "first.json")
+        read, accepted_limbs_file.load_limbs(tmp_path / "first.json")
     ).lengths.shape == (60, EIGHT)
 
 
 def _with_limbs(folder, count):
     (folder / "other.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=count))
-    return design_file.load_design(folder / "other.toml")
+    return design_from_rig_toml.load_design(folder / "other.toml")

@@ -23,7 +23,7 @@ from calib.samples.pose_samples import sample_recording
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.model.pose import pose_difference
-from rig.planning import configuration_sets, plan
+from rig.planning import configuration_generators, plan
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine_and_truth_file
 from tests.calib.noisy_samples import sampled
@@ -32,14 +32,16 @@ from tests.calib.noisy_samples import sampled
 def visited(mechanism, distinct, repeats, seed):
     """(distinct + repeats, 6) m commands, in any order, some of them again."""
     rng = np.random.default_rng(seed)
-    commands = configuration_sets.sobol_configurations(mechanism.strut_range, max(distinct, 2), seed=seed)[:distinct]
+    commands = configuration_generators.sobol_configurations(mechanism.strut_range, max(distinct, 2), seed=seed)[
+        :distinct
+    ]
     return commands[rng.permutation(np.r_[np.arange(distinct), rng.integers(distinct, size=repeats)])]
 
 
 def elsewhere(correction, true, seed):
     """before / after of the true machine, driven to 300 other configurations of the same workspace."""
     nominal = correction.nominal
-    commands = configuration_sets.sobol_configurations(nominal.strut_range, 300, seed=7000 + seed)
+    commands = configuration_generators.sobol_configurations(nominal.strut_range, 300, seed=7000 + seed)
     real = hexapod.forward(commands, true)
     before, after = (
         np.mean(pose_difference(model, real)[:, :3] ** 2)
@@ -140,7 +142,7 @@ def test_a_claim_is_kept_or_it_is_not(design):
     samples, true = sampled(design, 6, 30)
     done = certify_platform(samples, design.mechanism, np.random.default_rng(0))
     claim = platform_workspace_claim(samples, done, np.random.default_rng(0))
-    commands = configuration_sets.sobol_configurations(design.mechanism.strut_range, 40, seed=77)
+    commands = configuration_generators.sobol_configurations(design.mechanism.strut_range, 40, seed=77)
     fresh = sampled(design, 6, 40, commands=commands, noise_seed=5)[0]
     other = sampled(
         design,

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Arm
-from rig.planning import configuration_sets, plan
+from rig.planning import configuration_generators, plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording.recording_folder import Poses
 from rig.recording.recording_table_loading_and_writing import write_poses
@@ -42,11 +42,11 @@ def recorded(
     )
     folder.mkdir(parents=True)
     (folder / "rig.toml").write_text(text)
-    design, rng = design_file.load_design(folder / "rig.toml"), np.random.default_rng(100 + number)
+    design, rng = design_from_rig_toml.load_design(folder / "rig.toml"), np.random.default_rng(100 + number)
     secret = secret_machine_and_truth_file.draw_machine(design, rng, size, effects)
     strokes = design.mechanism.strut_range
     route = plan.plan_of_configurations(
-        configuration_sets.sobol_configurations(strokes, frames, seed=number),
+        configuration_generators.sobol_configurations(strokes, frames, seed=number),
         strokes.mean(axis=1),
         plan.planned_axis_speeds(design),
     )

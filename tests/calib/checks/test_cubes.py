@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rig.cli.command_line import main
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Target, markers_of_target
 from rig.model.pose import pose, pose_to_vector
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -20,7 +20,7 @@ TEXT = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=
 def told(tmp_path, text):
     path = tmp_path / "rig.toml"
     path.write_text(text)
-    return "\n".join(uneven_cube_layout_remarks(design_file.load_design(path)))
+    return "\n".join(uneven_cube_layout_remarks(design_from_rig_toml.load_design(path)))
 
 
 def moved(name, by):

@@ -20,7 +20,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import RigError
 from rig.model.mechanisms import arm as mechanism
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import shipped_arms_and_layouts
 from tests.calib import secret_arms
 from tests.calib.controllers_in_c import (

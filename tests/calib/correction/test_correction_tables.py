@@ -18,7 +18,7 @@ from calib.correction.interpolation.field_interface_and_combinations import Fiel
 from calib.correction.interpolation_methods_and_correction_summand_fields import measured_correction_summands
 from rig.formats.exporters import geometry_and_camera_files
 from rig.model.mechanisms import hexapod
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from tests.calib.noisy_samples import real, sampled
 
 

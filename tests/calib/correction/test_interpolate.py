@@ -16,7 +16,7 @@ from calib.correction.interpolation.field_interface_and_combinations import Fiel
 from calib.correction.interpolation.interpolation_on_grid_of_samples import grid_lattice_of_configurations
 from rig.errors import FileError, NotConverged, RigError
 from rig.formats.checked_entries import Entries
-from rig.planning.configuration_sets import divided_grid_configurations, sobol_configurations
+from rig.planning.configuration_generators import divided_grid_configurations, sobol_configurations
 
 STROKE = (0.4, 0.5)
 GRIDS = ("linear", "simplex")

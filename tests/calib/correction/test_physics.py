@@ -34,11 +34,11 @@ from rig.effects.framework.effect import MOTION_STAGES
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import FileError, RigError, Unreachable
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference, pose_to_vector
-from rig.planning import configuration_sets
+from rig.planning import configuration_generators
 from rig.recording.recording_folder import Sensors
 from synthetic import secret_machine_and_truth_file
 from tests.bench.physics import ROUTE, effect_of
@@ -59,7 +59,7 @@ def seen(tmp_path_factory):
     text = measured_by()
     path = tmp_path_factory.mktemp("seen") / "rig.toml"
     path.write_text(text)
-    return text, design_file.load_design(path)
+    return text, design_from_rig_toml.load_design(path)
 
 
 def physics_of(design, *effects, sigma=0.02):
@@ -88,7 +88,7 @@ def known_to_be(design, *effects):
 
 def wanted(design, count=12, every=20.0, seed=3):
     """(poses (count,), times (count,) s, Sensors over them)."""
-    lengths = configuration_sets.sobol_configurations(design.mechanism.strut_range, count, 0.6, seed)
+    lengths = configuration_generators.sobol_configurations(design.mechanism.strut_range, count, 0.6, seed)
     t = 40 + every * np.arange(count)
     _, log = secret_machine_and_truth_file.draw_temperatures(t[-1], np.random.default_rng(seed))
     log = Sensors(log.t, {**log.channels, "payload_mass_kg": np.linspace(0, 7, len(log.t))})

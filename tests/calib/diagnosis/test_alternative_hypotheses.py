@@ -19,7 +19,7 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis
 from rig.cli import command_line
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Candidate, Linear
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
@@ -216,7 +216,7 @@ SLOWLY = "sobol:20,wait:15,sobol:20"
 )
 def test_a_warm_up_of_micrometres_is_never_a_thermal_expansion_beyond_doubt(tmp_path, seed, text):
     (tmp_path / "rig.toml").write_text(rig_text := hexapod_layout_rig_toml(0.3) + POSES)
-    case = Case(tmp_path / "rig", design_file.load_design(tmp_path / "rig.toml"), rig_text, text, seed)
+    case = Case(tmp_path / "rig", design_from_rig_toml.load_design(tmp_path / "rig.toml"), rig_text, text, seed)
     (finding,) = case.first(SLOWLY)[1].selection.findings
     named = [finding.score.candidate, *(a.score.candidate for a in finding.alternatives)]
     assert ("warm_up", text.split(":")[1]) in [(c.name, c.place) for c in named]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.diagnosis.effect_signal_and_separation import effect_separation
+from calib.diagnosis.effect_signal_to_noise_and_separation import effect_separation
 from rig.cli import command_line
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.planning.plan import build_plan, sensors_with_payload

@@ -30,7 +30,7 @@ from rig.effects.texts.effect_file_from_formula import Term, Written
 from rig.effects.texts.user_effect_file_loading import load_effect_file
 from rig.errors import FileError
 from rig.formats import json_toml_and_yaml_loading
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.effect_places_and_part_tolerances import Place
 from tests.calib import unlisted_laws
 from tests.calib.diagnosis.test_arm_diagnosis import recorded as arm_recorded
@@ -207,7 +207,7 @@ def measured(tmp_path_factory, rig_text):
     """(text, Design) of a rig whose poses an instrument measures, which is quick."""
     text, path = measured_by(rig_text), tmp_path_factory.mktemp("measured") / "rig.toml"
     path.write_text(text)
-    return text, design_file.load_design(path)
+    return text, design_from_rig_toml.load_design(path)
 
 
 def sought_in(recording):

@@ -8,7 +8,7 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit, de
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from rig.effects.texts.effect_text_parsing import parse_effect
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.planning import plan
 from rig.recording import recording_folder
@@ -28,7 +28,7 @@ def seen(tmp_path_factory, rig_text):
     """
     text, folder = measured_by(rig_text), tmp_path_factory.mktemp("refuted")
     (folder / "rig.toml").write_text(text)
-    design = design_file.load_design(folder / "rig.toml")
+    design = design_from_rig_toml.load_design(folder / "rig.toml")
 
     def diagnosed(effect):
         rng, to = np.random.default_rng(5), folder / f"{effect.name}"

@@ -11,12 +11,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calib.diagnosis.problems.pose_noise_factors import (
-    MISSTATED,
-    PoseResiduals,
-    noise_covariance_by_kind,
-    noise_factors,
-)
+from calib.diagnosis.problems.pose_noise_excess import MISSTATED, PoseResiduals, noise_covariance_by_kind, noise_factors
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
     diagnosis_report,
     diagnosis_verdict,

@@ -10,9 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.api import calibrate as calibrating
 from calib.api.calibrate import CalibrateOptions, calibrate
 from calib.api.correct import CorrectOptions, correct
-from calib.certification.calibration_evidence_verdict_and_claim_check import (
-    calibration_evidence_verdict_and_claim_check,
-)
+from calib.certification.calibration_evidence_verdict_and_claim_check import calibration_evidence
 from calib.correction.physics_compensation import Unknown
 from calib.diagnosis.findings_refit import Findings
 from calib.files import calibration_file
@@ -69,7 +67,7 @@ def test_a_curve_over_time_is_left_out_beyond_the_recorded_time(tmp_path):
     found = calibrated(machine, unknown_at(machine.place, "time"))
     (unknown,) = found.physics.unknown
     assert "time" in unknown.by and "within the recorded time only" in unknown.sentence()
-    assert unknown.sentence() in calibration_evidence_verdict_and_claim_check(found).unexplained
+    assert unknown.sentence() in calibration_evidence(found).unexplained
     T = RigidTransform.from_matrix(wanted(machine.case, 3))
     ends = float(machine.case.way.t[-1])
     told = []

@@ -13,7 +13,7 @@ from rig.model.pose import exp
 from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
-from rig.recording.combined_recordings import camera_owner_recordings, join_recordings
+from rig.recording.combined_recordings import first_recording_by_camera, join_recordings
 from synthetic import recording_simulation, secret_machine_and_truth_file
 
 MOVED = np.array([1e-3, -5e-4, 2e-3, 1e-3, 0, -2e-3])
@@ -35,7 +35,7 @@ def test_a_place_is_found_and_a_still_one_kept(tmp_path, design):
     moved = replace(
         parts[1], poses=replace(parts[1].poses, T_base_platform=exp(MOVED) * parts[1].poses.T_base_platform)
     )
-    assert remove_instrument_displacement(join_recordings(parts, camera_owner_recordings(parts)))[1] == []
+    assert remove_instrument_displacement(join_recordings(parts, first_recording_by_camera(parts)))[1] == []
     lags = replace(
         secret, effects=(parse_effect("servo_lag:rig:time_constant=0.04"),)
     )  # what one plan shows of the model is no place
@@ -49,8 +49,10 @@ def test_a_place_is_found_and_a_still_one_kept(tmp_path, design):
             noise=0.04,
         )
         turning.append(recording_folder.load_recording(tmp_path / route))
-    assert remove_instrument_displacement(join_recordings(turning, camera_owner_recordings(turning)))[1] == []
-    found, (place,) = remove_instrument_displacement(join_recordings([parts[0], moved], camera_owner_recordings(parts)))
+    assert remove_instrument_displacement(join_recordings(turning, first_recording_by_camera(turning)))[1] == []
+    found, (place,) = remove_instrument_displacement(
+        join_recordings([parts[0], moved], first_recording_by_camera(parts))
+    )
     assert place.recording == 1 and "rec1" in place.line("rec1")
     np.testing.assert_allclose(place.motion, MOVED, atol=3e-5)
     np.testing.assert_allclose(

@@ -14,10 +14,10 @@ from calib.experiment.arm_questions import arm_questions
 from rig.cli.command_line import main
 from rig.effects.catalogue.time_offset import TimeOffset
 from rig.effects.texts.effect_text_parsing import parse_effect
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
-from rig.planning import configuration_sets, plan
+from rig.planning import configuration_generators, plan
 from rig.planning.layout import shipped_arms_and_layouts
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine_and_truth_file
@@ -31,10 +31,10 @@ def found(tmp_path_factory):
     """(Recording of a SCARA whose second joint sticks, its Diagnosis)."""
     at = tmp_path_factory.mktemp("scara")
     (at / "rig.toml").write_text(shipped_arms_and_layouts.shipped_arm_rig_toml("scara"))
-    design, rng = design_file.load_design(at / "rig.toml"), np.random.default_rng(3)
+    design, rng = design_from_rig_toml.load_design(at / "rig.toml"), np.random.default_rng(3)
     strokes = plan.axis_strokes(design)
     straight = plan.plan_of_configurations(
-        configuration_sets.sobol_configurations(strokes, 60, seed=871346366),
+        configuration_generators.sobol_configurations(strokes, 60, seed=871346366),
         strokes.mean(axis=1),
         plan.planned_axis_speeds(design),
     )

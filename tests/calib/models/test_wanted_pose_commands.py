@@ -20,10 +20,10 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_
 from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_and_parquet_tables_and_time_origin
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import hexapod_layout_and_camera_placement, shipped_arms_and_layouts
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors, WantedPoses
@@ -44,7 +44,7 @@ def designed(folder, kind):
         else hexapod_layout_and_camera_placement.two_strut_layout_rig_toml(0.3)
     )
     (folder / "rig.toml").write_text(text)
-    return design_file.load_design(folder / "rig.toml")
+    return design_from_rig_toml.load_design(folder / "rig.toml")
 
 
 def calibrated(design, *effects):

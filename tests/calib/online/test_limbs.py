@@ -10,14 +10,14 @@ from scipy.stats import chi2
 from calib.certification import measuring_limb_identification_and_agreement
 from calib.certification.redundant_limb_checks import Limbs
 from calib.models.platform.identification import pose_parameter_jacobian
-from calib.online import measuring_limb_poses_checked_by_vision, measuring_limbs_file
+from calib.online import accepted_limbs_file, measuring_limb_poses_checked_by_vision
 from calib.online.information_filter import Online
 from calib.online.measuring_limb_poses_checked_by_vision import IN_A_ROW, LimbCheck, LiveLimbPoses
 from calib.samples.pose_samples import sample_recording
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors
 
@@ -41,7 +41,7 @@ def accepted(limbed, by_vision):
     found = measuring_limb_identification_and_agreement.limb_agreement(
         samples.T_base_platform, T, expected, (5e-5, 3e-4)
     )
-    return measuring_limbs_file.Accepted(
+    return accepted_limbs_file.Accepted(
         measuring_limb_identification_and_agreement.calibrate_limbs(samples, nominal, 1e-6)[0],
         nominal,
         found,
@@ -66,15 +66,15 @@ def slipped(read, limb, by, at):
 
 def test_a_file_gives_back_what_was_accepted(accepted, limbed, tmp_path):
     path = tmp_path / "limbs.json"
-    measuring_limbs_file.save_limbs(path, accepted)
-    back = measuring_limbs_file.accepted_limbs(path, limbed[0])
+    accepted_limbs_file.save_limbs(path, accepted)
+    back = accepted_limbs_file.accepted_limbs(path, limbed[0])
     np.testing.assert_array_equal(back.limbs.covariance, accepted.limbs.covariance)
     np.testing.assert_array_equal(back.limbs.hexapod.base_joints, accepted.limbs.hexapod.base_joints)
     np.testing.assert_array_equal(back.agreement.limits, accepted.agreement.limits)
     assert back.verdict == "accepted" and back.provenance == {"data": ["a"]}
-    measuring_limbs_file.save_limbs(path, measuring_limbs_file.withdraw_acceptance(back, "rec", 7, "it slipped"))
+    accepted_limbs_file.save_limbs(path, accepted_limbs_file.withdraw_acceptance(back, "rec", 7, "it slipped"))
     with pytest.raises(RigError, match="withdrawn at frame 7 of rec: it slipped"):
-        measuring_limbs_file.accepted_limbs(path, limbed[0])
+        accepted_limbs_file.accepted_limbs(path, limbed[0])
 
 
 @pytest.mark.parametrize(
@@ -109,30 +109,30 @@ def test_a_file_gives_back_what_was_accepted(accepted, limbed, tmp_path):
 )
 def test_a_spoilt_file_names_file_and_value(accepted, tmp_path, spoil, says):
     path = tmp_path / "limbs.json"
-    measuring_limbs_file.save_limbs(path, accepted)
+    accepted_limbs_file.save_limbs(path, accepted)
     tree = json.loads(path.read_text())
     spoil(tree)
     path.write_text(json.dumps(tree))
     with pytest.raises(FileError, match=says) as error:
-        measuring_limbs_file.load_limbs(path)
+        accepted_limbs_file.load_limbs(path)
     assert str(path) in str(error.value)
     path.write_text(json.dumps(tree)[:200])
     with pytest.raises(FileError, match="cut off"):
-        measuring_limbs_file.load_limbs(path)
+        accepted_limbs_file.load_limbs(path)
 
 
 def test_limbs_of_another_rig_do_not_stand_for_vision(accepted, limbed, tmp_path):
     path, design = tmp_path / "limbs.json", limbed[0]
-    measuring_limbs_file.save_limbs(path, accepted)
+    accepted_limbs_file.save_limbs(path, accepted)
     moved = design.insitu.base_joints + 1e-4 * np.eye(6)[:, :1] * np.eye(3)[0]
     with pytest.raises(
         RigError, match="of other limbs than rig.toml states in .insitu.: base_joints of limb 1 differs by 0.1 mm"
     ):
-        measuring_limbs_file.accepted_limbs(path, replace(design, insitu=replace(design.insitu, base_joints=moved)))
+        accepted_limbs_file.accepted_limbs(path, replace(design, insitu=replace(design.insitu, base_joints=moved)))
     refused = replace(accepted.agreement, tolerance=np.full(6, 1e-9))
-    measuring_limbs_file.save_limbs(path, replace(accepted, agreement=refused))
+    accepted_limbs_file.save_limbs(path, replace(accepted, agreement=refused))
     with pytest.raises(RigError, match="did not pass"):
-        measuring_limbs_file.accepted_limbs(path, design)
+        accepted_limbs_file.accepted_limbs(path, design)
 
 
 @pytest.mark.slow

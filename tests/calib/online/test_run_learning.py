@@ -8,10 +8,10 @@ import pytest
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.online.live_learner_and_limb_agreement import Learner, LimbWatch
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
 from rig.model.pose import exp, transform_points
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from synthetic import secret_machine_and_truth_file
 
@@ -61,7 +61,7 @@ def test_a_drift_from_the_calibration_is_said_once(machine):
 
 def test_limbs_that_go_astray_are_said(tmp_path):
     (tmp_path / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6))
-    design = design_file.load_design(tmp_path / "rig.toml")
+    design = design_from_rig_toml.load_design(tmp_path / "rig.toml")
     rng = np.random.default_rng(8)
     true = secret_machine_and_truth_file.draw_machine(design, rng).true
     watch, said = LimbWatch(design), []

@@ -13,7 +13,7 @@ from rig.model.design import Planar2
 from rig.model.mechanisms import arm as arms
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from synthetic import secret_machine_and_truth_file
 from tests.calib.secret_arms import secret
 from tests.rig.arms import UR10

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from rig.errors import FileError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
 from rig.model.mechanisms import arm
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.recording import recording_folder
 from synthetic.secret_machine_and_truth_file import world_from_truth
 from tests.closed_loops import holds, lines, rig, verified
@@ -39,7 +39,7 @@ def recorded(folder, carried, *words, cameras=2, plan="sobol:40", size="1280x102
 
 
 def wanted(folder, count=8):
-    m = design_file.load_design(folder / "rig.toml").mechanism
+    m = design_from_rig_toml.load_design(folder / "rig.toml").mechanism
     return lines(arm.forward(sobol_configurations(m.limits, count, 0.6, 5), m))
 
 
@@ -92,7 +92,7 @@ def test_what_a_camera_in_the_hand_cannot_be_is_told_by_line(tmp_path, change, s
     text = (tmp_path / "rig.toml").read_text()
     (tmp_path / "rig.toml").write_text(text.replace(*change, 1))
     with pytest.raises(FileError, match=says) as error:
-        design_file.load_design(tmp_path / "rig.toml")
+        design_from_rig_toml.load_design(tmp_path / "rig.toml")
     assert error.value.line is not None
 
 
@@ -101,7 +101,7 @@ def test_a_fixed_camera_beside_one_in_the_hand_is_refused(tmp_path):
     text = (tmp_path / "rig.toml").read_text()
     (tmp_path / "rig.toml").write_text(text.replace('mount = "hand"', 'mount = "fixed"', 1))
     with pytest.raises(FileError, match="all of its cameras there, or none"):
-        design_file.load_design(tmp_path / "rig.toml")
+        design_from_rig_toml.load_design(tmp_path / "rig.toml")
 
 
 @pytest.mark.parametrize(
@@ -156,7 +156,10 @@ def test_arms_of_few_joints_are_laid_out_where_cameras_see_them(tmp_path, capfd,
 
 def test_a_plan_of_an_arm_takes_what_is_seen_and_tells_most(tmp_path, capfd):
     rig("design", "--arm", "puma560", "--seen", "hand", "--cameras", "1", "--out", tmp_path / "rig.toml")
-    text, limits = (tmp_path / "rig.toml").read_text(), design_file.load_design(tmp_path / "rig.toml").mechanism.limits
+    text, limits = (
+        (tmp_path / "rig.toml").read_text(),
+        design_from_rig_toml.load_design(tmp_path / "rig.toml").mechanism.limits,
+    )
     wide = limits + np.array([-0.5, 0.5])  # so that the cubes are out of sight in many configurations
     stated = text[text.index("limits = ") : text.index("#", text.index("limits = "))]
     (tmp_path / "rig.toml").write_text(text.replace(stated, f"limits = {wide.tolist()} "))
@@ -180,7 +183,7 @@ def test_a_plan_of_an_arm_takes_what_is_seen_and_tells_most(tmp_path, capfd):
 
 
 def test_reversals_at_speed_tell_an_arms_lag_from_a_clock():
-    from calib.diagnosis.effect_signal_and_separation import effect_separation
+    from calib.diagnosis.effect_signal_to_noise_and_separation import effect_separation
     from rig.effects.texts.effect_text_parsing import parse_effect
     from rig.planning.layout import shipped_arms_and_layouts
     from rig.planning.plan import build_plan

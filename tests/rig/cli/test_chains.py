@@ -17,12 +17,12 @@ from rig.cli import command_line
 from rig.effects.texts.effect_text_parsing import parse_effect, require_existing_place
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_and_parquet_tables_and_time_origin, machine_geometry_and_effects_json_file
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import arm, hexapod, mechanism_chain
 from rig.model.mechanisms import axis_place_texts as chain_places
 from rig.model.motion_simulation import simulate_machine_run
 from rig.model.pose import exp, log, pose, pose_difference
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Commands
 from tests.closed_loops import holds, lines, rig, verified
@@ -223,7 +223,7 @@ def test_what_is_no_chain_is_told_by_line(tmp_path, change, says):
     text = (tmp_path / "rig.toml").read_text()
     (tmp_path / "rig.toml").write_text(text.replace(*change, 1))
     with pytest.raises(FileError, match=says) as error:
-        design_file.load_design(tmp_path / "rig.toml")
+        design_from_rig_toml.load_design(tmp_path / "rig.toml")
     assert error.value.line is not None
 
 
@@ -265,7 +265,7 @@ def test_configurations_are_planned_that_tell_all_stages(tmp_path, capfd):
     assert "6 combinations are determined by no pose" in said and "16 configurations for 54 parameters" in said
     rows = [line.split() for line in said.splitlines() if " um  " in line or " urad  " in line]
     assert len(rows) == 8 and all(float(row[0]) < float(row[1]) for row in rows)
-    m = design_file.load_design(tmp_path / "rig.toml").mechanism
+    m = design_from_rig_toml.load_design(tmp_path / "rig.toml").mechanism
     assert not mechanism_chain.signed_limit_excess(
         csv_and_parquet_tables_and_time_origin.read_csv_table(tmp_path / "plan.csv", ("frame", *m.axes)).matrix(m.axes),
         m,

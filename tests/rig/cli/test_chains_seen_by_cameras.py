@@ -13,10 +13,10 @@ from calib.samples.pose_samples import sample_recording
 from rig.cli import command_line
 from rig.errors import FileError
 from rig.formats import machine_geometry_and_effects_json_file
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import mechanism_chain
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.recording import recording_folder
 from synthetic import rig_meshes
 from synthetic.image_sensor_and_occlusion import is_occluded
@@ -134,7 +134,7 @@ def test_cubes_that_cannot_be_measured_on_a_stage_are_told_by_line(tmp_path, cha
     text = (tmp_path / "rig.toml").read_text()
     (tmp_path / "rig.toml").write_text(text.replace(*change, 1))
     with pytest.raises(FileError, match=says) as error:
-        design_file.load_design(tmp_path / "rig.toml")
+        design_from_rig_toml.load_design(tmp_path / "rig.toml")
     assert error.value.line is not None
 
 

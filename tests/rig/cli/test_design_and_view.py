@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from tests.cli import Links, run
@@ -15,7 +15,7 @@ from tests.conftest import BENCH
 
 def test_a_rig_can_be_designed_simulated_and_measured(tmp_path):
     run("design", "--radius", "0.25", "--cameras", "2", "--size", "800x600", "--out", tmp_path / "rig.toml")
-    assert len(design_file.load_design(tmp_path / "rig.toml").cameras) == 2
+    assert len(design_from_rig_toml.load_design(tmp_path / "rig.toml").cameras) == 2
     done = run(
         "simulate",
         tmp_path / "rig.toml",
@@ -81,7 +81,7 @@ def test_nets_are_true_to_scale(tmp_path):
     """The sheet is rasterised and its markers read back: the black border's side and the page are as stated."""
     run("design", "--radius", "0.15", "--cubes", "2", "--out", tmp_path / "rig.toml")
     done = run("print", tmp_path / "rig.toml", "--out", tmp_path / "s.pdf")
-    design = design_file.load_design(tmp_path / "rig.toml")
+    design = design_from_rig_toml.load_design(tmp_path / "rig.toml")
     assert (tmp_path / "s.pdf").read_bytes().startswith(b"%PDF") and "assembly: A4" in done.stdout
     import cv2
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -133,7 +133,7 @@ def test_lens_prints_a_camera_that_a_rig_takes(shared, tmp_path):
     assert "grey.png: the board is not found in it" in done.stderr and "5 of 6 photographs" in done.stderr
     rig = tmp_path / "rig.toml"
     rig.write_text('schema = "rig/1"\n[mechanism]\nkind = "free"\n' + done.stdout)
-    camera = design_file.load_design(rig).cameras[0]
+    camera = design_from_rig_toml.load_design(rig).cameras[0]
     assert camera.name == "cam0" and camera.width == 1600 and 1300 < camera.matrix[0, 0] < 1450
     assert (tmp_path / "out" / "camera.toml").read_text() == done.stdout
     links = Links()

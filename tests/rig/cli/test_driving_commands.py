@@ -20,7 +20,7 @@ from rig.cli.command_line import main
 from rig.driving.clock import SystemClock
 from rig.driving.controller_lock import ControllerLock, stop_lock_holder
 from rig.errors import RigError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
 from rig.model.pose import pose_to_vector
 from synthetic import secret_machine_and_truth_file
@@ -43,9 +43,9 @@ def rig(emulated):
 @pytest.fixture
 def calibration(emulated, rig):
     """A calibration of a machine that is not quite as stated."""
-    nominal = design_file.load_design(rig).mechanism
+    nominal = design_from_rig_toml.load_design(rig).mechanism
     fitted = secret_machine_and_truth_file.draw_machine(
-        design_file.load_design(rig), np.random.default_rng(4)
+        design_from_rig_toml.load_design(rig), np.random.default_rng(4)
     ).true.mechanism
     path = emulated.folder / "calibration.json"
     save(
@@ -257,7 +257,7 @@ def test_stop_finds_who_drives_from_a_bare_environment(emulated, rig, capsys, tm
 
 
 def test_one_process_drives(rig, capsys):
-    port = design_file.load_design(rig).controller.port
+    port = design_from_rig_toml.load_design(rig).controller.port
     with ControllerLock(port):
         assert re.search(r"process \d+ is driving", said(capsys, "status", rig, ok=False))
         with pytest.raises(RigError, match="is driving"):

@@ -19,7 +19,7 @@ from calib.diagnosis import findings_refit
 from calib.drift import visit_history
 from calib.experiment import investigation_folder_and_report
 from calib.files import calibration_file
-from calib.online import filter_state, measuring_limbs_file
+from calib.online import accepted_limbs_file, filter_state
 from calib.online import forgetting_kalman_and_gradient_learners as learners
 from rig.cli.command_line import main
 from rig.effects.texts.effect_file_from_formula import load_suggested_formula
@@ -27,7 +27,7 @@ from rig.errors import FileError
 from rig.formats.importers import import_recipe
 from rig.formats.local_and_remote_input_files import NAMED
 from rig.formats.output_files import MANIFEST, atomic_file_and_manifest
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.recording import recording_folder
 from rig.report import verdict_and_refutations
@@ -78,7 +78,7 @@ def refuted(path: Path) -> None:
 
 READERS = {  # schema: what reads such files
     "calibration/3": (calibration_file.load,),
-    "limbs/1": (measuring_limbs_file.load_limbs,),
+    "limbs/1": (accepted_limbs_file.load_limbs,),
     "online/1": (filter_state.load_filter_state,),
     "learner/1": (learners.load_learner,),
     "watch/1": (lambda path: visit_history.read_history(path, ""),),
@@ -117,7 +117,7 @@ def test_a_newer_file_of_toml_and_a_newer_investigation_are_refused_with_their_p
         FileError,
         match=r"rig.toml:1:\d+: was written by a newer rig: its schema is 'rig/2', and this one reads \"rig/1\"",
     ):
-        design_file.load_design(tmp_path / "rig.toml")
+        design_from_rig_toml.load_design(tmp_path / "rig.toml")
     (tmp_path / "import.toml").write_text('\nschema = "import/2"\n')
     with pytest.raises(FileError, match=r"import.toml:2:\d+: was written by a newer rig: its schema is 'import/2'"):
         import_recipe.load_recipe(tmp_path / "import.toml")
@@ -159,12 +159,12 @@ def test_limbs_of_before_there_were_more_than_six_are_the_six(tmp_path):
     path = written("limbs-1.json", tmp_path)
     tree = json.loads(path.read_text())
     assert "chosen" not in tree and "checks" not in tree
-    found = measuring_limbs_file.load_limbs(path)
+    found = accepted_limbs_file.load_limbs(path)
     assert (
         found.verdict == "accepted" and found.limbs.checks is None and found.limbs.chosen.tolist() == [0, 1, 2, 3, 4, 5]
     )
     np.testing.assert_array_equal(found.limbs.hexapod.base_joints, tree["limbs"]["base_joints"])
-    measuring_limbs_file.save_limbs(tmp_path / "again.json", found)
+    accepted_limbs_file.save_limbs(tmp_path / "again.json", found)
     again = json.loads((tmp_path / "again.json").read_text())
     assert again.pop("chosen") == [1, 2, 3, 4, 5, 6] and again.pop("checks") == [] and again == tree
 

@@ -4,9 +4,9 @@ verified.
 
 import pytest
 
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from tests.closed_loops import holds, lines, rig, verified
 
 
@@ -39,7 +39,7 @@ def test_a_loop_closes(tmp_path, capfd, drawn):
         "--truth",
         tmp_path / "truth.json",
     )
-    m = design_file.load_design(tmp_path / "rig.toml").mechanism
+    m = design_from_rig_toml.load_design(tmp_path / "rig.toml").mechanism
     found = verified(
         tmp_path,
         capfd,

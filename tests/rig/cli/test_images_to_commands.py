@@ -11,7 +11,7 @@ import termios
 import numpy as np
 import pytest
 
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder, recording_table_loading_and_writing
@@ -38,7 +38,10 @@ def test_measure_writes_what_the_contract_says(worked):
         recording_table_loading_and_writing.COVARIANCE_COLUMNS
     )
     assert (out / "corners.csv").read_text().splitlines()[0].startswith("frame,camera,marker,corner,u,v,sigma")
-    nominal, adjusted = design_file.load_design(base / "fit" / "rig.toml"), design_file.load_design(out / "rig.toml")
+    nominal, adjusted = (
+        design_from_rig_toml.load_design(base / "fit" / "rig.toml"),
+        design_from_rig_toml.load_design(out / "rig.toml"),
+    )
     assert np.abs(pose_difference(nominal.cameras[0].pose, adjusted.cameras[0].pose)).max() > 1e-4
     again = recording_folder.load_recording(out)  # what was measured is itself a recording
     assert again.poses.covariance.shape == (60, 6, 6)
@@ -64,7 +67,7 @@ def test_results_for_programs_are_whole_json_and_say_what_the_files_say(worked, 
     )
     np.testing.assert_allclose(
         measured["cameras"][0]["matrix"],
-        design_file.load_design(base / "measured" / "rig.toml").cameras[0].matrix,
+        design_from_rig_toml.load_design(base / "measured" / "rig.toml").cameras[0].matrix,
         atol=1e-6,
     )
     stored = json.loads((base / "calibration.json").read_text())
@@ -261,8 +264,8 @@ def test_held_cameras_stay(worked, tmp_path):
     base, _ = worked
     run("measure", base / "measured", "--out", tmp_path / "o", "--hold", "poses,lenses")
     one, two = (
-        design_file.load_design(base / "measured" / "rig.toml"),
-        design_file.load_design(tmp_path / "o" / "rig.toml"),
+        design_from_rig_toml.load_design(base / "measured" / "rig.toml"),
+        design_from_rig_toml.load_design(tmp_path / "o" / "rig.toml"),
     )
     assert np.abs(pose_difference(one.cameras[0].pose, two.cameras[0].pose)).max() < 1e-9
 

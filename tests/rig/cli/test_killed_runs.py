@@ -9,7 +9,7 @@ import pytest
 
 from rig.driving.run_journal_and_recording import Departure, Ended, Exposed, Resumed, read_journal
 from rig.driving.run_steps_and_progress import steps_of_plan
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import PROTOCOLS
 from rig.planning.plan import build_plan
 from rig.recording import recording_folder
@@ -75,7 +75,7 @@ def reported(log):
 def check(emulated, out, before, log, seen):
     """What must hold of a run that was killed and resumed. seen : frames reported before it was killed"""
     rows, _ = read_journal(out / "journal.jsonl")
-    design = design_file.load_design(out / "rig.toml")
+    design = design_from_rig_toml.load_design(out / "rig.toml")
     planned = steps_of_plan(build_plan(design, PLAN))
     assert isinstance(rows[-1], Ended) and rows[-1].reason == "", log.read_text()
     frames = [row for row in rows if isinstance(row, Exposed)]

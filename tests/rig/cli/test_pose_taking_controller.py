@@ -15,7 +15,7 @@ from rig.driving import emulators
 from rig.driving.clock import SystemClock
 from rig.driving.emulators import controller_emulator_opening_and_ports
 from rig.driving.emulators.controller_faults import Faults
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.pose import pose
 from rig.recording.recording_table_loading_and_writing import Poses, write_poses
 from synthetic import secret_machine_and_truth_file
@@ -46,7 +46,7 @@ class Bench:
         stated = CONTROLLER.replace("socket://192.168.1.20:50000", str(folder / "port"))
         stated = stated.replace("max_speed = 0.005", FAST).rstrip() + "\n"
         (folder / "rig.toml").write_text(measured_by(None, *SIGMA) + stated + lines)
-        design = design_file.load_design(folder / "rig.toml")
+        design = design_from_rig_toml.load_design(folder / "rig.toml")
         true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(4)).true.mechanism
         ranges, height = design.mechanism.strut_range, design.mechanism.home.translation[2]
         self.machine = kinematics.SixStruts(

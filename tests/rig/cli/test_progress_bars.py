@@ -3,7 +3,7 @@
 import io
 import time
 
-from rig.cli.shared.input_options_and_output_display import Progress
+from rig.cli.shared.output_display import Progress
 
 
 class Terminal(io.StringIO):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from calib.files import calibration_file
-from rig.formats.rig_toml import design_file
-from rig.planning.configuration_sets import sobol_configurations
+from rig.formats.rig_toml import design_from_rig_toml
+from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.plan import axis_strokes
 from rig.recording import recording_table_loading_and_writing
 from tests.cli import command
@@ -25,7 +25,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = tmp_path_factory.mktemp("confounds")
     text = (BENCH / "fit" / "rig.toml").read_text()
     (base / "rig.toml").write_text(text + INSTRUMENT)
-    design = design_file.load_design(base / "rig.toml")
+    design = design_from_rig_toml.load_design(base / "rig.toml")
     from rig.cli.command_line import main
 
     for seed, name in enumerate(("sorted", "other")):

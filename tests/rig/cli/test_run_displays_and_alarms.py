@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from calib.certification import measuring_limb_identification_and_agreement
+from calib.online.accepted_limbs_file import Accepted
 from calib.online.live_learner_and_limb_agreement import Learner
 from calib.online.live_run_page import RunPage, run_verdict
 from calib.online.measuring_limb_poses_checked_by_vision import LiveLimbPoses
-from calib.online.measuring_limbs_file import Accepted
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run
 from rig.cli.shared.run_display_and_controller_status import PlainLineDisplay, TerminalBlockDisplay, run_state_lines
@@ -22,10 +22,10 @@ from rig.driving.clock import SimulatedClock
 from rig.driving.move_and_record_loop import RecordedFrame
 from rig.driving.run_journal_and_recording import Departure, Ended, Exposed, Readings
 from rig.driving.run_steps_and_progress import steps_of_plan
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
 from tests.vision.reading.test_camera_and_marker_alarms import sight
@@ -163,7 +163,7 @@ def by_limbs(folder, slip, at):
     was withdrawn)
     """
     (folder / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6))
-    design = design_file.load_design(folder / "rig.toml")
+    design = design_from_rig_toml.load_design(folder / "rig.toml")
     true, nominal, rng = (
         design.mechanism,
         measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design),

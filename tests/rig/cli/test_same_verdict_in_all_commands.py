@@ -7,7 +7,7 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.report import verdict_and_refutations
-from rig.report.pages.page_templates_and_elements import list_pages_below_folder
+from rig.report.pages.page_templates_and_index_page import list_pages_below_folder
 from tests import truth
 from tests.truth.draw_faults import fits
 from tests.truth.sights import SIGHTS

@@ -10,7 +10,7 @@ import pytest
 from rig.cli.command_line import main
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.recording import recording_table_loading_and_writing
 from rig.recording.recording_table_loading_and_writing import Poses
 

@@ -8,7 +8,7 @@ import pytest
 
 from rig.driving.controller_address_and_urgent_stop import STOPS, controller_address_in_rig_toml
 from rig.driving.protocols import protocol_of_controller
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import PROTOCOLS
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.conftest import ROOT
@@ -59,7 +59,7 @@ def test_the_urgent_stop_is_out_before_anything_slow_is_imported(stated):
 
 def test_what_is_sent_first_is_what_the_protocol_sends_to_stop(stated):
     protocol, path, _ = stated
-    design = design_file.load_design(path)
+    design = design_from_rig_toml.load_design(path)
     address, c = controller_address_in_rig_toml(path, None), design.driver()
     assert (address.port, address.baudrate, address.password) == (c.port, c.baudrate, c.password)
     assert address.urgent_stop().endswith(protocol_of_controller(c, design.mechanism).urgent_stop)

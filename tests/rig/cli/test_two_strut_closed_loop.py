@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from rig.cli import command_line
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import two_strut_plane
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from tests.closed_loops import calibrated, holds, lines, rig, verified
 
 
@@ -47,7 +47,7 @@ def recorded(folder, *words, plan="sobol:24", size="640x512", again=False):
 
 
 def wanted(folder, count=6):
-    m = design_file.load_design(folder / "rig.toml").mechanism
+    m = design_from_rig_toml.load_design(folder / "rig.toml").mechanism
     return lines(two_strut_plane.forward(sobol_configurations(m.strut_range, count, 0.7, 5), m))
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.cli.shared.input_options_and_output_display import Progress, print_compilation_notice
+from rig.cli.shared.output_display import Progress, print_compilation_notice
 from rig.compute import numba_kernels_and_lazy_exports
 from tests.conftest import ROOT
 

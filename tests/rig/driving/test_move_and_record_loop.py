@@ -8,7 +8,7 @@ import pytest
 from rig.driving.run_journal_and_recording import Arrival, Departure, Ended, Exposed, Resumed, read_journal
 from rig.driving.run_steps_and_progress import check_steps, steps_of_plan
 from rig.errors import ControllerFault, MotionError, RigError, Stopped, Unreachable
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
 from rig.recording import recording_folder
@@ -20,7 +20,7 @@ def rig(tmp_path):
     text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=1, width=64, height=48)
     (tmp_path / "rec").mkdir()
     (tmp_path / "rec" / "rig.toml").write_text(text)
-    return design_file.load_design(tmp_path / "rec" / "rig.toml")
+    return design_from_rig_toml.load_design(tmp_path / "rec" / "rig.toml")
 
 
 def test_a_run_is_a_recording_as_any_other(rig, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 
 from rig.driving.run_journal_and_recording import CameraExposures, Ended, Exposed, PositionUnknown, read_journal
 from rig.errors import ControllerFault, MotionError, PositionLost, RigError, Stopped
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.recording import recording_folder
 from tests.emulated_run import RigInThread
 
@@ -142,7 +142,7 @@ def test_a_resumed_run_keeps_its_exposures(made, tmp_path, monkeypatch):
 def test_a_run_without_cameras_leaves_visits_that_an_instruments_poses_are_joined_to(made, tmp_path, stated):
     if stated:
         made.path.write_text(re.sub(r"\n\[\[camera\]\]\n.*?(?=\n\[)", "\n", made.path.read_text(), flags=re.DOTALL))
-        made.design = design_file.load_design(made.path)
+        made.design = design_from_rig_toml.load_design(made.path)
         assert not made.design.cameras
     out = tmp_path / "rec"
     options = {"exposure": None, "measure": True, "cameras": stated}

@@ -12,7 +12,7 @@ from rig.cli.command_line import main
 from rig.driving.controller_address_and_urgent_stop import controller_address_in_rig_toml
 from rig.driving.driver_opening_and_settled_status import design_with_controller_port
 from rig.errors import FileError, RigError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.conftest import ROOT
 from tests.emulated_run import CONTROLLER
@@ -37,7 +37,7 @@ def stated(folder, protocol="file:mine.py", port="none", source=None):
 def test_a_path_is_relative_to_rig_toml_and_reading_runs_nothing(tmp_path, monkeypatch):
     path = stated(tmp_path / "lab", source="file:eyes/cam.py")
     monkeypatch.chdir(tmp_path)
-    design = design_file.load_design("lab/rig.toml")
+    design = design_from_rig_toml.load_design("lab/rig.toml")
     assert design.controller.protocol == "file:lab/mine.py" and design.cameras[0].source == "file:lab/eyes/cam.py"
     assert controller_address_in_rig_toml(path, "/dev/x").urgent_stop() == b"!"
     assert not (tmp_path / "lab" / "was_run").exists()
@@ -56,7 +56,7 @@ def test_a_path_is_relative_to_rig_toml_and_reading_runs_nothing(tmp_path, monke
 )
 def test_what_is_no_program_is_refused_with_its_line(tmp_path, protocol, said):
     with pytest.raises(FileError, match=said):
-        design_file.load_design(stated(tmp_path / "lab", protocol))
+        design_from_rig_toml.load_design(stated(tmp_path / "lab", protocol))
 
 
 @pytest.mark.parametrize("mark", ["journal.jsonl", "frames.csv"])
@@ -64,15 +64,15 @@ def test_what_is_no_program_is_refused_with_its_line(tmp_path, protocol, said):
 def test_no_program_is_run_from_a_recording(tmp_path, mark, names, capsys):
     path = stated(tmp_path / "rec", **names)
     (tmp_path / "rec" / mark).touch()
-    design_file.load_design(path)  # whoever reads the recording
+    design_from_rig_toml.load_design(path)  # whoever reads the recording
     for words in (["status", str(path)], ["emulate", str(path)], ["emulate", str(path), "--conform"]):
         assert main(words) == 1 and "is part of a recording" in capsys.readouterr().err
     assert not (tmp_path / "rec" / "was_run").exists()
 
 
 def test_no_program_is_run_from_behind_a_url(tmp_path, monkeypatch):
-    design = design_file.load_design(stated(tmp_path / "lab", "package:acme"))
-    monkeypatch.setattr(design_file, "load_design", lambda path: design)
+    design = design_from_rig_toml.load_design(stated(tmp_path / "lab", "package:acme"))
+    monkeypatch.setattr(design_from_rig_toml, "load_design", lambda path: design)
     with pytest.raises(RigError, match=r"names a program \(package:acme\) and is behind a URL"):
         design_with_controller_port(Path("https://host/rig.toml"), None)
 

@@ -6,7 +6,7 @@ from rig.driving.clock import SimulatedClock
 from rig.driving.sensor_reader import open_sensors
 from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
 from rig.errors import FileError, NoAnswer, RigError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import SensorPort
 from tests.rig.driving.test_user_programs import stated
 
@@ -52,7 +52,7 @@ def test_what_is_wrong_is_named(tmp_path, old, new, kind, said):
 def test_a_program_of_sensors_is_not_run_from_a_recording(tmp_path):
     path = stated(tmp_path / "rec", protocol="struts")
     path.write_text(path.read_text() + '\n[sensors]\nport = "file:gauge.py"\nchannels = ["gauge"]\n')
-    design = design_file.load_design(path)
+    design = design_from_rig_toml.load_design(path)
     assert design.sensors.port == f"file:{tmp_path}/rec/gauge.py"
     require_own_rig_toml(path, design)
     (tmp_path / "rec" / "frames.csv").touch()

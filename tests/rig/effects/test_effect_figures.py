@@ -17,7 +17,7 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Parameter
 from rig.effects.sketches.motion_effect_sketches import Sketch
 from rig.errors import RigError
-from rig.report.pages.page_templates_and_elements import standalone_svg
+from rig.report.pages.page_templates_and_index_page import standalone_svg
 from tests.conftest import ROOT
 
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")

@@ -12,7 +12,7 @@ from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Camera, Platform
 from rig.model.mechanisms import hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import cardan_twist_angles_about_struts
+from rig.model.mechanisms.hexapod_singularity_and_cardan_twist import cardan_twist_angles_about_struts
 from rig.model.pose import exp, pose, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 from vision.predict import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras

@@ -12,7 +12,14 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import (
     check_effect_place_and_parameter_bounds,
     coordinates_of_effects,
 )
-from rig.effects.framework.unmodelled_curve import HISTORY, PLAYS, TIME, TRAVEL, unmodelled_curve, unmodelled_curves
+from rig.effects.framework.unmodelled_curve import (
+    HISTORY,
+    PLAYS,
+    TIME,
+    TRAVEL,
+    curve_class_over_covariate,
+    curve_classes_by_covariate,
+)
 from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict, effect_to_dict
 from rig.model.mechanisms import kinematics_of
 from rig.model.motion_simulation import motion_of_commands
@@ -21,7 +28,7 @@ from tests.rig.effects.test_effect_formulas import home
 
 __all__ = ["home"]  # a fixture of that module, used here too
 CHANNEL = "strut3_temperature_C"
-KINDS = unmodelled_curves((CHANNEL,))
+KINDS = curve_classes_by_covariate((CHANNEL,))
 
 
 @pytest.fixture
@@ -52,7 +59,7 @@ def test_a_curve_is_the_sum_of_its_columns_at_its_place_alone(design, motion, ki
 
 def test_a_sensor_of_another_axis_is_not_tried(design, motion):
     context = Context(design, motion.t, motion.sensors, motion)
-    kind = unmodelled_curve(CHANNEL)
+    kind = curve_class_over_covariate(CHANNEL)
     assert kind.candidates("strut 3", context) and not kind.candidates("strut 4", context)
 
 
@@ -61,7 +68,7 @@ def test_no_search_knows_a_curve():
 
 
 def test_a_curve_over_time_says_nothing_of_other_times_and_states_its_size(motion):
-    curve = unmodelled_curve(TIME)("strut 3", 0.0, 50.0, 0.0, 1e-5, (1.0,))
+    curve = curve_class_over_covariate(TIME)("strut 3", 0.0, 50.0, 0.0, 1e-5, (1.0,))
     later = motion.t > 52.5  # a twentieth of the time beyond its end
     assert not curve.deviation(motion)[later].any() and curve.deviation(motion)[~later, 2].any()
     assert np.allclose(curve.uncovered(motion)[later, 2], 1e-5 / np.sqrt(2))
@@ -69,7 +76,7 @@ def test_a_curve_over_time_says_nothing_of_other_times_and_states_its_size(motio
 
 
 def test_a_curve_over_a_sensor_is_held_at_its_end(motion):
-    curve = unmodelled_curve(CHANNEL)("strut 3", 20.0, 25.0, 0.0, 1e-5, (1.0,))
+    curve = curve_class_over_covariate(CHANNEL)("strut 3", 20.0, 25.0, 0.0, 1e-5, (1.0,))
     moved, beyond = curve.deviation(motion)[:, 2], motion.t > 52.5
     assert np.allclose(moved[beyond], -1e-5) and np.allclose(moved[0], 1e-5 * np.cos(np.pi * motion.t[0] / 50))
     assert curve.uncovered(motion)[beyond, 2].all()
@@ -78,12 +85,14 @@ def test_a_curve_over_a_sensor_is_held_at_its_end(motion):
 def test_one_play_of_a_history_lags_by_its_half_width(motion):
     widths = np.geomspace(1e-4, 1e-4 * 2 ** (PLAYS - 1), PLAYS)
     sizes = (0.0, 1.0, *np.zeros(2 * PLAYS - 2))
-    curve = unmodelled_curve(HISTORY)("strut 6", float(widths[0]), float(widths[-1]), 0.0, float(widths[1]), sizes)
+    curve = curve_class_over_covariate(HISTORY)(
+        "strut 6", float(widths[0]), float(widths[-1]), 0.0, float(widths[1]), sizes
+    )
     assert np.allclose(np.abs(curve.deviation(motion)).max(), widths[1])
     assert curve.forgets() == 2 * widths[-1]
 
 
 def test_recent_travel_grows_by_the_way_and_fades(motion):
-    kind = unmodelled_curve(TRAVEL)
+    kind = curve_class_over_covariate(TRAVEL)
     long, short = (kind("strut 6", memory=memory)._covariate(motion, 5) for memory in (1e9, 1e-3))
     assert np.allclose(long, motion.path.way[:, 5], rtol=1e-6) and short.max() < 1e-5

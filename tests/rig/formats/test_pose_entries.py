@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rig.errors import FileError
-from rig.formats.rig_toml.design_file import load_entries
+from rig.formats.rig_toml.design_from_rig_toml import load_entries
 
 
 def entries(tmp_path, text):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rig.errors import FileError, RigError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import design_with_turned_cubes, rig_toml_with_turns
 from rig.planning.plan import build_plan
@@ -21,14 +21,14 @@ def refused(path, text, added):
     """(line, value, message) with which a rig.toml is refused."""
     path.write_text(text + added)
     with pytest.raises(FileError) as caught:
-        design_file.load_design(path)
+        design_from_rig_toml.load_design(path)
     return caught.value.line, caught.value.value, str(caught.value)
 
 
 def test_what_a_rig_toml_says_of_cubes(rig_text, tmp_path):
     path, lines = tmp_path / "rig.toml", len(rig_text.splitlines())
     path.write_text(rig_text + '\n[experiment]\nmay = ["wait", "turn cube 2", "turn cube B1"]\n[turned]\nP1 = 1\n')
-    design = design_file.load_design(path)
+    design = design_from_rig_toml.load_design(path)
     assert design.experiment.may == ("wait", "turn cube P2", "turn cube B1") and design.experiment.cubes == ("P2", "B1")
     assert quarter_turns_of_cubes(design) == {"P1": 1}
     line, value, says = refused(path, rig_text, '[experiment]\nmay = ["turn cube P9"]\n')
@@ -91,7 +91,7 @@ def test_a_plan_says_how_cubes_stand(design, tmp_path):
 def test_the_text_of_a_rig_says_it_and_keeps_its_comments(rig_text, tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text(rig_toml_with_turns("# ours\n" + rig_text, {"P1": 2}))
-    assert quarter_turns_of_cubes(design_file.load_design(path)) == {"P1": 2} and path.read_text().startswith(
+    assert quarter_turns_of_cubes(design_from_rig_toml.load_design(path)) == {"P1": 2} and path.read_text().startswith(
         "# ours\n"
     )
     assert rig_toml_with_turns(rig_text, {}) == rig_text
@@ -102,8 +102,8 @@ def test_recordings_share_a_seat_until_the_cube_is_turned_again(design):
         design_with_turned_cubes(design, {} if quarter is None else {"P1": quarter})
         for quarter in (None, 1, 1, 0, 0, None, 1)
     ]
-    assert [own["P1"] for own in combined_recordings.target_owner_recordings(stood)] == [0, 1, 1, 3, 3, 0, 6]
-    assert all(own["P2"] == 0 for own in combined_recordings.target_owner_recordings(stood))
+    assert [own["P1"] for own in combined_recordings.last_remount_recording_by_target(stood)] == [0, 1, 1, 3, 3, 0, 6]
+    assert all(own["P2"] == 0 for own in combined_recordings.last_remount_recording_by_target(stood))
 
 
 def test_a_cube_that_is_alone_on_its_body_stays(design):

@@ -9,7 +9,7 @@ from calib.samples.confounded_conditions import Confounds, confounds_of_configur
 from calib.samples.exposure_conditions import approach_direction
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.planning import configuration_sets, plan
+from rig.planning import configuration_generators, plan
 from rig.planning.balanced_visiting_order_and_approach import REACHES, time_balanced_order
 from rig.recording.recording_folder import PAYLOAD
 
@@ -55,7 +55,7 @@ def test_neither_direction_nor_time_nor_load_is_a_function_of_place(design: Desi
 def test_configurations_are_those_that_were_asked_for(design: Design) -> None:
     found, wanted = (
         plan.build_plan(design, "sobol:40", 5),
-        configuration_sets.sobol_configurations(
+        configuration_generators.sobol_configurations(
             plan.axis_strokes(design), 40, seed=int(np.random.default_rng(5).integers(1 << 30))
         ),
     )
@@ -102,7 +102,7 @@ def test_an_order_alone_balances_what_it_can(design: Design) -> None:
     within.
     """
     strokes = plan.axis_strokes(design)
-    values = configuration_sets.sobol_configurations(strokes, 60, seed=3)
+    values = configuration_generators.sobol_configurations(strokes, 60, seed=3)
     start = strokes.mean(axis=1)
     before = confounds_of_configurations(values, start, design.mechanism)
     after = confounds_of_configurations(

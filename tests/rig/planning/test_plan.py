@@ -6,7 +6,7 @@ import pytest
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from rig.planning import configuration_sets, plan
+from rig.planning import configuration_generators, plan
 
 EXPECTED = {
     "sobol": 100,
@@ -70,7 +70,7 @@ def test_a_ladder_approaches_every_length_from_both_sides(design):
 
 
 def test_iso_9283_visits_the_cubes_middle_and_four_corners_of_a_plane_in_turn(design):
-    poses = configuration_sets.iso9283_five_test_pose_commands(design)
+    poses = configuration_generators.iso9283_five_test_pose_commands(design)
     p = hexapod.forward(poses, design.mechanism).translation
     arms = p[1:] - p[0]
     half = np.abs(arms).max()
@@ -88,7 +88,7 @@ def test_iso_9283_visits_the_cubes_middle_and_four_corners_of_a_plane_in_turn(de
 
 
 def test_axes_translate_along_and_turn_about_the_axes(design):
-    found = configuration_sets.single_axis_pose_moves(design, 5)
+    found = configuration_generators.single_axis_pose_moves(design, 5)
     T = hexapod.forward(found, design.mechanism)
     moved = pose_difference(design.mechanism.home, T).reshape(6, 5, 6)
     for axis in range(6):
@@ -97,7 +97,7 @@ def test_axes_translate_along_and_turn_about_the_axes(design):
 
 
 def test_combined_plans_turn_while_they_move_along_every_pair_of_axes(design):
-    T = hexapod.forward(configuration_sets.moves_combining_translation_and_rotation(design, 4), design.mechanism)
+    T = hexapod.forward(configuration_generators.moves_combining_translation_and_rotation(design, 4), design.mechanism)
     moved = pose_difference(design.mechanism.home, T).reshape(3, 3, 2, 4, 6)
     for i in range(3):
         for j in range(3):
@@ -113,13 +113,15 @@ def test_combined_plans_turn_while_they_move_along_every_pair_of_axes(design):
 
 
 def test_grid_neighbours_differ_in_one_axis(design):
-    steps = np.abs(np.diff(configuration_sets.grid_configurations(design.mechanism.strut_range, 3), axis=0)) > 1e-9
+    steps = (
+        np.abs(np.diff(configuration_generators.grid_configurations(design.mechanism.strut_range, 3), axis=0)) > 1e-9
+    )
     assert (steps.sum(axis=1) == 1).all() and len(steps) == 728
 
 
 def test_low_discrepancy_covers_evenly(design):
     strokes = design.mechanism.strut_range
-    points = (configuration_sets.sobol_configurations(strokes, 64, 1.0) - strokes[:, 0]) / np.ptp(strokes, axis=1)
+    points = (configuration_generators.sobol_configurations(strokes, 64, 1.0) - strokes[:, 0]) / np.ptp(strokes, axis=1)
     for axis in range(6):
         assert (np.bincount((points[:, axis] * 8).astype(int), minlength=8) == 8).all()
 

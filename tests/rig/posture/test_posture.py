@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from rig.cli import command_line
 from rig.errors import RigError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
 from rig.model.pose import pose_difference, pose_to_vector
@@ -27,7 +27,7 @@ from tests.numerical_derivatives import jacobian
 from tests.rig.arms import SEVEN, UR10, configurations, random_arm
 from tests.rig.pinocchio_arm import build
 
-PANDA = design_file.load_design(files("rig") / "arms" / "panda.toml").mechanism
+PANDA = design_from_rig_toml.load_design(files("rig") / "arms" / "panda.toml").mechanism
 WISHES = [
     TransmissionObjective(("fy",)),
     TransmissionObjective(("fy",), np.inf),
@@ -305,7 +305,7 @@ torque_limits = [400, 90, 90, 50, 12, 12, 12]     # N m, of the slide N
 
 def test_an_arm_on_a_rail_is_told_in_mm_and_newton_where_it_slides(tmp_path, capsys):
     (tmp_path / "rail.toml").write_text(RAIL)
-    arm = design_file.load_design(tmp_path / "rail.toml").mechanism
+    arm = design_from_rig_toml.load_design(tmp_path / "rail.toml").mechanism
     q = np.array([[0.1, 0.4, 0.5, -0.6, 0.7, 0.3, 0.2], [0.7, 0.4, 0.5, -0.6, 0.7, 0.3, 0.2]])
     at, beyond = (",".join(map(repr, row)) for row in pose_to_vector(mechanism.forward(q, arm)).tolist())
     words = ["posture", str(tmp_path / "rail.toml"), "--force", "z", "--above", "0", "--exert", "0,0,-30", "--pose", at]

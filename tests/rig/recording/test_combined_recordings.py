@@ -16,7 +16,7 @@ from rig.effects.texts.effect_text_parsing import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose, pose_to_vector
 from rig.recording import recording_folder as recording
-from rig.recording.combined_recordings import camera_owner_recordings, join_recordings
+from rig.recording.combined_recordings import first_recording_by_camera, join_recordings
 from rig.recording.recording_folder import Commands, Recording
 from rig.recording.recording_table_loading_and_writing import Exposures
 from tests.rig.effects.test_effects_of_all_machines import MOVING, context_of, setting_of
@@ -49,7 +49,7 @@ def two(design):
         )
         for k in range(2)
     ]
-    return parts, join_recordings(parts, camera_owner_recordings(parts))
+    return parts, join_recordings(parts, first_recording_by_camera(parts))
 
 
 @pytest.mark.parametrize("kind", BOTH, ids=lambda kind: kind.name)
@@ -130,8 +130,8 @@ def test_a_camera_stated_with_another_lens_is_another_camera(recording_folder, t
     text = (tmp_path / "again" / "rig.toml").read_text()
     (tmp_path / "again" / "rig.toml").write_text(text.replace("[-0.1, 0.08,", "[-0.12, 0.08,", 1))
     parts = [recording.load_recording(recording_folder), recording.load_recording(tmp_path / "again")]
-    assert camera_owner_recordings(parts)[1] == {"cam0": 1, "cam1": 0, "cam2": 0}
-    both = join_recordings(parts, camera_owner_recordings(parts))
+    assert first_recording_by_camera(parts)[1] == {"cam0": 1, "cam1": 0, "cam2": 0}
+    both = join_recordings(parts, first_recording_by_camera(parts))
     assert [c.name for c in both.design.cameras] == ["cam0", "cam1", "cam2", "cam0@2"]
     assert set(np.array(both.corners.camera)[both.corners.frame >= 10]) == {"cam0@2", "cam1", "cam2"}
 

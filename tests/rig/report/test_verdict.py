@@ -9,7 +9,7 @@ import pytest
 from rig.cli.command_line import main
 from rig.errors import FileError
 from rig.formats.output_files import CommandOutputs
-from rig.report.pages.page_templates_and_elements import Page, read_page_summary, write_page
+from rig.report.pages.page_templates_and_index_page import Page, read_page_summary, write_page
 from rig.report.verdict_and_refutations import (
     BALANCE,
     NAME,

@@ -14,7 +14,7 @@ from tests.vision.drawn_observations import known, scene
 from vision.bundle.adjustment_validation_and_determinacy import determined_combinations
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.normal_equations_and_corner_jacobians import whitened_residuals_and_derivatives
-from vision.bundle.unknown_priors import TERM_PRIOR, adjustment_unknowns
+from vision.bundle.priors_of_unknowns import TERM_PRIOR, adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import (
     UnknownName,
     align_points,

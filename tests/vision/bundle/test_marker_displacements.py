@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.formats.rig_toml import camera_instrument_and_cube_entries, design_file
+from rig.formats.rig_toml import camera_instrument_and_cube_entries, design_from_rig_toml
 from rig.model.pose import log, pose_difference
 from tests.vision.tumbling_block import scene
 from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_adjustment, determined_combinations
@@ -119,5 +119,5 @@ def test_places_are_written_into_rig_toml_and_read_back(worked, tmp_path):
     )
     path = tmp_path / "rig.toml"
     path.write_text(camera_instrument_and_cube_entries.replace_target_markers(text, adjusted_markers(m)))
-    again = marker_map(design_file.load_design(path))
+    again = marker_map(design_from_rig_toml.load_design(path))
     np.testing.assert_allclose(again.corners, m.adjustment.state.markers.corners, atol=1e-8)

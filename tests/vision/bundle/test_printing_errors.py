@@ -13,7 +13,7 @@ from tests.numerical_derivatives import jacobian
 from tests.vision.drawn_observations import nees, scene, standing
 from tests.vision.test_recording_adjustment import joint_chi2
 from vision.bundle.normal_equations_and_corner_jacobians import whitened_residuals_and_derivatives
-from vision.bundle.unknown_priors import adjustment_unknowns
+from vision.bundle.priors_of_unknowns import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import Printing, offset_from_stated, update_estimate
 from vision.corner_observations import whitener_of_observations
 from vision.predict import State, marker_map, predict_corners

@@ -8,7 +8,7 @@ import pytest
 from tests.vision.drawn_observations import known, scene
 from vision.bundle import bundle_adjustment as adjusting
 from vision.bundle.normal_equations_and_corner_jacobians import normal_equations, whitened_residuals_and_derivatives
-from vision.bundle.unknown_priors import adjustment_unknowns
+from vision.bundle.priors_of_unknowns import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated
 from vision.corner_observations import (
     correlations_of_whitened_marker_corners,

@@ -11,11 +11,11 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.driving.cameras.camera_opening import USUAL
 from rig.driving.clock import SimulatedClock
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Sensor
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.recording import recording_folder
 from synthetic import secret_machine_and_truth_file
 from synthetic.emulated_cameras import EmulatedCameras
@@ -88,7 +88,7 @@ def test_the_base_is_seen_from_the_platform_while_a_run_goes_on(tmp_path, opengl
     platform is told by what it sees.
     """
     (tmp_path / "rig.toml").write_text(camera_on_platform.text())
-    design = design_file.load_design(tmp_path / "rig.toml")
+    design = design_from_rig_toml.load_design(tmp_path / "rig.toml")
     secret, strokes = (
         secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(2)),
         design.mechanism.strut_range,

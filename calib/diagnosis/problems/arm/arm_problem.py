@@ -1,4 +1,7 @@
-"""The arm as a Problem of the diagnosis engine: effects at its joints, linear about the geometry; nested selection."""
+"""The arm as a Problem of the diagnosis engine.
+
+Effects at its joints, linear about the geometry; nested selection.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -219,7 +222,9 @@ class ArmProblem:
 def nested_held_out_poses(
     problem: ArmProblem, counts: tuple[int, ...], progress: Progress | None = None
 ) -> list[HeldOutPoses]:
-    """Held-out poses (HeldOutPoses) by nested selection, over each number of time stretches in counts.
+    """Held-out poses (HeldOutPoses) by nested selection.
+
+    Over each number of time stretches in counts.
 
     Effects are chosen, and all is fitted, on two thirds of the stretches at a time.
     """

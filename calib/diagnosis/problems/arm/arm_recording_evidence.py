@@ -1,4 +1,7 @@
-"""Evidence of an arm's recording for its diagnosis: measured poses, linearised about the calibrated geometry."""
+"""Evidence of an arm's recording for its diagnosis.
+
+Measured poses, linearised about the calibrated geometry.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -51,7 +54,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     Value,
     require_assumed_effects_testable,
 )
-from calib.diagnosis.problems.pose_noise_factors import (
+from calib.diagnosis.problems.pose_noise_excess import (
     PoseResiduals,
     noise_covariance_by_kind,
     noise_factors,
@@ -92,7 +95,10 @@ ArmSelection = Selection[Fit, JointCandidate]
 
 
 def outlier_poses(arms: Arms, residuals: Floats, gate: float) -> Outliers:
-    """Poses that are outliers: whose residuals (n, k), m and rad, lie beyond a gate."""
+    """Poses that are outliers.
+
+    Whose residuals (n, k), m and rad, lie beyond a gate.
+    """
     W = np.linalg.inv(np.linalg.cholesky(arms.own))
     columns = np.concatenate([arms.freedoms, _smooth(arms)], axis=2)[..., : residuals.size // ROWS]
     found = robust_fit([((W @ residuals[..., None])[..., 0], W @ columns)])

@@ -1,4 +1,7 @@
-"""Effects that an arm's instruments show by themselves, fitted with the geometry before anything is searched for."""
+"""Effects shown by an arm's instruments.
+
+The instruments show them by themselves; they are fitted with the geometry before anything is searched for.
+"""
 
 import numpy as np
 
@@ -20,7 +23,9 @@ from rig.recording.recording_folder import Recording
 
 
 def measured_effects(recording: Recording, sampled: Sampled) -> tuple[Effect, ...]:
-    """Effects that are fitted with an arm's geometry since its instruments show them, small where the fit begins.
+    """Effects that are fitted with an arm's geometry since its instruments show them.
+
+    Small where the fit begins.
 
     The flexure of a tube, of which directions were measured; the lean of a base on which a tilt sensor was read.
     """
@@ -39,8 +44,9 @@ def measured_effects(recording: Recording, sampled: Sampled) -> tuple[Effect, ..
 
 
 def fit_of_measured_effects(recording: Recording, sampled: Sampled) -> JointFit | None:
-    """JointFit of an arm's `measured_effects` with its geometry alone: all else is searched for beside it; None where
-    there are none.
+    """JointFit of an arm's `measured_effects` with its geometry alone.
+
+    All else is searched for beside it; None where there are none.
     """
     effects = measured_effects(recording, sampled)
     if not effects or recording.commands is None:
@@ -52,7 +58,10 @@ def fit_of_measured_effects(recording: Recording, sampled: Sampled) -> JointFit 
 
 
 def findings_of_measured_effects(fit: JointFit) -> tuple[MeasuredFinding, ...]:
-    """Findings of effects that were fitted before the search, with 95 % intervals; of a lean its RMS first."""
+    """Findings of effects that were fitted before the search, with 95 % intervals.
+
+    Of a lean its RMS first.
+    """
     out, coordinates, sigma = list[MeasuredFinding](), coordinates_of_effects(fit.effects), np.sqrt(np.diag(fit.own))
     for number, effect in enumerate(fit.effects):
         parameters = dict[str, Value]()

@@ -1,4 +1,6 @@
-"""Parameters of findings at an arm's joints, with intervals, and optimisation of nonlinear parameters.
+"""Parameters of findings with intervals, and nonlinear optimisation.
+
+Of findings at an arm's joints; nonlinear parameters are optimised.
 
 Intervals allow for how residuals scatter and for what thermometers leave open; nonlinear parameters are optimised
 between grid values.
@@ -57,12 +59,18 @@ def _continuous_parameters(term: Term) -> tuple[Parameter, ...]:
 
 
 def has_continuous_parameters(term: Term) -> bool:
-    """Whether a term has nonlinear continuous parameters and is no sinusoid, whose order the search refines."""
+    """Whether a term has nonlinear continuous parameters.
+
+    A sinusoid has none: the search refines its order.
+    """
     return term.candidate.form is not Form.SINUSOID and bool(_continuous_parameters(term))
 
 
 def optimise_nonlinear_parameters(fit_without_term: Fit, term: Term) -> Term:
-    """Optimise a term's nonlinear parameters on the residuals of a Fit without it; returns the term."""
+    """Optimise a term's nonlinear parameters on the residuals of a Fit without it.
+
+    Returns the term
+    """
     products = joint_motion_inner_products(fit_without_term, term.candidate.joint)
 
     def loss(node: Node) -> float:
@@ -89,7 +97,10 @@ def _is_linear(candidate: JointCandidate) -> bool:
 
 
 def term_parameter_covariance(fit: Fit, number: int) -> TermCovariance:
-    """TermCovariance of one term: of its sizes and nonlinear parameters together."""
+    """TermCovariance of one term.
+
+    Of its sizes and nonlinear parameters together.
+    """
     term, theta = fit.terms[number], fit.theta[fit.slices[number]]
     parameters = _continuous_parameters(term)
     if not parameters:
@@ -221,7 +232,10 @@ def finding_parameters(
 
 
 def axis_unit(fit: Fit, joint: int | None) -> str:
-    """Unit, "m" or "rad", of the travel of a joint, by its index; of no one joint's "rad"."""
+    """Unit, "m" or "rad", of the travel of a joint, by its index.
+
+    Where no one joint is meant, "rad".
+    """
     return "rad" if joint is None else fit.arms.context.moved().units[joint]
 
 

@@ -1,4 +1,7 @@
-"""Candidate effects at an arm's joints: every effect of the catalogue, at each place, on a grid of parameters."""
+"""Candidate effects at an arm's joints.
+
+Every effect of the catalogue, at each place, on a grid of parameters.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -81,7 +84,9 @@ JointScore = Score[JointCandidate]
 
 
 def joint_candidates(arms: Arms, requested_effects: RequestedEffects) -> tuple[list[JointCandidate], list[NotAsked]]:
-    """Joint candidates of the requested effects on an arm's poses, and what the recording cannot test.
+    """Joint candidates of the requested effects on an arm's poses.
+
+    Also what the recording cannot test.
 
     A candidate of more numbers than the poses bear (`most_numbers`) is not asked for, and that is stated.
     Raises RigError for a place where what is asked for cannot sit.

@@ -1,4 +1,7 @@
-"""Lack of fit of an arm's model, and effects at its joints that the catalogue does not list."""
+"""Lack of fit of an arm's model, and unlisted effects.
+
+Effects at its joints that the catalogue does not list.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -67,7 +70,10 @@ class Found:
 
 
 def suggest_joint_formulas(fit: Fit, unexplained: list[LackOfFit]) -> list[Suggestion]:
-    """Suggested formulas ([Suggestion]) for the unexplained part of single joints, the largest first.
+    """Suggested formulas ([Suggestion]) for the unexplained part of single joints.
+
+    The largest first.
+
     At most SHOWN.
     """
     motion, places = fit.arms.context.moved(), {u.place for u in unexplained if u.depends_on}
@@ -153,8 +159,9 @@ JOINTS = "joints"
 def find_lack_of_fit_by_joint(
     fit: Fit, correlated_frames: int = 1, place: Place | None = None, alpha: float = ALPHA
 ) -> list[LackOfFit]:
-    """Find lack of fit ([LackOfFit]) of a Fit's residuals to smooth functions at each joint, largest first.
+    """Find lack of fit ([LackOfFit]) of a Fit's residuals to smooth functions at each joint.
 
+    Largest first.
     place : where alone they are asked, None for everywhere; alpha : chance of any where there is nothing
     """
     arms, found = fit.arms, []
@@ -229,8 +236,9 @@ def _explains(covariate: Covariate, count: int) -> bool:
 
 
 def ranked_covariates(before: Fit, after: Fit, cluster: int) -> list[Covariate]:
-    """Covariates ranked by the share of residuals that they explain, without effects and with them.
+    """Covariates ranked by the share of residuals that they explain.
 
+    Without effects and with them.
     cluster : poses in a row whose errors may be alike
     """
     return rank_covariates(_shares(before, cluster), _shares(after, cluster))

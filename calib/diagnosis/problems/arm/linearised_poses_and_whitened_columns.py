@@ -1,4 +1,6 @@
-"""Measured poses of an arm linearised about its calibrated geometry, and whitened columns of its parameters.
+"""Linearised poses of an arm, and whitened columns of parameters.
+
+Measured poses, linearised about its calibrated geometry.
 
 The columns are of its freedoms and terms, stored as joint directions times pose weights; of a chain too.
 A term of hundreds of numbers at one joint moves each pose along one direction, so that products of two such terms are
@@ -124,8 +126,9 @@ class Geometry:
 
 
 def most_numbers(poses: int, k: int, freedoms: int, whole: bool) -> int:
-    """Numbers that a candidate may have: of each, ROOM rows are left to the geometry's freedoms in every fold.
+    """Most numbers that a candidate may have.
 
+    Of each, ROOM rows are left to the geometry's freedoms in every fold.
     poses : that are fitted; k : numbers measured of each; freedoms : of the geometry; whole : whether the candidate
     moves the hand itself, of which a pose tells k numbers, and not one joint, of which it tells one
     """
@@ -134,7 +137,7 @@ def most_numbers(poses: int, k: int, freedoms: int, whole: bool) -> int:
 
 
 def least_poses(k: int, freedoms: int, numbers: int = 1, whole: bool = False, start: int = LEAST) -> int:
-    """Poses that a candidate of so many numbers takes, counted up from start."""
+    """Least count of poses that a candidate needs: for so many numbers, counted up from start."""
     count = start
     while most_numbers(count, k, freedoms, whole) < numbers:
         count += 1
@@ -148,11 +151,12 @@ def linearise_poses(
     sensors: Sensors | None = None,
     refuse_few: bool = True,
 ) -> tuple[Arms, Geometry]:
-    """Linearise the poses of Samples about the calibrated geometry: (Arms, Geometry).
+    """Linearise the poses of Samples about the calibrated geometry.
 
     design : whose mechanism is the nominal Arm or Chain; commands : the whole path; the samples' own commands in their
         order where None
     refuse_few : whether poses that bear no finding are an error
+    Returns (Arms, Geometry)
     Raises NotEnoughData for too few poses, with how many it takes, RigError for what is neither, and what calibrating
         raises
     """
@@ -196,7 +200,9 @@ def _require_enough_poses(samples: Samples, design: Design) -> None:
 def linearise_planned_poses(
     arms: Arms, geometry: Geometry, commands: Commands, t: Floats, sensors: Sensors | None
 ) -> Arms:
-    """Linearise the planned poses of an arm at commands and exposures t (n,) s, with no residuals: Arms.
+    """Linearise the planned poses of an arm at commands and exposures t (n,) s.
+
+    They have no residuals. Returns Arms
 
     Of a recording that is not there yet; its instrument sees as before.
     frame : of cameras those exposures alone that they will see, numbers among the n

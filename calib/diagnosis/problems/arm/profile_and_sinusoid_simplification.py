@@ -1,4 +1,7 @@
-"""Simplification of profiles, sinusoids and scales of one joint to the simplest of them that explains as much."""
+"""Simplification of a joint's profiles and sinusoids.
+
+Of profiles, sinusoids and scales of one joint, the simplest that explains as much is retained.
+"""
 
 from dataclasses import replace
 
@@ -24,7 +27,10 @@ NEIGHBOURS = 2  # steps to either side of a sinusoid's order at which it is look
 
 
 def candidates_compatible_with_terms(fit: Fit, candidates: list[JointCandidate]) -> list[JointCandidate]:
-    """Candidates compatible with the terms already in a Fit: neither repeated nor contained in a profile."""
+    """Candidates compatible with the terms already in a Fit.
+
+    Neither repeated nor contained in a profile.
+    """
     has = {(t.candidate.name, t.candidate.joint) for t in fit.terms if t.candidate.kind.once}
     profiles = {c.joint: c for c in candidates if c.form is Form.PROFILE}
     profiled = {t.candidate.joint for t in fit.terms if t.candidate.form is Form.PROFILE}
@@ -62,8 +68,9 @@ def merge_sinusoids_into_profiles(
     policy: SelectionPolicy,
     stated_terms: StatedTerms = NO_STATED_TERMS,
 ) -> Fit:
-    """The Fit with many sinusoids at a joint merged into one profile, where that fits about as well.
+    """The Fit with many sinusoids at a joint merged into one profile.
 
+    Where that fits about as well.
     train : (n,) bool, or None for all
     """
     for candidate in [c for c in candidates if c.form is Form.PROFILE]:
@@ -87,7 +94,9 @@ def merge_sinusoids_into_profiles(
 
 
 def refine_knots_and_parameters(fit: Fit, train: Booleans | None, policy: SelectionPolicy) -> Fit:
-    """Refine a Fit: as many profile knots, and as exact term parameters, as the data support.
+    """Refine a Fit's profile knots and term parameters.
+
+    As many profile knots, and as exact term parameters, as the data support.
 
     A term is looked at again once the scatter has changed to speak of. train : (n,) bool, or None for all poses
     """
@@ -104,7 +113,10 @@ def refine_knots_and_parameters(fit: Fit, train: Booleans | None, policy: Select
 
 
 def optimise_terms(fit: Fit, terms: list[Term]) -> Fit:
-    """The Fit with the nonlinear parameters of some terms optimised, weights of the poses as they are."""
+    """The Fit with the nonlinear parameters of some terms optimised.
+
+    Weights of the poses as they are.
+    """
     for one in terms:
         rest, level = fit.without_terms(_numbers(fit, one)), float(fit.scatter[0])
         trial = rest.with_terms([replace(optimise_nonlinear_parameters(rest, one), level=level)])

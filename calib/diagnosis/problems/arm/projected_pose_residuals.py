@@ -1,4 +1,6 @@
-"""Fit of an arm's poses: whitened residuals with calibration's freedoms and admitted terms projected out.
+"""Projected residuals of an arm's poses.
+
+Whitened residuals, with calibration's freedoms and admitted terms projected out.
 
 A term moves one joint's angle (or, for what moves the whole arm, the target's pose) by a few columns, each of unknown
 size; sizes have loose normal priors, so that what the data cannot see stays near nothing. Scatter beyond the

@@ -1,4 +1,7 @@
-"""Scores of all candidates on an arm's linearised model: each at the best node of its grid."""
+"""Scores of all candidates on an arm's linearised model.
+
+Each at the best node of its grid.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -59,14 +62,20 @@ def score_candidates(
 
 
 def joint_motion_inner_products(fit: Fit, joint: int | None) -> FrameProducts:
-    """Inner products (FrameProducts) of a joint's motion, or of the measured tangents (None), for the fitted poses."""
+    """Inner products (FrameProducts) of a joint's motion, or of the measured tangents (None).
+
+    For the fitted poses.
+    """
     A = _directions(fit, joint)
     turned = np.swapaxes(A, 1, 2)
     return FrameProducts((turned @ fit.y[fit.used][..., None])[..., 0], turned @ A, fit.X.along(A), fit.inverse)
 
 
 def column_of_score(fit: Fit, score: JointScore) -> Column:
-    """Column (1) of a Score's candidate at its scanned parameters, whitened, freedoms not yet projected out."""
+    """Column (1) of a Score's candidate at its scanned parameters.
+
+    Whitened, freedoms not yet projected out.
+    """
     w = score.candidate.weights(score.node)[fit.used] @ score.coefficients
     return Column(((_directions(fit, score.candidate.joint) @ w[..., None]).reshape(-1, 1),))
 

@@ -1,4 +1,7 @@
-"""Candidates of a platform: every effect of the catalogue at every place that the recording can test."""
+"""Candidate effects of a platform.
+
+Every effect of the catalogue at every place that the recording can test.
+"""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -92,7 +95,10 @@ def affects_images_only(kind: type[Effect] | Effect) -> bool:
 def platform_candidates(
     point: OperatingPoint, requested_effects: RequestedEffects
 ) -> tuple[list[PlatformCandidate], list[NotAsked]]:
-    """Platform candidates of the requested effects at an OperatingPoint, and what the recording cannot test."""
+    """Platform candidates of the requested effects.
+
+    At an OperatingPoint; also what the recording cannot test.
+    """
     context = effect_context(point)
 
     def sites_of(kind: type[Effect]) -> EffectSites:
@@ -129,13 +135,19 @@ def effect_context(point: OperatingPoint) -> Context:
 
 
 def lacks_temperature_log(point: OperatingPoint, needed_channels: tuple[tuple[str, ...], ...]) -> bool:
-    """Whether the recording lacks a temperature log that an effect needs, each served by any of several channels."""
+    """Whether the recording lacks a temperature log that an effect needs.
+
+    Each served by any of several channels.
+    """
     logged = set(point.sensors.channels) if point.sensors is not None else set()
     return not all(logged & set(channels) for channels in needed_channels)
 
 
 def platform_candidate(spec: EffectCandidate) -> PlatformCandidate:
-    """PlatformCandidate of what an effect states (spec), with the usual ranges of its parameters."""
+    """PlatformCandidate of what an effect states (spec).
+
+    With the usual ranges of its parameters.
+    """
     node, parameters = spec.grid[0], spec.kind.parameters_at(spec.place)
     named = {column.name for column in spec.linear} | set(node)
     usual = tuple(

@@ -1,4 +1,7 @@
-"""Sensitivities of axes and corners to effects and their parameters: the columns of the linear model."""
+"""Sensitivities of axes and corners to effects.
+
+And to the parameters of effects: the columns of the linear model.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -166,7 +169,10 @@ class Sensitivities:
 def effect_parameter_directions(
     model: LinearisedModel, sensitivities: Sensitivities
 ) -> tuple[list[Coordinate], Column | None]:
-    """Directions of the admitted effects' continuous parameters in the residuals: (coordinates, Column)."""
+    """Directions of the admitted effects' continuous parameters in the residuals.
+
+    Returns (coordinates, Column)
+    """
     k, parts = model.point, []
     sensitivities, coordinates = sensitivities.at(k), coordinates_of_effects(k.effects)
     for number, effect in enumerate(k.effects):

@@ -1,4 +1,7 @@
-"""Lack of fit of a platform beyond all candidates: smooth functions, excess scatter, covariates of the rest."""
+"""Lack of fit of a platform beyond all candidates.
+
+Smooth functions, excess scatter, covariates of the rest.
+"""
 
 from collections.abc import Callable
 from functools import partial
@@ -269,7 +272,10 @@ def _corners(model: LinearisedModel) -> LackOfFit | None:
 
 
 def ranked_covariates(before: LinearisedModel, after: LinearisedModel) -> list[Covariate]:
-    """Covariates ranked by the share of residuals that they explain, without effects and with them."""
+    """Covariates ranked by the share of residuals that they explain.
+
+    Without effects and with them.
+    """
     return rank_covariates(*parallel_map(_shares, [before, after], items_per_process=1))
 
 

@@ -1,4 +1,7 @@
-"""Linearisation's operating point for a platform: cameras, geometry, poses and the effects admitted so far."""
+"""Operating point of a platform's linearisation.
+
+Cameras, geometry, poses and the effects admitted so far.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -202,7 +205,9 @@ def operating_point_of_recording(
     places: str = "auto",
     sampled: Sampled | None = None,
 ) -> tuple[OperatingPoint, str, Measurement | None]:
-    """OperatingPoint of a recording, calibrated, with no effects admitted; its source in words, and its Measurement.
+    """OperatingPoint of a recording, calibrated, with no effects admitted.
+
+    Also its source in words, and its Measurement.
 
     All corners are back in; the Measurement may be None.
     calibration : of another recording of the same hexapod, whose joints are then known beforehand, or None
@@ -280,7 +285,10 @@ def operating_point_of_recording(
 
 
 def remounted_cube_seats(design: Design, known_seats: Sequence[Effect] = ()) -> tuple[Effect, ...]:
-    """Seats of a design's remounted cubes, a CubeMisplacement each: the known one, else zero."""
+    """Seats of a design's remounted cubes, a CubeMisplacement each.
+
+    The known one, else zero.
+    """
     own = {seat.place: seat for seat in known_seats}
     places = [str(Place("target", target.name)) for target in design.targets if target.turned is not None]
     return tuple(own.get(place, CUBE_MOTION(place)) for place in places)
@@ -305,7 +313,10 @@ def _seen(measured: Measurement, point: OperatingPoint) -> SeenCorners:
 
 
 def operating_point_without_distant_corners(point: OperatingPoint) -> OperatingPoint:
-    """OperatingPoint without corners so distant from their predicted places that they belong to something else."""
+    """OperatingPoint without corners distant from their predicted places.
+
+    They are so distant that they belong to something else.
+    """
     seen = point.seen
     if seen is None:
         return point
@@ -324,8 +335,9 @@ def group_sightings(observations: Observations, markers: MarkerMap) -> SeenCorne
 
 
 def move_operating_point(point: OperatingPoint, cameras: list[Camera], local: Floats) -> OperatingPoint:
-    """OperatingPoint moved: its cameras replaced, and each frame's poses moved by local tangents.
+    """OperatingPoint moved.
 
+    Its cameras replaced, and each frame's poses moved by local tangents.
     local : (F, 6 + 6 per moving camera)
     """
     moving = {i: T * exp(local[:, 6 + 6 * k : 12 + 6 * k]) for k, (i, T) in enumerate(sorted(point.moving.items()))}

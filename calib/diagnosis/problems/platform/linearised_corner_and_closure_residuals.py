@@ -1,4 +1,6 @@
-"""Residuals of corners and loop closures, linearised, with calibration's freedoms projected out.
+"""Linearised residuals of corners and loop closures.
+
+With calibration's freedoms projected out.
 
 Corners say what is left when every frame's pose is free; closures say what the poses so found ask of the struts against
 the commands. Corners' noise splits into the two without correlation, so together they are the whole likelihood, and a
@@ -166,7 +168,9 @@ class LinearisedModel:
 
 
 def linearise(point: OperatingPoint, clip: float = CLIP, near: LinearisedModel | None = None) -> LinearisedModel:
-    """LinearisedModel of an OperatingPoint: cameras, lenses and geometry are its nuisances.
+    """LinearisedModel of an OperatingPoint.
+
+    Cameras, lenses and geometry are its nuisances.
 
     Each frame's pose is free in the image. clip : standard deviations for which a corner's residual counts at most
     near : of another OperatingPoint, whose corners' derivatives are taken over where they hold here, or None

@@ -1,4 +1,7 @@
-"""Corners linearised at an operating point: whitened residuals and derivatives, freedoms of cubes and edges."""
+"""Corners linearised at an operating point.
+
+Whitened residuals and derivatives, freedoms of cubes and edges.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +22,7 @@ from vision.bundle.normal_equations_and_corner_jacobians import (
     rotate_jacobian,
     small_motion_jacobian,
 )
-from vision.bundle.unknown_priors import stated_lens_prior_sigmas
+from vision.bundle.priors_of_unknowns import stated_lens_prior_sigmas
 from vision.corner_observations import Observations, find_repeated_base_corners, group_sums
 
 EDGES = "edges"  # name of that freedom of each camera: a bias of all its edges, which the corner finder brings
@@ -103,7 +106,9 @@ class _Nuisances:
 
 
 def split_rows_by_frame_bases(rows: Floats, local: Floats, edges: Integers) -> tuple[Floats, Floats]:
-    """Rows (2n, k) split into coordinates in each frame's own basis (F, L, k) and the orthogonal rest (2n, k).
+    """Rows (2n, k) split by each frame's own basis.
+
+    Into coordinates in the basis (F, L, k) and the orthogonal rest (2n, k).
 
     The rows are overwritten.
     """
@@ -226,13 +231,19 @@ def _own_basis(J_local: Floats, edges: Integers) -> tuple[Floats, Floats]:
 
 
 def camera_edge_bias_freedoms(freedom_names: Sequence[tuple[str, str | int]], design: Design) -> list[tuple[int, int]]:
-    """Freedoms that are an edge bias of one camera's images: [(camera's index, freedom's index)]."""
+    """Freedoms that are an edge bias of one camera's images.
+
+    Returns [(camera's index, freedom's index)]
+    """
     cameras = [camera.name for camera in design.cameras]
     return [(cameras.index(name), j) for j, (name, what) in enumerate(freedom_names) if what == EDGES]
 
 
 def cube_seat_freedoms(freedom_names: Sequence[tuple[str, str | int]]) -> dict[str, list[int]]:
-    """Freedoms of the seats of remounted cubes: {cube's place: indices of its six freedoms}."""
+    """Freedoms of remounted cubes' seats.
+
+    Returns {cube's place: indices of its six freedoms}
+    """
     out: dict[str, list[int]] = {}
     for j, (place, what) in enumerate(freedom_names):
         if what in SEAT_LABELS:
@@ -253,7 +264,9 @@ def _weights(o: Observations, k: OperatingPoint) -> Floats:
 
 
 def repeated_corner_error(point: OperatingPoint) -> float:
-    """Error, px, by which standing corners are off alike in every frame; 0 where noise suffices.
+    """Error, px, by which standing corners are off alike in every frame.
+
+    It is 0 where noise suffices.
 
     The middle of all of them tells it, so that a marker out of its place or a lens that bends one camera's image does
     not pass for it. See vision.bundle.robust_adjustment.inflate_repeated_corner_covariance, which asks the same of
@@ -276,7 +289,10 @@ def repeated_corner_error(point: OperatingPoint) -> float:
 
 
 def edge_shift_pixel_derivatives(point: OperatingPoint) -> Floats:
-    """Derivatives (n, 2, 2) of corner pixels by shifts along the two edges of their marker, per side."""
+    """Derivatives (n, 2, 2) of corner pixels by shifts along the two edges of their marker.
+
+    Per side.
+    """
     seen, quads = point.observed, point.pixels(rows=np.arange(len(point.observed.sightings.frame)))
     depth = _depths(quads)
     edges = np.stack(

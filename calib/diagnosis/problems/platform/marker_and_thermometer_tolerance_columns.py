@@ -1,4 +1,7 @@
-"""Columns of marker and thermometer tolerances, each with its prior: what they do to corners and struts."""
+"""Columns of marker and thermometer tolerances.
+
+Each with its prior: what they do to corners and struts.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -94,7 +97,10 @@ class SignificantTolerance:
 
 
 def tolerance_model(model: LinearisedModel, sensitivities: Sensitivities) -> ToleranceModel | None:
-    """ToleranceModel of a LinearisedModel: columns of the tolerances that can be seen; None where none can."""
+    """ToleranceModel of a LinearisedModel.
+
+    Columns of the tolerances that can be seen; None where none can.
+    """
     k, c, n = model.point, model.corners, 2 * len(model.corners.order)
     sites, sigma, table = _markers(model, sensitivities.at(k)) if k.seen is not None else ([], [], csr_array((n, 0)))
     kinds = [TOGETHER, *VARIED * (len(sigma) // len(VARIED))][: len(sigma)]
@@ -244,8 +250,9 @@ ROUNDS, SETTLED = 100, 1e-3  # of the fixed point; the part of what is tolerated
 
 
 def tolerance_sigmas_from_residuals(projection: Projection, tolerances: ToleranceModel) -> Floats:
-    """Tolerance sigmas (q,) estimated from residuals, kind by kind, at the most MOST times the stated ones
+    """Tolerance sigmas (q,) estimated from residuals.
 
+    Kind by kind, at the most MOST times the stated ones.
     Source: MacKay, Bayesian interpolation, Neural Computation 4, 1992, sec. 4
     """
     share = np.ones(tolerances.kinds.max() + 1)

@@ -1,4 +1,6 @@
-"""Misplaced markers and frames of a platform found before any search, and held-out validation of its effects.
+"""Misplaced markers of a platform, and held-out validation of effects.
+
+Misplaced markers and frames are found before any search.
 
 Wild poses, misread or exchanged markers; validation in px of corners or m of closures.
 """
@@ -239,7 +241,10 @@ def find_marker_swaps(point: OperatingPoint, kinds: Sequence[type[Effect]]) -> l
 
 
 def correct_marker_swaps(point: OperatingPoint, marker_swaps: Sequence[Effect]) -> OperatingPoint:
-    """OperatingPoint with marker swaps corrected: each marker sits where they state."""
+    """OperatingPoint with marker swaps corrected.
+
+    Each marker sits where they state.
+    """
     if not marker_swaps:
         return point
     seen, markers = point.observed, point.observed.markers
@@ -265,7 +270,10 @@ def _rows(ids: Integers, effect: Effect) -> Integers:
 
 
 def cross_validate_effects(refinement: Refinement, numbers: set[int], residual_block: int) -> CrossValidation:
-    """Cross-validate several admitted effects together, in one block of residuals: CORNERS or CLOSURES."""
+    """Cross-validate several admitted effects together.
+
+    In one block of residuals, CORNERS or CLOSURES.
+    """
     before, after, _ = _both(refinement, numbers)
     return _compared(refinement.model, before, after, (residual_block,))[0]
 
@@ -273,7 +281,10 @@ def cross_validate_effects(refinement: Refinement, numbers: set[int], residual_b
 def cross_validate_effects_for_each_residual_block(
     refinement: Refinement, numbers: set[int], residual_blocks: tuple[int, ...]
 ) -> tuple[CrossValidation, ...]:
-    """Cross-validate several admitted effects together, once for each block of residuals (corners, closures)."""
+    """Cross-validate several admitted effects, for each block of residuals.
+
+    All effects together, once for corners and once for closures.
+    """
     before, after, _ = _both(refinement, numbers)
     return _compared(refinement.model, before, after, residual_blocks)
 
@@ -281,8 +292,9 @@ def cross_validate_effects_for_each_residual_block(
 def cross_validate_effect_by_regions(
     refinement: Refinement, number: int, residual_block: int, ordering_values: Floats
 ) -> CrossValidation:
-    """Cross-validate one admitted effect, whole regions of the frames' ordering values held out in turn.
+    """Cross-validate one admitted effect.
 
+    Whole regions of the frames' ordering values held out in turn.
     ordering_values : (F,) what frames are put in order by
     """
     order = np.argsort(ordering_values, kind="stable")

@@ -1,4 +1,7 @@
-"""The platform as Problem of the engine: effects fitted with cameras, geometry and poses."""
+"""The platform as a Problem of the diagnosis engine.
+
+Effects are fitted with cameras, geometry and poses.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,7 @@
-"""Evidence of a platform's recording for its diagnosis: corners and closures about an operating point."""
+"""Evidence of a platform's recording for its diagnosis.
+
+Corners and closures about an operating point.
+"""
 
 from dataclasses import dataclass, field, replace
 
@@ -49,7 +52,7 @@ from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of
     separate_findings_within_tolerances,
     widen_intervals_by_temperature_logs_and_tolerances,
 )
-from calib.diagnosis.problems.pose_noise_factors import (
+from calib.diagnosis.problems.pose_noise_excess import (
     PoseResiduals,
     noise_covariance_by_kind,
     noise_factors,

@@ -1,4 +1,7 @@
-"""Scores of all candidates on a platform's linearised model: each at the best node of its grid."""
+"""Scores of all candidates on a platform's linearised model.
+
+Each at the best node of its grid.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -108,7 +111,10 @@ def candidate_column(
     sensitivities: Sensitivities,
     motion: Motion | None = None,
 ) -> Column:
-    """Column of one node of a candidate: its displacement of corners and closures per unit of its parameters."""
+    """Column of one node of a candidate.
+
+    Its displacement of corners and closures per unit of its parameters.
+    """
     k = model.point
     if candidate.reach is Reach.SPECTRUM:
         return model.lengthened(
@@ -126,7 +132,10 @@ def candidate_column(
 
 
 def axis_elongation_inner_products(model: LinearisedModel) -> FrameProducts:
-    """Inner products (FrameProducts) of axis elongations, one axis at a time, frame by frame (per m)."""
+    """Inner products (FrameProducts) of axis elongations.
+
+    One axis at a time, frame by frame (per m).
+    """
     F, axes = model.frames, model.point.axes
     W = model.closures.W  # (F, a, a): column i is axis i
     y = model.closure_residual[: F * axes].reshape(F, axes)
@@ -169,7 +178,10 @@ def corner_displacement_inner_products(model: LinearisedModel, pixels: Floats) -
 def constant_displacement_normal_equations(
     model: LinearisedModel, displaced_corners: Integers, pixels: Floats
 ) -> inner.Normal:
-    """Normal equations of one constant displacement, the same in every frame, of observed corners (h,)."""
+    """Normal equations of one constant displacement.
+
+    The same in every frame, of observed corners (h,).
+    """
     k, c = model.point, model.corners
     at = np.empty(len(c.order), int)
     at[c.order] = np.arange(len(c.order))

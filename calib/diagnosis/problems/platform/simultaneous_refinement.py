@@ -1,4 +1,6 @@
-"""Simultaneous refinement of cameras, geometry, poses and effects' parameters, by Gauss-Newton.
+"""Simultaneous refinement of all of a platform's unknowns.
+
+Cameras, geometry, poses and effects' parameters, by Gauss-Newton.
 
 Parameters stay within their bounds: one that the data pull beyond stands at its bound, and the others make the best of
 it there.
@@ -199,7 +201,10 @@ def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensit
 
 
 def operating_point_without_term(refinement: Refinement, number: int) -> OperatingPoint:
-    """OperatingPoint of a Refinement without the term of one effect; what is free is moved to compensate."""
+    """OperatingPoint of a Refinement without the term of one effect.
+
+    What is free is moved to compensate.
+    """
     model, effects = refinement.model, refinement.point.effects
     if refinement.column is None:
         return refinement.point.with_effects(e for i, e in enumerate(effects) if i != number)
@@ -215,7 +220,9 @@ def operating_point_without_term(refinement: Refinement, number: int) -> Operati
 def refine_operating_point(
     point: OperatingPoint, sensitivities: Sensitivities, near: LinearisedModel | None = None
 ) -> Refinement:
-    """Refine an operating point: cameras, geometry, poses and the admitted effects' parameters together.
+    """Refine an operating point.
+
+    Cameras, geometry, poses and the admitted effects' parameters together.
 
     Standing corners are first taken at their covariance; only what they then still miss together, in every frame,
     loosens them. near : as `linearise` takes it
@@ -228,7 +235,10 @@ def refine_operating_point(
 def refine_at_fixed_repeated_error(
     point: OperatingPoint, sensitivities: Sensitivities, near: LinearisedModel | None = None
 ) -> Refinement:
-    """Refine an operating point with the repeated error of standing corners fixed. near : as `linearise` takes it"""
+    """Refine an operating point with the repeated error of standing corners fixed.
+
+    near : as `linearise` takes it
+    """
     model, far = linearise(point, CLIP, near), True
     for _ in range(MAX_ITERATIONS):
         model = _model_with_fitting_clip(model) if far else model

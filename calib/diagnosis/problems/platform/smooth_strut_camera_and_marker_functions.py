@@ -1,4 +1,7 @@
-"""Smooth strut, camera and marker functions without a name: of pose, time, history, speed and sensors."""
+"""Smooth functions of struts, cameras and markers.
+
+They have no name, and are functions of pose, time, history, speed and sensors.
+"""
 
 from dataclasses import replace
 
@@ -71,7 +74,10 @@ def strut_deviation_basis_functions_by_covariate(point: OperatingPoint) -> list[
 
 
 def camera_mount_and_focal_pixel_derivatives(model: LinearisedModel, camera: Place) -> Floats:
-    """Derivatives (n, 2, 7) of corner pixels by the tangent of a camera's mount and by its focal length's share."""
+    """Derivatives (n, 2, 7) of corner pixels by a camera's mount and focal length.
+
+    By the tangent of the mount and by the focal length's share.
+    """
     k = model.point
     o = k.observed.observations
     i = _camera_index(k, camera)
@@ -86,7 +92,10 @@ def _camera_index(k: OperatingPoint, place: Place) -> int:
 
 
 def camera_time_functions(point: OperatingPoint, count: int) -> Floats:
-    """Functions of time (F, 7, 7 count) of a camera's mount and focal length: cosines for each parameter."""
+    """Functions of time (F, 7, 7 count) of a camera's mount and focal length.
+
+    Cosines for each parameter.
+    """
     return np.einsum("fk,ab->fabk", time_cosines(point.t, count), np.eye(7)).reshape(len(point.t), 7, -1)
 
 
@@ -113,7 +122,9 @@ def _marker_pixels(k: OperatingPoint, ids: Integers) -> Floats:
 
 
 def corner_shift_pixel_derivatives(point: OperatingPoint, edges: Floats, marker: int) -> tuple[Integers, Floats]:
-    """Derivatives (h, 2, 8) of one marker's corner pixels by shifts of corners along its edges, with rows (h,).
+    """Derivatives (h, 2, 8) of one marker's corner pixels by shifts of corners along its edges.
+
+    With rows (h,).
 
     Edges as `edge_shift_pixel_derivatives` has them.
     """
@@ -138,9 +149,11 @@ def _distortions() -> Floats:
 def smooth_function_columns(
     model: LinearisedModel, lacks_of_fit: list[LackOfFit]
 ) -> tuple[Floats | None, Floats | None]:
-    """Columns of the smooth functions of a lack of fit: (pixels (n, 2, q) or None, weights (F, axes, r) or None).
+    """Columns of the smooth functions of a lack of fit.
 
     At all struts where it is struts, at all markers where it is one, else at the cameras themselves.
+
+    Returns (pixels (n, 2, q) or None, weights (F, axes, r) or None)
     """
     k = model.point
     weights = (

@@ -1,4 +1,7 @@
-"""Unlisted effects of struts: formula suggestions for what the catalogue does not explain."""
+"""Formula suggestions for unlisted effects of struts.
+
+For what the catalogue does not explain.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

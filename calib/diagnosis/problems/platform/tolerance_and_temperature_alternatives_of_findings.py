@@ -1,4 +1,6 @@
-"""Tolerances and temperatures as alternatives of a platform's findings.
+"""Tolerances and temperatures as alternatives of findings.
+
+Of a platform's findings.
 
 Findings no larger than tolerances may cause are separated as remarks; temperature effects, where a temperature log is
 missing or wrong, are added to the alternatives.
@@ -370,7 +372,10 @@ def parameter_errors_by_temperature_logs(refinement: Refinement) -> Floats | Non
 
 
 def parameter_errors_by_tolerances(refinement: Refinement, sensitivities: Sensitivities) -> Floats | None:
-    """Errors (c, q) of fitted coordinates per standard deviation of manufacturing tolerances, or None.
+    """Errors (c, q) of fitted coordinates per standard deviation of manufacturing tolerances.
+
+    Or None.
+
     What an effect is the size of is nothing that it
     is off by.
     """

@@ -1,4 +1,7 @@
-"""Frequency of a vibrating platform: a coarse spectrum of all directions, then the exact score near its peak."""
+"""Frequency of a vibrating platform.
+
+A coarse spectrum of all directions, then the exact score near its peak.
+"""
 
 from typing import cast
 
@@ -105,7 +108,10 @@ def best_vibration_frequency_score(
 
 
 def rank_one_direction_and_phase_fit(b: Floats, G: Floats) -> tuple[float, Floats]:
-    """Rank-one fit of a direction and a phase, normal equations G (12, 12) x = b (12,): (drop, coefficients (12,))."""
+    """Rank-one fit of a direction and a phase, normal equations G (12, 12) x = b (12,).
+
+    Returns (drop, coefficients (12,))
+    """
     own = np.diag(G)
     scale = np.sqrt(
         np.maximum(own, LEAST * max(own.max(), 0.0)) + 1e-300

@@ -1,4 +1,7 @@
-"""Camera calibration files of other programs read, and their cameras written into a rig.toml."""
+"""Camera calibration files written into a rig.toml.
+
+Files of other programs are read, and their cameras written.
+"""
 
 import tomllib
 from collections.abc import Sequence
@@ -25,8 +28,9 @@ LARGEST = 1 << 22  # bytes
 
 
 def read_camera_calibration(path: Path) -> tuple[str, list[ForeignCamera]]:
-    """Camera calibration file read: (program that wrote it, its ForeignCameras).
+    """Camera calibration file read.
 
+    Returns (program that wrote it, its ForeignCameras)
     Raises FileError, with line and key, for anything that cannot be used.
     """
     root = _root(path)

@@ -1,4 +1,6 @@
-"""Camera calibrations of Kalibr, multical, Caliscope, Anipose, ROS and OpenCV recognised and read.
+"""Camera calibrations by program.
+
+Kalibr, multical, Caliscope, Anipose, ROS and OpenCV, recognised and read.
 
 Source: Kalibr, wiki, "yaml formats" and "supported models"; its pixels are OpenCV's, the first one's centre is 0, 0.
 
@@ -159,7 +161,10 @@ def is_caliscope(root: Entries) -> bool:
 
 
 def read_caliscope(root: Entries) -> list[ForeignCamera]:
-    """Read the calibrated cameras of a Caliscope file. Raises FileError where there is none."""
+    """Read the calibrated cameras of a Caliscope file.
+
+    Raises FileError where there is none.
+    """
     found = [
         _caliscope_camera(e, name)
         for name, e in _tables(root).items()

@@ -1,4 +1,6 @@
-"""Foreign camera (ForeignCamera) with checks of its values, and conversion of a fisheye lens to a rational one.
+"""Checks of a foreign camera, and fisheye conversion.
+
+ForeignCamera checks its values; a fisheye lens is converted to a rational one.
 
 Distorted radius theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8), theta the angle off the axis.
 Source: Kannala and Brandt, 2006; OpenCV, fisheye camera model
@@ -35,7 +37,10 @@ class ForeignCamera:
 
 
 def checked_image_size(entries: Entries, key: str) -> tuple[int, int]:
-    """Image size (width, height) px, checked. Raises FileError for anything else."""
+    """Image size (width, height) px, checked.
+
+    Raises FileError for anything else.
+    """
     found = entries.wholes(key, 1)
     if len(found) != 2 or max(found) > LARGEST_IMAGE:
         entries.fail(f"{entries.name(key)} must be width and height in px, not {short_repr(entries.get(key))}", key)
@@ -43,7 +48,9 @@ def checked_image_size(entries: Entries, key: str) -> tuple[int, int]:
 
 
 def checked_camera_matrix(entries: Entries, key: str, matrix: Floats) -> Floats:
-    """Camera matrix (3, 3) px, checked. Raises FileError for a skew or an invalid matrix.
+    """Camera matrix (3, 3) px, checked.
+
+    Raises FileError for a skew or an invalid matrix.
     Raises FileError for a skew, and for what is no camera's matrix.
     """
     off = matrix.copy()
@@ -64,7 +71,10 @@ def checked_camera_matrix(entries: Entries, key: str, matrix: Floats) -> Floats:
 
 
 def checked_distortion(entries: Entries, key: str, values: Floats) -> Floats:
-    """Distortion terms (n,), checked; none means four zeros. Raises FileError for a count that OpenCV lacks.
+    """Distortion terms (n,), checked.
+
+    None means four zeros.
+    Raises FileError for a count that OpenCV lacks.
     Raises FileError for a number of them that OpenCV has not.
     """
     if not len(values):
@@ -104,10 +114,11 @@ def rational_lens_of_fisheye(
     size: tuple[int, int],
     conversion: str,
 ) -> tuple[Floats, tuple[str, ...]]:
-    """Rational lens of a fisheye: (distortion (8,) in OpenCV's order, sentence on how far it deviates).
+    """Rational lens of a fisheye.
 
     keys : of the model and of its terms; matrix : (3, 3) px; size : (width, height) px; conversion : what
         becomes of the lens, in words
+    Returns (distortion (8,) in OpenCV's order, sentence on how far it deviates)
     Raises FileError for other than four terms, and where no rational lens follows it, with how far one does
     """
     key, terms_key = keys

@@ -17,7 +17,7 @@ from calib.models.arm.workspace_claim import arm_workspace_claim
 from rig.cli import command_line
 from rig.errors import NotEnoughData, Unreachable
 from rig.model.pose import exp, pose_difference, pose_to_vector
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from tests.calib import secret_arms as worlds
 from tests.cli import run
 from tests.conftest import make_recording

@@ -26,7 +26,7 @@ from calib.samples.pose_samples import Samples
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 from rig.model.pose import exp, pose_difference
-from rig.planning.configuration_sets import divided_grid_configurations, sobol_configurations
+from rig.planning.configuration_generators import divided_grid_configurations, sobol_configurations
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Poses
 from rig.recording.recording_table_loading_and_writing import write_poses

@@ -23,11 +23,11 @@ from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_text_parsing import parse_effect
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
 from rig.planning import plan
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import shipped_arms_and_layouts
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Poses, Sensors
@@ -53,7 +53,7 @@ GAP = "backlash:joint 2:gap=4e-4"
 
 def arm_named(tmp_path, name):
     (tmp_path / "rig.toml").write_text(shipped_arms_and_layouts.shipped_arm_rig_toml(name))
-    return design_file.load_design(tmp_path / "rig.toml")
+    return design_from_rig_toml.load_design(tmp_path / "rig.toml")
 
 
 def known_to_be(design, *effects):

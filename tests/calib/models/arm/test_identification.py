@@ -12,8 +12,8 @@ from calib.models.arm import error_model_and_observations, instrument_placement
 from calib.models.arm.error_model_and_observations import Observations, pose_observations
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
 from rig.errors import NotEnoughData
-from rig.formats.rig_toml import design_file
-from rig.model.base_tilt import TiltReadings, TiltSensor
+from rig.formats.rig_toml import design_from_rig_toml
+from rig.model.base_and_link_tilts import TiltReadings, TiltSensor
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import exp, log, pose, pose_difference
 from tests.calib import secret_arms as worlds
@@ -214,7 +214,9 @@ def test_a_plan_with_tilt_sensors_states_what_a_fit_then_finds():
     """Standard errors of a plan are those of a fit to poses and tilts measured at its configurations."""
     sensors = (TiltSensor("column", 0, 3e-5, np.zeros(3)), TiltSensor("upper", 2, 3e-5, np.array([-1.57, 0.0, 0.0])))
     gravity, (at, turn) = np.array([0.0, 0.0, -9.81]), (1e-4, 5e-4)
-    design = replace(design_file.load_design(ROOT / "tests/data/bench/check/rig.toml"), mechanism=UR10, cameras=())
+    design = replace(
+        design_from_rig_toml.load_design(ROOT / "tests/data/bench/check/rig.toml"), mechanism=UR10, cameras=()
+    )
     design = replace(design, tilt_sensors=sensors, gravity=gravity, targets=(), instrument=None)
     planned = plan(design, PlanOptions(count=30, sigma=(at, turn)))
     q = planned.values

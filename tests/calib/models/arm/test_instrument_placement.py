@@ -12,14 +12,14 @@ from calib.models.arm.identification_and_joint_profiles import identify_arm
 from calib.models.arm.instrument_placement import place_arm
 from calib.samples.pose_samples import Samples
 from rig.errors import RigError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Arm
 from rig.model.pose import exp
 from tests.calib import secret_arms as worlds
 from tests.conftest import ROOT
 from tests.rig.arms import SEVEN, UR10, configurations
 
-PUMA = design_file.load_design(ROOT / "rig/arms/puma560.toml").mechanism
+PUMA = design_from_rig_toml.load_design(ROOT / "rig/arms/puma560.toml").mechanism
 ARMS = (UR10, SEVEN, PUMA)
 SIGMA = (1e-4, 3e-4)  # m, rad
 ZEROS = 0.1  # rad

@@ -7,7 +7,7 @@ import pytest
 
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import PLAUSIBLE, parameter_combinations
 from calib.models.platform.identification import identify_platform
-from calib.models.platform.optimal_configurations import (
+from calib.models.platform.optimal_calibration_poses import (
     CANDIDATES,
     CRITERIA,
     FILL,
@@ -17,7 +17,7 @@ from calib.models.platform.optimal_configurations import (
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
-from rig.planning import configuration_sets
+from rig.planning import configuration_generators
 from tests.calib.noisy_samples import sampled
 
 SIGMAS = (1e-5, 1e-4)
@@ -47,7 +47,7 @@ def test_no_single_exchange_pays_any_more(chosen, design):
     found = chosen["determinant"]
     _, kept = closing_commands_and_whitened_parameter_rows(found.commands[1:], design.mechanism, SIGMAS)
     base = kept.reshape(-1, 42)
-    spread = configuration_sets.sobol_configurations(design.mechanism.strut_range, CANDIDATES, FILL, 0)[:400]
+    spread = configuration_generators.sobol_configurations(design.mechanism.strut_range, CANDIDATES, FILL, 0)[:400]
     _, others = closing_commands_and_whitened_parameter_rows(spread, design.mechanism, SIGMAS)
     now = np.linalg.slogdet((found.root * PLAUSIBLE).T @ (found.root * PLAUSIBLE))[1]
     best = max(np.linalg.slogdet(base.T @ base + rows.T @ rows)[1] for rows in others)
@@ -78,7 +78,7 @@ def test_what_is_promised_is_what_a_fit_finds(chosen, design):
 
 
 def test_what_is_given_counts(design):
-    given = configuration_sets.sobol_configurations(design.mechanism.strut_range, 3)
+    given = configuration_generators.sobol_configurations(design.mechanism.strut_range, 3)
     found = choose_d_optimal_configurations(design.mechanism, 20, SIGMAS, existing_configurations=given)
     hidden = [part for part in parameter_combinations(found.before, design.mechanism)[0] if not part.determined]
     assert len(hidden) >= 42 - 18 and all(

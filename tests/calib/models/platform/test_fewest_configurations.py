@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.models.platform.identification import identify_platform
-from calib.models.platform.optimal_configurations import fewest_configurations
+from calib.models.platform.optimal_calibration_poses import fewest_configurations
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
@@ -46,6 +46,6 @@ def test_what_was_visited_counts(design, found):
 
 
 def test_a_promise_that_measuring_cannot_keep_is_refused(design, monkeypatch):
-    monkeypatch.setattr("calib.models.platform.optimal_configurations.MOST", 12)
+    monkeypatch.setattr("calib.models.platform.optimal_calibration_poses.MOST", 12)
     with pytest.raises(RigError, match="12 poses leave"):
         fewest_configurations(design.mechanism, 1e-7, SIGMAS)

@@ -13,7 +13,7 @@ from rig.driving.cameras.camera_opening import EmulatedSource, FolderSource
 from rig.driving.cameras.genicam_camera import GenicamSource
 from rig.driving.cameras.opencv_camera import VideoSource
 from rig.errors import FileError, RigError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Camera, CaptureSettings
 from rig.model.pose import pose
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -406,6 +406,6 @@ def test_settings_that_a_kind_of_camera_does_not_have_are_refused_in_rig_toml(tm
         text.replace('shutter = "global"', f'shutter = "global"\nsource = "{source}"\ncapture = {{ {settings} }}')
     )
     with pytest.raises(FileError, match=says):
-        design_file.load_design(path)
+        design_from_rig_toml.load_design(path)
     path.write_text(text.replace('shutter = "global"', 'shutter = "global"\nsource = "uvc:0"\ncapture = { gain = 3 }'))
-    assert design_file.load_design(path).cameras[0].capture == CaptureSettings(gain=3.0)
+    assert design_from_rig_toml.load_design(path).cameras[0].capture == CaptureSettings(gain=3.0)

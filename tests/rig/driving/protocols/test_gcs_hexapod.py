@@ -10,7 +10,7 @@ from rig.driving.protocols.gcs_hexapod import GCSHexapod
 from rig.driving.protocols.protocol_interface import Segment
 from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.errors import ControllerFault, FileError, MotionError, PositionLost
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -119,7 +119,7 @@ def test_its_keys_in_rig_toml(tmp_path):
 
     def loaded(protocol, lines=""):
         path.write_text(text + CONTROLLER.format(protocol) + lines)
-        return design_file.load_design(path)
+        return design_from_rig_toml.load_design(path)
 
     plain = loaded("gcs-hexapod")
     np.testing.assert_allclose(plain.controller.home, hexapod.home_values(plain.mechanism))

@@ -18,7 +18,7 @@ from rig.model.design import Arm, Hexapod
 from rig.model.mechanisms import arm as serial
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose, pose_difference
-from rig.planning import configuration_sets, plan
+from rig.planning import configuration_generators, plan
 from synthetic import secret_machine_and_truth_file
 from tests.rig.arms import GANTRY, STANFORD
 from tests.rig.genhexkins import forward, settings
@@ -32,7 +32,7 @@ def true(design):
 @pytest.mark.parametrize("units, scale", [("mm", 1e3), ("m", 1.0)])
 def test_genhexkins_goes_where_we_go(true, units, scale):
     m = true.mechanism
-    commands = configuration_sets.sobol_configurations(m.strut_range, 60, 0.9)
+    commands = configuration_generators.sobol_configurations(m.strut_range, 60, 0.9)
     found = forward(geometry_and_camera_files.genhexkins_settings(m, units), commands, m.home, scale)
     error = pose_difference(hexapod.forward(commands, m), found)
     assert np.linalg.norm(error[:, :3], axis=1).max() < 1e-9 and np.abs(error[:, 3:]).max() < 1e-8
@@ -46,7 +46,7 @@ def test_genhexkins_screws_couple_as_ours_do(true, gain):
     """
     m = true.mechanism
     steps = plan.plan_of_configurations(
-        configuration_sets.sobol_configurations(m.strut_range, 40, 0.9), m.strut_range.mean(axis=1), 0.05
+        configuration_generators.sobol_configurations(m.strut_range, 40, 0.9), m.strut_range.mean(axis=1), 0.05
     )
     run = motion_simulation.simulate_machine_run(
         true, steps.commands, steps.t, (parse_effect(f"screw_coupling:rig:gain={gain}"),)
@@ -81,7 +81,7 @@ def test_sheets_hold_every_bit_of_a_hexapod(true):
         pose(tree["home"]["position"], tree["home"]["rotvec"]),
         tree["strut_zeros"],
     )
-    lengths = configuration_sets.sobol_configurations(m.strut_range, 20)
+    lengths = configuration_generators.sobol_configurations(m.strut_range, 20)
     np.testing.assert_allclose(
         pose_difference(hexapod.forward(lengths, m), hexapod.forward(lengths, again)), 0, atol=1e-14
     )

@@ -14,7 +14,7 @@ from rig.errors import RigError
 from rig.formats.exporters import urdf_and_sdf
 from rig.formats.exporters.urdf_and_sdf import simulator_struts
 from rig.model.mechanisms import hexapod
-from rig.planning import configuration_sets
+from rig.planning import configuration_generators
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from synthetic import secret_machine_and_truth_file
 from tests.calib.checks.test_mistakes import said
@@ -58,7 +58,7 @@ def driven(model, T, m):
 def test_urdf_closes_its_loops_at_every_pose(machine):
     model = pinocchio.buildModelFromXML(urdf_and_sdf.hexapod_urdf(machine, "a & b"))
     assert model.nq == 21
-    for T in hexapod.forward(configuration_sets.sobol_configurations(machine.strut_range, 20, 0.9), machine):
+    for T in hexapod.forward(configuration_generators.sobol_configurations(machine.strut_range, 20, 0.9), machine):
         data = driven(model, T, machine)
         np.testing.assert_allclose(data.oMf[model.getFrameId("platform")].homogeneous, T.as_matrix(), atol=1e-9)
         for n in range(1, 7):

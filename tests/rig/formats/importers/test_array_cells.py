@@ -28,7 +28,7 @@ def arm(tmp_path_factory):
     """(rig.toml, q (n, 6), T (n,)) of an arm."""
     path = tmp_path_factory.mktemp("rig") / "rig.toml"
     run("new", "design", "--arm", "ur10", "--out", path)
-    from rig.formats.rig_toml.design_file import load_design
+    from rig.formats.rig_toml.design_from_rig_toml import load_design
 
     q = np.random.default_rng(1).uniform(-1, 1, (N, 6)).round(6)
     return path, q, serial.forward(q, load_design(path).mechanism)

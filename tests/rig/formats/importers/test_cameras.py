@@ -12,7 +12,7 @@ import yaml
 
 from rig.errors import RigError
 from rig.formats.exporters import geometry_and_camera_files as exported
-from rig.formats.rig_toml import camera_instrument_and_cube_entries, design_file
+from rig.formats.rig_toml import camera_instrument_and_cube_entries, design_from_rig_toml
 from rig.model.pose import exp
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib.checks.test_mistakes import said
@@ -28,7 +28,7 @@ def stated(tmp_path):
     path.write_text(
         hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=3, width=1280, height=960, cubes=3)
     )
-    return path, design_file.load_design(path).cameras
+    return path, design_from_rig_toml.load_design(path).cameras
 
 
 @pytest.fixture
@@ -182,7 +182,7 @@ def test_a_result_of_another_program_sees_what_opencv_sees(name, stated, true, t
         "import", "--rig", stated[0], "--cameras", made(true, tmp_path), *names, "--out", tmp_path / "out.toml"
     )
     assert status == 0 and f"is a result of {name.partition(',')[0]}: 3 cameras" in text, text
-    for camera, meant in zip(design_file.load_design(tmp_path / "out.toml").cameras, true):
+    for camera, meant in zip(design_from_rig_toml.load_design(tmp_path / "out.toml").cameras, true):
         at = points(meant)
         assert (
             np.abs(
@@ -210,7 +210,7 @@ def test_cameras_that_rig_toml_lacks_are_added_where_their_place_is_told(true, t
         and "added to rig.toml: cam0, cam1, cam2" in text
         and "enter its pose" not in (tmp_path / "out.toml").read_text()
     )
-    for camera, meant in zip(design_file.load_design(tmp_path / "out.toml").cameras, true):
+    for camera, meant in zip(design_from_rig_toml.load_design(tmp_path / "out.toml").cameras, true):
         assert np.abs(seen(camera, points(meant)) - seen(meant, points(meant))).max() < 2e-5
 
 
@@ -226,7 +226,7 @@ def test_an_equidistant_lens_becomes_a_rational_one_that_opencvs_fisheye_agrees_
         "import", "--rig", stated[0], "--cameras", tmp_path / "camchain.yaml", "--out", tmp_path / "out.toml"
     )
     assert status == 0 and "cam1: its equidistant lens becomes OpenCV's rational one" in text, text
-    camera = design_file.load_design(tmp_path / "out.toml").cameras[1]
+    camera = design_from_rig_toml.load_design(tmp_path / "out.toml").cameras[1]
     fx, fy, cx, cy = WIDE["pinhole"]
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     ideal = cv2.fisheye.undistortPoints(
@@ -256,7 +256,7 @@ def test_what_opencv_writes_is_read_and_what_it_reads_is_written(suffix, stated,
     words = ("import", "--rig", stated[0], "--cameras", tmp_path / f"lens.{suffix}", "--out", tmp_path / "out.toml")
     assert said(*words)[0] == 1  # of which camera?
     assert said(*words, "--set", f"cameras.names.lens={meant.name}")[0] == 0
-    found = design_file.load_design(tmp_path / "out.toml").camera(meant.name)
+    found = design_from_rig_toml.load_design(tmp_path / "out.toml").camera(meant.name)
     np.testing.assert_allclose(found.matrix, meant.matrix, atol=1e-6)
     np.testing.assert_allclose(found.distortion, meant.distortion, atol=1e-9)
     assert said("export", tmp_path / "out.toml", "--format", "opencv", "--out", tmp_path / "cv")[0] == 0
@@ -279,7 +279,7 @@ def test_camera_info_goes_both_ways(stated, true, tmp_path):
     assert all(isinstance(value, float) for value in tree["distortion_coefficients"]["data"])
     files = [tmp_path / "info" / f"{camera.name}.yaml" for camera in true]
     assert said("import", "--rig", stated[0], "--cameras", *files, "--out", tmp_path / "back.toml")[0] == 0
-    for camera, there, meant in zip(design_file.load_design(tmp_path / "back.toml").cameras, stated[1], true):
+    for camera, there, meant in zip(design_from_rig_toml.load_design(tmp_path / "back.toml").cameras, stated[1], true):
         assert (
             np.abs(camera.matrix - meant.matrix).max() < 1e-6
             and np.abs(camera.distortion[:4] - meant.distortion).max() < 1e-9

@@ -11,7 +11,7 @@ from rig.cli.command_line import main
 from rig.errors import RigError
 from rig.formats import importers
 from rig.formats.importers import units_and_timestamps
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import said
 from tests.rig.formats.importers.foreign import DIALECTS, export
@@ -30,7 +30,7 @@ def words(folder, files, dialect=None, *more):
 
 @pytest.mark.parametrize("dialect", DIALECTS, ids=lambda dialect: dialect.name)
 def test_a_dialect_imports_to_the_same_arrays(dialect, good, tmp_path):
-    files = export(good, tmp_path / "theirs", dialect, design_file.load_design(good / "rig.toml"))
+    files = export(good, tmp_path / "theirs", dialect, design_from_rig_toml.load_design(good / "rig.toml"))
     status, text = said(*words(good, files, dialect), "--out", tmp_path / "rec")
     assert status == 0, text
     assert text.splitlines()[0].startswith("imported: 60 frames, ") and "60 poses" in text.splitlines()[0]
@@ -144,7 +144,7 @@ def test_rotations_that_nothing_decides_are_refused(good, tmp_path):
 
 
 def test_an_import_is_told_to_programs(good, tmp_path, capsys):
-    files = export(good, tmp_path / "theirs", DIALECTS[0], design_file.load_design(good / "rig.toml"))
+    files = export(good, tmp_path / "theirs", DIALECTS[0], design_from_rig_toml.load_design(good / "rig.toml"))
     assert main([str(word) for word in (*words(good, files), "--out", tmp_path / "rec", "--json")]) == 0
     out, said_of_it = capsys.readouterr()
     told = json.loads(out)

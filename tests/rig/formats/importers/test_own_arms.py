@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from rig.errors import RigError
 from rig.formats.exporters.urdf_and_sdf import arm_urdf
 from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions, read_arm_file
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import arm as serial
 from rig.planning.layout.shipped_arms_and_layouts import load_shipped_arm_design, shipped_arm_names
 from tests.cli import run
@@ -28,7 +28,7 @@ def read(tmp_path, text, tip=None, root=None):
     """(ReadArm, its arm as rig.toml has it)."""
     found = read_arm_file(ArmFileOptions(written(tmp_path, text), () if tip is None else (tip,), root))
     (tmp_path / "rig.toml").write_text(found.rig_toml())
-    return found, design_file.load_design(tmp_path / "rig.toml").mechanism
+    return found, design_from_rig_toml.load_design(tmp_path / "rig.toml").mechanism
 
 
 def agrees(text, found, arm, tip, atol=1e-12):
@@ -238,7 +238,7 @@ def test_the_command_writes_a_rig_that_loads_and_names_joints(tmp_path):
     out = tmp_path / "rig.toml"
     done = run("new", "design", "--urdf", written(tmp_path, SIX), "--name", "mine", "--out", out)
     assert "read joint j1: revolute, limits -171.887 .. 114.592 deg" in done.stderr
-    design = design_file.load_design(out)
+    design = design_from_rig_toml.load_design(out)
     assert design.name == "mine" and design.mechanism.axes == ("q1", "q2", "q3") and design.instrument.base == "free"
 
 
@@ -248,4 +248,4 @@ def test_placements_in_rig_toml_are_checked(tmp_path):
     assert "base = { position" in text
     (tmp_path / "rig.toml").write_text(text.replace("base = {", "bass = {"))
     with pytest.raises(RigError, match="is 'base' meant"):
-        design_file.load_design(tmp_path / "rig.toml")
+        design_from_rig_toml.load_design(tmp_path / "rig.toml")

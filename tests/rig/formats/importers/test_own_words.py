@@ -8,7 +8,7 @@ from decimal import Decimal
 import cv2
 import numpy as np
 
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import said
 
@@ -34,7 +34,7 @@ def theirs(folder, design, count=4):
 
 
 def test_an_owners_own_words(good, tmp_path):
-    theirs(tmp_path, design_file.load_design(good / "rig.toml"))
+    theirs(tmp_path, design_from_rig_toml.load_design(good / "rig.toml"))
     made = [
         "import",
         tmp_path / "Bilder Größe A",
@@ -68,7 +68,7 @@ def test_an_owners_own_words(good, tmp_path):
 
 
 def test_a_shift_of_images_moves_the_times_that_a_table_gives_them(good, tmp_path):
-    theirs(tmp_path, design_file.load_design(good / "rig.toml"))
+    theirs(tmp_path, design_from_rig_toml.load_design(good / "rig.toml"))
     made = [
         "import",
         tmp_path / "Bilder Größe A",

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from rig.errors import RigError
 from rig.formats.exporters.urdf_and_sdf import arm_urdf
 from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions, read_arm_file
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import arm as serial
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import load_recording
@@ -33,7 +33,7 @@ def read(tmp_path, tips, text=HUMANOID, root=None):
     (tmp_path / "robot.urdf").write_text(text)
     found = read_arm_file(ArmFileOptions(tmp_path / "robot.urdf", tips, root))
     (tmp_path / "rig.toml").write_text(found.rig_toml())
-    return found, design_file.load_design(tmp_path / "rig.toml").mechanism
+    return found, design_from_rig_toml.load_design(tmp_path / "rig.toml").mechanism
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_the_command_reads_several_tips_and_states_the_rig_in_other_units(tmp_pa
     done = run("new", "design", *given, "--units", "mm,deg", "--out", out)
     assert done.returncode == 0 and "read joint r_elbow: continuous" in done.stderr
     _, arm = read(tmp_path, ("left", "right"))
-    stated = design_file.load_design(out).mechanism
+    stated = design_from_rig_toml.load_design(out).mechanism
     q = np.random.default_rng(0).uniform(*arm.limits.T, (5, 6))
     for hand in ("left", "right"):
         expected, found = (serial.forward(q, one.of_hand(hand)).as_matrix() for one in (arm, stated))

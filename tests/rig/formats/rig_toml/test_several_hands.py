@@ -8,7 +8,7 @@ import pytest
 from calib.files.mechanism_and_physics_entries import mechanism_dict, mechanism_from_entries
 from rig.errors import FileError
 from rig.formats.checked_entries import Entries
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import arm as serial
 from rig.recording.frame_selection_and_content_hashes import remove_frames, select_hand
 from rig.recording.recording_folder import load_recording
@@ -53,7 +53,7 @@ def test_what_makes_no_tree_of_joints_is_named_with_its_line(tmp_path, old, new,
     path = tmp_path / "rig.toml"
     path.write_text(TEXT.replace(old, new, 1))
     with pytest.raises(FileError, match=re.escape(says)) as caught:
-        design_file.load_design(path)
+        design_from_rig_toml.load_design(path)
     assert caught.value.path == str(path) and caught.value.line is not None
 
 
@@ -61,7 +61,7 @@ def test_one_hand_alone_is_stated_as_before(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text(TEXT[: TEXT.index(HAND)] + TEXT[TEXT.index("[instrument]") :])
     with pytest.raises(FileError, match="an arm with one hand states none; write its tool in"):
-        design_file.load_design(path)
+        design_from_rig_toml.load_design(path)
 
 
 POSES = """frame,hand,x,y,z,rx,ry,rz

@@ -5,7 +5,7 @@ solve.
 import numpy as np
 
 from rig.model.mechanisms import hexapod, hexapod_kernels
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 from tests.calib.random_hexapods import machine
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import NotConverged, RigError
-from rig.formats.rig_toml.design_file import load_design
+from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model.design import Planar2
 from rig.model.mechanisms import ALL, hexapod, kinematics_of
 from rig.model.pose import exp, pose

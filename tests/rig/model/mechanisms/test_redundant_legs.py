@@ -13,11 +13,11 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.redundant_limb_checks import Limbs
 from calib.correction.correction import Correction
 from calib.files import calibration_file
-from calib.online import measuring_limbs_file
+from calib.online import accepted_limbs_file
 from rig.cli.command_line import main
 from rig.errors import RigError
 from rig.model.mechanisms import best_six_legs_and_closures, hexapod
-from rig.planning.configuration_sets import sobol_configurations
+from rig.planning.configuration_generators import sobol_configurations
 
 
 @pytest.fixture(scope="module")
@@ -136,9 +136,9 @@ def test_the_command_chooses_checks_and_names(limbed, tmp_path, capsys):
     T = done.run.T_base_platform[:30]
     agreement = measuring_limb_identification_and_agreement.limb_agreement(T, T, np.zeros((30, 6, 6)), (1e-3, 1e-3))
     known = 1e-14 * np.eye(42)
-    measuring_limbs_file.save_limbs(
+    accepted_limbs_file.save_limbs(
         limbs,
-        measuring_limbs_file.Accepted(
+        accepted_limbs_file.Accepted(
             Limbs(measuring_limb_identification_and_agreement.hexapod_of_six_limbs(true), known, np.full(6, 1e-6)),
             measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design),
             agreement,

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from rig.errors import RigError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import closed_form_and_numerical_arm_inverse
 from tests.rig.arms import HALF, SEVEN, UR10, random_arm
 
-PUMA = design_file.load_design(files("rig") / "arms" / "puma560.toml").mechanism
+PUMA = design_from_rig_toml.load_design(files("rig") / "arms" / "puma560.toml").mechanism
 OFFSET = Arm(
     [
         [0, 0.29, 0.15, -HALF],

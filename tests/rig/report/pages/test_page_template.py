@@ -7,20 +7,18 @@ import re
 import numpy as np
 import pytest
 
-from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure
-from rig.report.pages.page_templates_and_elements import (
-    Link,
-    Page,
+from rig.report.pages.html_and_svg_elements import (
     capitalise,
     captioned_html,
     inline_html,
-    page_html,
     round_ticks,
     svg_text_or_empty_if_too_large,
     table_html,
     text_width,
     wrap_text,
 )
+from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure
+from rig.report.pages.page_templates_and_index_page import Link, Page, page_html
 from rig.report.pages.plots import MOST, RIGHT, Series, axis_scale_of_values, bar_chart_svg, plot_panel_svg
 from rig.report.verdict_and_refutations import State, Verdict
 

@@ -1,4 +1,7 @@
-"""Target mistakes in rig.toml as trials: wrong size, exchanged or turned targets, wrong faces or pose."""
+"""Trials of target mistakes in rig.toml.
+
+Wrong size, exchanged or turned targets, wrong faces or pose.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -78,7 +81,10 @@ def _alone(uv: Floats, camera: Camera, side: float) -> Pixels | None:
 
 
 def marker_size_trials(sample: SampledRecording) -> Iterator[tuple[str | None, float, SampledRecording]]:
-    """Trials with other marker sizes, of all targets (None) or of one body: (body, ratio, Seen)."""
+    """Trials with other marker sizes, of all targets (None) or of one body.
+
+    Returns (body, ratio, Seen)
+    """
     told = {body: share for body, (share, pairs) in _marker_scale_ratios(sample).items() if pairs >= PAIRS}
     firsts = sorted({round(share, 3) for share in told.values() if abs(share - 1) > PRINTED / 2})
     for first in firsts:
@@ -136,7 +142,10 @@ def size_ratio_text(share: float, target: Target | None) -> str:
 def best_size_ratio(
     sample: SampledRecording, ratio: float, body: str | None, misfit: Callable[[SampledRecording], float]
 ) -> float:
-    """Size ratio near one with the least misfit (px), at the vertex of a parabola through three trials."""
+    """Size ratio near one with the least misfit (px).
+
+    At the vertex of a parabola through three trials.
+    """
     by = 0.004
     squares = [misfit(scale_marker_sides(sample, ratio * (1 + k * by), body)) ** 2 for k in (-1, 0, 1)]
     bend = squares[0] - 2 * squares[1] + squares[2]
@@ -196,7 +205,10 @@ def exchanged_target_trials(sample: SampledRecording, names: list[str] | None = 
 
 
 def single_target_trials(sample: SampledRecording, name: str) -> Iterator[Candidate]:
-    """Trials with a single target changed: turned, faces renamed, another pose convention, another size."""
+    """Trials with a single target changed.
+
+    Turned, faces renamed, another pose convention, another size.
+    """
     targets = sample.design.targets
     i = [t.name for t in targets].index(name)
     t = targets[i]
@@ -265,7 +277,10 @@ def exchanged_face_trials(sample: SampledRecording, name: str) -> Iterator[Candi
 
 
 def is_correction_within_one_cube(stated: SampledRecording, corrected: SampledRecording) -> bool:
-    """Whether a correction only exchanges faces within one cube, which each command corrects by itself."""
+    """Whether a correction only exchanges faces within one cube.
+
+    Which each command corrects by itself.
+    """
     if corrected.corners is not stated.corners or corrected.design.cameras is not stated.design.cameras:
         return False
     changed = [(a, b) for a, b in zip(stated.design.targets, corrected.design.targets) if a is not b]

@@ -1,4 +1,7 @@
-"""Checks of a kinematics file's functions: shapes, numbers, round trip, derivatives; and the cached loading of one."""
+"""Checks of a user's kinematics file.
+
+Of its functions: shapes, numbers, round trip, derivatives; and the cached loading of one.
+"""
 
 from dataclasses import replace
 from functools import lru_cache, partial
@@ -7,7 +10,13 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.errors import FileError
-from rig.model.kinematics_file import FREEDOMS, KinematicsFile, freedom_columns, parameter_columns, stated_kinematics
+from rig.model.user_kinematics_file import (
+    FREEDOMS,
+    KinematicsFile,
+    freedom_columns,
+    parameter_columns,
+    stated_kinematics,
+)
 
 TRIED = 6  # poses at which a file is checked
 AROUND = (4e-3, 0.02)  # m, rad; about home, where these lie
@@ -20,8 +29,9 @@ SINGULAR = 1e-6  # of the largest singular value of the axes' change with the fr
 
 @lru_cache(16)
 def kinematics_of_source(source: str, name: str) -> KinematicsFile:
-    """KinematicsFile of a source text, checked. name : of its file, in errors.
+    """KinematicsFile of a source text, checked.
 
+    name : of its file, in errors.
     Raises FileError with the line of what is wrong: what is missing, of another shape, no number, in another unit, or
     no round trip
     """
@@ -176,7 +186,12 @@ def _with_forward(file: KinematicsFile) -> KinematicsFile:
 
 
 def locked_poses(file: KinematicsFile, poses: Floats) -> Floats:
-    """Poses (n, 4, 4) with the coordinates that are no freedoms as at home: the nearest that the platform can take."""
+    """Poses (n, 4, 4) with the locked coordinates as at home.
+
+    Those that are no freedoms.
+
+    The nearest that the platform can take.
+    """
     if len(file.freedoms) == 6:
         return poses
     out = np.tile(file.home, (len(poses), 1, 1))

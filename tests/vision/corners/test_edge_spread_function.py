@@ -7,7 +7,7 @@ from scipy.special import ndtr
 
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.exact_pictures import SIZE, camera, picture, quad
-from vision.corners.edge_spread import PLAIN_EDGE_SPREAD, WIDTHS, empty_residual_profile, learn_edge_spread
+from vision.corners.edge_spread_function import PLAIN_EDGE_SPREAD, WIDTHS, empty_residual_profile, learn_edge_spread
 from vision.corners.marker_detection_and_corner_fit import ReadMarkers, fit_read_markers
 from vision.corners.predicted_cell_white_share import GRID
 

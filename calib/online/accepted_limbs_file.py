@@ -1,4 +1,7 @@
-"""limbs.json: accepted measuring limbs with their geometry, agreement and verdict, saved and loaded."""
+"""File of accepted measuring limbs (limbs.json).
+
+With their geometry, agreement and verdict, saved and loaded.
+"""
 
 import json
 from dataclasses import dataclass, replace
@@ -95,7 +98,10 @@ def save_limbs(path: Path | str, accepted: Accepted) -> None:
 
 
 def load_limbs(path: Path | str) -> Accepted:
-    """Load Accepted limbs from a limbs.json, whatever its verdict. Raises FileError"""
+    """Load Accepted limbs from a limbs.json, whatever its verdict.
+
+    Raises FileError
+    """
     tree = json_toml_and_yaml_loading.load_json(Path(path), "limbs.json", SCHEMA)
     nominal, hexapod = _hexapod(tree, "stated"), _hexapod(tree, "limbs")
     sigma, table = tree.array("reading_sigma", (6,)), tree.table("agreement")
@@ -132,7 +138,10 @@ def load_limbs(path: Path | str) -> Accepted:
 
 
 def accepted_limbs(path: Path | str, design: Design) -> Accepted:
-    """Accepted limbs of a limbs.json that may replace vision on a rig. Raises RigError where they may not."""
+    """Accepted limbs of a limbs.json that may replace vision on a rig.
+
+    Raises RigError where they may not.
+    """
     found = load_limbs(path)
     limbs, six = stated_limbs(design), found.limbs.chosen
     spare = 0 if found.limbs.checks is None else len(found.limbs.checks.limbs)
@@ -165,14 +174,20 @@ def accepted_limbs(path: Path | str, design: Design) -> Accepted:
 
 
 def withdraw_acceptance(accepted: Accepted, recording: str, frame: int, reason: str) -> Accepted:
-    """Accepted limbs with their acceptance withdrawn. recording, frame : where it was found; reason : in words"""
+    """Accepted limbs with their acceptance withdrawn.
+
+    recording, frame : where it was found; reason : in words
+    """
     return replace(
         accepted, withdrawn=Withdrawal(recording, frame, reason, datetime.now(UTC).isoformat(timespec="seconds"))
     )
 
 
 def is_limbs_file(path: Path) -> bool:
-    """Whether a file is a limbs.json. Raises FileError for any other file that is there."""
+    """Whether a file is a limbs.json.
+
+    Raises FileError for any other file that is there.
+    """
     if not path.exists():
         return False
     try:

@@ -1,4 +1,6 @@
-"""Edge spread function of one camera's images: a plain blur at first, then learned from fit residuals.
+"""Edge spread function of one camera's images.
+
+A plain blur at first, then learned from fit residuals.
 
 An edge spread function is tabulated over the distance from the edge in edge widths, one table for each direction of the
 edge's normal and each of some widths. It begins as a Gaussian seen through square pixels. What is learnt is added to
@@ -95,7 +97,10 @@ NO_PROFILE = np.zeros((1, 0, 3))
 
 
 def empty_residual_profile() -> Floats:
-    """Empty residual profile (DIRECTIONS, BINS, 3) of edges: count, sum, sum of squares."""
+    """Empty residual profile (DIRECTIONS, BINS, 3) of edges.
+
+    Count, sum, sum of squares.
+    """
     return np.zeros((DIRECTIONS, BINS, 3))
 
 

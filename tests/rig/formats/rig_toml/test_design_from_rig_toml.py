@@ -5,7 +5,7 @@ import pytest
 
 from rig.errors import FileError
 from rig.formats.json_toml_and_yaml_loading import toml_value_positions
-from rig.formats.rig_toml import camera_instrument_and_cube_entries, design_file
+from rig.formats.rig_toml import camera_instrument_and_cube_entries, design_from_rig_toml
 from rig.model import mechanisms
 from rig.model.pose import exp, pose_difference
 from tests.conftest import SHARED
@@ -54,7 +54,7 @@ def test_a_whole_rig_is_read(design):
 def test_every_fault_names_its_place(rig_text, tmp_path, old, new, says):
     path = spoiled(rig_text, tmp_path, old, new)
     with pytest.raises(FileError, match=says) as caught:
-        design_file.load_design(path)
+        design_from_rig_toml.load_design(path)
     assert caught.value.path == str(path)
     assert caught.value.line is not None and caught.value.column is not None
     line = path.read_text().splitlines()[caught.value.line - 1]
@@ -71,23 +71,23 @@ def test_millimetres_are_recognised(rig_text, tmp_path):
     scaled = rig_text.replace("base_joints = [[0.", "base_joints = [[300 , 0.0, 0.0], [0.", 1)
     path.write_text(scaled)
     with pytest.raises(FileError, match=r"base_joints must have 6x3 numbers"):
-        design_file.load_design(path)
+        design_from_rig_toml.load_design(path)
     path.write_text(rig_text.replace("position = [0.0, 0.0, 0.45]", "position = [0.0, 0.0, 450.0]", 1))
     with pytest.raises(FileError, match=r"metres.*millimetres \(0.45 m\)") as caught:
-        design_file.load_design(path)
+        design_from_rig_toml.load_design(path)
     assert "450" in path.read_text().splitlines()[caught.value.line - 1][caught.value.column - 1 :]
 
 
 def test_a_home_outside_the_strut_range_is_refused(rig_text, tmp_path):
     with pytest.raises(FileError, match="home needs strut 1"):
-        design_file.load_design(
+        design_from_rig_toml.load_design(
             spoiled(rig_text, tmp_path, "position = [0.0, 0.0, 0.45]", "position = [0.0, 0.0, 0.65]")
         )
 
 
 def test_a_missing_file_is_said(tmp_path):
     with pytest.raises(FileError, match="no such file"):
-        design_file.load_design(tmp_path / "rig.toml")
+        design_from_rig_toml.load_design(tmp_path / "rig.toml")
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_unknown_keys_are_refused_with_their_line_and_the_nearest_that_is_known(
     assert above in rig_text
     path = spoiled(rig_text, tmp_path, above, f"{above}\n{line}")
     with pytest.raises(FileError, match=says) as caught:
-        design_file.load_design(path)
+        design_from_rig_toml.load_design(path)
     assert path.read_text().splitlines()[caught.value.line - 1] == line
 
 
@@ -126,7 +126,7 @@ def test_unknown_keys_of_poses_and_listed_markers_are_refused(tmp_path):
     ):
         path.write_text(text.replace(*edit))
         with pytest.raises(FileError, match=says):
-            design_file.load_design(path)
+            design_from_rig_toml.load_design(path)
 
 
 def test_other_kinds_are_read(tmp_path):
@@ -136,19 +136,19 @@ def test_other_kinds_are_read(tmp_path):
         "0]]\nlimits = [[-6, 6], [-6, 6]]\n"
         '[instrument]\nbase = "free"\ntool = "rig"\nposition_sigma = 1e-5\nrotation_sigma = 1e-4\n'
     )
-    arm = design_file.load_design(path)
+    arm = design_from_rig_toml.load_design(path)
     assert arm.mechanism.axes == ("q1", "q2") and arm.instrument.base == "free"
     path.write_text(
         'schema = "rig/1"\n[mechanism]\nkind = "planar2"\nbase_joints = [[0, 0], [1, 0]]\nstrut_range = '
         "[[0.5, 1], [0.5, 1]]\n"
     )
-    assert design_file.load_design(path).mechanism.axes == ("l1", "l2")
+    assert design_from_rig_toml.load_design(path).mechanism.axes == ("l1", "l2")
     path.write_text(
         'schema = "rig/1"\n[mechanism]\nkind = "free"\n[[target]]\nname = "t"\nbody = "base"\ndictionary = '
         '"DICT_APRILTAG_36h11"\n'
         "[[target.marker]]\nid = 3\nside = 0.1\npose = { position = [0, 0, 0], rotvec = [0, 0, 0] }\n"
     )
-    assert design_file.load_design(path).targets[0].ids == (3,)
+    assert design_from_rig_toml.load_design(path).targets[0].ids == (3,)
 
 
 @pytest.mark.parametrize(
@@ -170,7 +170,7 @@ def test_other_kinds_are_read(tmp_path):
 def test_an_arms_faults_name_their_place(tmp_path, edit, says):
     text = 'schema = "rig/1"\n[mechanism]\nkind = "arm"\njoints = [[0, 0.1, 0, 1.57]]\nlimits = [[-6, 6]]\n'
     with pytest.raises(FileError, match=says) as caught:
-        design_file.load_design(spoiled(text, tmp_path, *edit))
+        design_from_rig_toml.load_design(spoiled(text, tmp_path, *edit))
     assert caught.value.line in (4, 5)
 
 
@@ -185,7 +185,7 @@ def test_cameras_are_written_back_and_all_else_stays(rig_text, design, tmp_path)
     text = camera_instrument_and_cube_entries.replace_cameras("# keep me\n" + rig_text, [moved])
     path = tmp_path / "rig.toml"
     path.write_text(text)
-    again = design_file.load_design(path)
+    again = design_from_rig_toml.load_design(path)
     np.testing.assert_allclose(again.cameras[1].distortion, moved.distortion)
     assert np.abs(pose_difference(again.cameras[1].pose, moved.pose)).max() < 1e-8
     assert text.startswith("# keep me") and "# camera in base" in text
@@ -219,7 +219,7 @@ def test_positions_survive_odd_toml():
 @pytest.mark.skipif(not SHARED.is_dir(), reason="needs the shared recordings beside the project")
 @pytest.mark.parametrize("path", sorted(SHARED.glob("recordings/*/rig.toml")), ids=lambda p: p.parent.name)
 def test_every_shared_rig_is_read(path):
-    design_file.load_design(path)
+    design_from_rig_toml.load_design(path)
 
 
 @pytest.mark.parametrize(
@@ -242,10 +242,10 @@ def test_similar_hexagons_are_said_to_be_what_they_are(tmp_path, turns, says):
         f"strut_range = {[[0.2, 0.9]] * 6}\nhome = {{ position = [0, 0, 0.4], rotvec = [0, 0, 0] }}\n"
     )
     if says is None:
-        assert design_file.load_design(path).mechanism.kind == "hexapod"
+        assert design_from_rig_toml.load_design(path).mechanism.kind == "hexapod"
         return
     with pytest.raises(FileError, match=says):
-        design_file.load_design(path)
+        design_from_rig_toml.load_design(path)
 
 
 def test_rows_say_which_joints_slide(tmp_path):
@@ -269,9 +269,9 @@ def test_rows_say_which_joints_slide(tmp_path):
             for word, theta, d, a, alpha, limits in tables
         )
     )
-    arm, same = design_file.load_design(path).mechanism, path.read_text()
+    arm, same = design_from_rig_toml.load_design(path).mechanism, path.read_text()
     path.write_text(by_row)
-    of_rows = design_file.load_design(path).mechanism
+    of_rows = design_from_rig_toml.load_design(path).mechanism
     for name in ("rows", "limits", "slides"):
         np.testing.assert_array_equal(getattr(arm, name), getattr(of_rows, name))
     for change, says in (
@@ -282,7 +282,7 @@ def test_rows_say_which_joints_slide(tmp_path):
     ):
         path.write_text(same.replace(*change, 1))
         with pytest.raises(FileError, match=says) as error:
-            design_file.load_design(path)
+            design_from_rig_toml.load_design(path)
         assert error.value.line is not None
     assert (
         arm.slides.tolist() == [False, True, False]
@@ -301,7 +301,7 @@ def test_tilt_sensors_need_gravity(tmp_path):
     text += '[[tilt_sensor]]\nname = "level"\nlink = 1\nsigma = 1e-4\n'
     path = tmp_path / "rig.toml"
     path.write_text(text)
-    assert design_file.load_design(path).tilt_sensors[0].name == "level"
+    assert design_from_rig_toml.load_design(path).tilt_sensors[0].name == "level"
     path.write_text(text.replace("-9.8", "0"))
     with pytest.raises(FileError, match="angles against gravity, and .* gravity is 0"):
-        design_file.load_design(path)
+        design_from_rig_toml.load_design(path)

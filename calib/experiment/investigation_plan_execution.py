@@ -1,4 +1,7 @@
-"""Machine that carries out an investigation's plans: simulated, by the driver, or somebody by hand."""
+"""Execution of an investigation's plans.
+
+By a simulated machine, the driver, or somebody by hand.
+"""
 
 import hashlib
 import json
@@ -10,7 +13,7 @@ from pathlib import Path
 from rig.driving.run_journal_and_recording import Ended, read_journal
 from rig.driving.run_steps_and_progress import steps_of_plan
 from rig.errors import RigError
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import turning_instructions
 from rig.planning.plan import build_plan
@@ -139,7 +142,7 @@ class InvestigatedRig:
         """Raise RigError where a recording by hand does not say that cubes stood as its plan has them."""
         wanted, told = (
             dict(build_plan(self.design, f"commands:{plan}").turned),
-            quarter_turns_of_cubes(design_file.load_design(out / "rig.toml")),
+            quarter_turns_of_cubes(design_from_rig_toml.load_design(out / "rig.toml")),
         )
         if told != wanted:
             raise RigError(

@@ -1,4 +1,6 @@
-"""Optimal configurations for a hexapod's parameters: D-optimal, or fewest for a promised accuracy.
+"""Optimal poses to calibrate a hexapod.
+
+D-optimal for its parameters, or the fewest for a promised accuracy.
 
 Criteria: "determinant" (D-optimal: the volume of the parameters' uncertainty), "noise" (the noise amplification index
 of Nahvi and Hollerbach, ICRA 1996: smallest singular value squared over the greatest). Source of the exchange:
@@ -21,9 +23,9 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotConverged, RigError
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod as mechanism
-from rig.planning import configuration_sets
+from rig.planning import configuration_generators
 from rig.planning.balanced_visiting_order_and_approach import time_balanced_order
-from rig.planning.configuration_sets import FILL as WORKSPACE
+from rig.planning.configuration_generators import FILL as WORKSPACE
 
 CANDIDATES = 2000
 FILL = 0.9  # of the strokes
@@ -84,7 +86,7 @@ def choose_d_optimal_configurations(
     )
     picked = choose_configurations_by_exchange(G, known.T @ known, count, criterion, progress)
     even = closing_commands_and_whitened_parameter_rows(
-        configuration_sets.sobol_configurations(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas
+        configuration_generators.sobol_configurations(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas
     )[1].reshape(-1, 42)
     parts = [np.concatenate([known, rows]) for rows in (G[picked].reshape(-1, 42), even)]
     chosen = candidates[picked]
@@ -95,7 +97,10 @@ def choose_d_optimal_configurations(
 def choose_configurations_by_exchange(
     G: Floats, M0: Floats, count: int, criterion: str, progress: Callable[[int, int], None] | None = None
 ) -> list[int]:
-    """Choose `count` candidates of whitened rows G (c, m, p) by exchange: those that add most to information M0."""
+    """Choose `count` candidates of whitened rows G (c, m, p) by exchange.
+
+    Those that add most to information M0.
+    """
     picked: list[int] = []
     gain = _determinant if criterion == "determinant" else _noise
     for k in range(count):  # greedily first, by volume: from nothing only that has a meaning
@@ -124,7 +129,9 @@ def choose_configurations_by_exchange(
 def closing_commands_and_whitened_parameter_rows(
     commands: Floats, hexapod: Hexapod, sigmas: tuple[float, float]
 ) -> tuple[Floats, Floats]:
-    """Commands (n, 6) m that close on a pose, and the whitened rows (n, 6, 42) of their parameters.
+    """Commands (n, 6) m that close on a pose, and whitened parameter rows.
+
+    Rows (n, 6, 42) of their parameters.
 
     The rows J give the information J^T J of a configuration.
     """
@@ -143,10 +150,11 @@ def _candidates(
     hexapod: Hexapod, sigmas: tuple[float, float], seed: int, avoided: ConfigurationExclusion | None
 ) -> tuple[Floats, Floats]:
     """Low-discrepancy configurations and the strokes' outermost ones, with their rows."""
-    spread = configuration_sets.sobol_configurations(hexapod.strut_range, CANDIDATES, FILL, seed)
+    spread = configuration_generators.sobol_configurations(hexapod.strut_range, CANDIDATES, FILL, seed)
     return closing_commands_and_whitened_parameter_rows(
         allowed_configurations(
-            np.concatenate([spread, configuration_sets.simplex_configurations(hexapod.strut_range, 1, FILL)]), avoided
+            np.concatenate([spread, configuration_generators.simplex_configurations(hexapod.strut_range, 1, FILL)]),
+            avoided,
         ),
         hexapod,
         sigmas,
@@ -154,7 +162,10 @@ def _candidates(
 
 
 def allowed_configurations(commands: Floats, exclusion: ConfigurationExclusion | None) -> Floats:
-    """Configurations among the commands (n, 6) m that are allowed. Raises RigError where none is."""
+    """Configurations among the commands (n, 6) m that are allowed.
+
+    Raises RigError where none is.
+    """
     kept = commands if exclusion is None else commands[~exclusion(commands)]
     if not len(kept):
         raise RigError(
@@ -228,12 +239,12 @@ def fewest_configurations(
     exclusion : which of configurations (n, 6) m are not to be visited, (n,) bool, or None where all may be
     Raises RigError where MOST poses do not keep it, or where none may be visited
     """
-    spread = configuration_sets.sobol_configurations(hexapod.strut_range, FEWEST_CANDIDATES, FILL, seed)
+    spread = configuration_generators.sobol_configurations(hexapod.strut_range, FEWEST_CANDIDATES, FILL, seed)
     candidates, G = closing_commands_and_whitened_parameter_rows(
         allowed_configurations(spread, exclusion), hexapod, sigmas
     )
     places, _ = closing_commands_and_whitened_parameter_rows(
-        configuration_sets.sobol_configurations(hexapod.strut_range, PLACES, WORKSPACE, seed + 1), hexapod, sigmas
+        configuration_generators.sobol_configurations(hexapod.strut_range, PLACES, WORKSPACE, seed + 1), hexapod, sigmas
     )
     J = pose_parameter_jacobian(mechanism.forward(places, hexapod), hexapod)[:, :3].reshape(-1, 42) * PLAUSIBLE
     A = J.T @ J / len(places)

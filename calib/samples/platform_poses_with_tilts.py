@@ -1,4 +1,6 @@
-"""Poses of a platform with what tilt sensors on it add: the two angles against gravity, weighted by their covariance.
+"""Platform poses combined with tilt sensor readings.
+
+What tilt sensors on a platform add: the two angles against gravity, weighted by their covariance.
 
 How the sensors are mounted, and where gravity points in the frame of poses, are solved for with the errors that all
 poses share; what these leave uncertain is shared by all poses again. To first order this is the posterior of normal
@@ -11,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.model.base_tilt import TiltReadings, linearised_tilts
+from rig.model.base_and_link_tilts import TiltReadings, linearised_tilts
 from rig.model.pose import exp
 
 ROUNDS = 5  # of linearising about the poses and the mounting, and of weighing readings
@@ -22,10 +24,13 @@ GONE = 1e6  # rad, standard deviation of a reading that is left out
 def poses_with_platform_tilts(
     readings: TiltReadings, T: RigidTransform, own: Floats, common: Floats, measured: str = "pose"
 ) -> tuple[RigidTransform, Floats, Floats]:
-    """(poses (n,), own (n, 6, 6), common (n, 6, j)) of a platform, measured so, with what tilt sensors on it add.
+    """Poses of a platform with its tilts.
 
+    Measured so, with what tilt sensors on it add.
     own, common : covariance of each pose and factor of what all share; measured : what was, as of Samples
     Readings that scatter more than poses and sensors explain count for less; one that is far off does not count.
+
+    Returns (poses (n,), own (n, 6, 6), common (n, 6, j)) of a platform
     Raises RigError where less than poses was measured
     """
     if measured != "pose":

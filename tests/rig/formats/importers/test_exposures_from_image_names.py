@@ -5,7 +5,7 @@ refused.
 import pytest
 
 from rig.errors import RigError
-from rig.formats.importers import image_file_frames
+from rig.formats.importers import exposures_from_image_names
 from rig.formats.importers.import_recipe import Images
 from tests.rig.formats.importers.foreign import EPOCH
 
@@ -18,8 +18,8 @@ def scan(folder, design, files, **stated):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(b"")
     images = Images((folder / "in",), **stated)
-    return image_file_frames.group_images_into_exposures(
-        image_file_frames.list_image_files(images, design), images, ANY
+    return exposures_from_image_names.group_images_into_exposures(
+        exposures_from_image_names.list_image_files(images, design), images, ANY
     )
 
 
@@ -46,7 +46,7 @@ def test_times_in_names_are_grouped_across_cameras(text, design, tmp_path):
     found = scan(tmp_path, design, [f"cam{c}_{text(t + c * EPOCH.from_float(0.008))}.png" for t in at for c in (0, 1)])
     assert found.frame == [0, 0, 1, 1, 2, 2] and found.camera == ["cam0", "cam1"] * 3
     assert [float(t - EPOCH) for t in found.t] == pytest.approx([0.004, 0.004, 1.004, 1.004, 2.004, 2.004], abs=1e-6)
-    assert "the widest 8 ms" in found.said[-1] and found.images.tolerance == image_file_frames.LONGEST
+    assert "the widest 8 ms" in found.said[-1] and found.images.tolerance == exposures_from_image_names.LONGEST
 
 
 def test_exposures_neither_together_nor_apart_are_refused(design, tmp_path):
@@ -78,5 +78,7 @@ def test_the_settings_offered_for_two_figures_work(design, tmp_path):
     with pytest.raises(RigError) as error:
         scan(tmp_path, design, ["cam0_run3_17.png"])
     offered = [line.split("images.names=")[1].rstrip("'") for line in str(error.value).splitlines()[1:]]
-    found = [image_file_frames.list_image_files(Images((tmp_path / "in",), names), design)[0] for names in offered]
+    found = [
+        exposures_from_image_names.list_image_files(Images((tmp_path / "in",), names), design)[0] for names in offered
+    ]
     assert [(one.frame, one.stamp) for one in found] == [(3, None), (17, None), (None, "3"), (None, "17")]

@@ -1,4 +1,6 @@
-"""Motion of the platform while a rolling shutter reads an image row by row, taken out of measured poses.
+"""Rolling shutter motion, taken out of poses.
+
+Motion of the platform while a rolling shutter reads an image row by row.
 
 A corner in row v is exposed (v - height / 2) * row_time after its frame's time, and the platform has moved on by then,
 at the rate that commands state. Where it speeds up, this rate depends on the clocks of cameras and commands and on the
@@ -30,9 +32,9 @@ class Rates:
 
 
 def commanded_rates(recording: Recording) -> Rates | None:
-    """Rates of the platform by a recording's commands; None where no camera is stated to expose row by row, nothing is
-    commanded, or nothing moves.
+    """Rates of the platform by a recording's commands.
 
+    None where no camera is stated to expose row by row, nothing is commanded, or nothing moves.
     Raises what `simulate_machine_run` does
     """
     design, commands, (_, t) = recording.design, recording.commands, recording.exposures.times()
@@ -63,7 +65,10 @@ def observations_with_readout_motion(observed: Observations, design: Design, rat
 
 
 def with_uncertainty_of_rates(measured: Measurement, rates: Rates) -> Measurement:
-    """The Measurement with what rates that are taken at another moment would make of its poses."""
+    """The Measurement with the uncertainty of rates.
+
+    With what rates that are taken at another moment would make of its poses.
+    """
     o = measured.observations
     count = np.bincount(o.frame, o.on_platform, len(o.frames))
     late = np.bincount(o.frame, _late(o, measured.design), len(o.frames)) / np.maximum(count, 1)

@@ -1,4 +1,7 @@
-"""Sets of configurations to visit: Sobol points, grids, simplices, moves along axes, ISO 9283 poses."""
+"""Generators of configurations to visit.
+
+Sobol points, grids, simplices, moves along axes, ISO 9283 poses.
+"""
 
 from collections.abc import Sequence
 from itertools import product
@@ -79,7 +82,10 @@ def divided_grid_configurations(strokes: Floats, division: str) -> Floats:
 
 
 def parse_grid_division(axes: int, text: str) -> tuple[list[int], float]:
-    """Grid division parsed: (parts of each axis, share of the strokes). Raises RigError.
+    """Grid division parsed.
+
+    Returns (parts of each axis, share of the strokes)
+    Raises RigError.
     Raises RigError where it is none.
     """
     numbers, _, share = text.partition("@")
@@ -126,7 +132,9 @@ def _levels_of_file(strokes: Floats, path: Path) -> list[Floats]:
 
 
 def simplex_configurations(strokes: Floats, shells: int = 2, fill: float = FILL) -> Floats:
-    """Simplex configurations (n, axes) that fill the configuration space: centre, axis ends, corners.
+    """Simplex configurations (n, axes) that fill the configuration space.
+
+    Centre, axis ends, corners.
     strokes : (axes, 2) m or rad axes' ends and the corners of a half fraction of the cube, which together split it
     into simplices.
     strokes : (axes, 2) m or rad
@@ -218,5 +226,8 @@ def _shifted(mechanism: Hexapod, offset: Floats) -> RigidTransform:
 
 
 def scale_to_strokes(strokes: Floats, unit_points: Floats, fill: float) -> Floats:
-    """Unit points (-1..1) scaled to the middle `fill` of the strokes: configurations (count, axes), m or rad."""
+    """Unit points (-1..1) scaled to the middle `fill` of the strokes.
+
+    Configurations (count, axes), m or rad.
+    """
     return strokes.mean(axis=1) + fill * np.ptp(strokes, axis=1) / 2 * unit_points

@@ -1,4 +1,7 @@
-"""Tilt of a machine's base by a sensor channel, gravity in the base's frame as it turns, and tilt sensors on links."""
+"""Tilts of a machine's base and links, by sensors.
+
+By a sensor channel, gravity in the base's frame as it turns; sensors are on links.
+"""
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
@@ -102,11 +105,12 @@ class TiltReadings:
 
 
 def linearised_tilts(readings: TiltReadings, links: Floats, mounting: Floats) -> tuple[Floats, Floats, Floats]:
-    """(residuals (n, s, 2) rad, read less predicted; turns (n, s, 2, 3), change of the angles with a link's turn about
-    the axes of the frame of poses; mounting columns (n, s, 2, 3 + 3 s)) of readings.
+    """Linearised tilts of readings.
 
     links : (n, s, 3, 3) orientations of the sensors' links in the frame of poses; mounting : (3 + 3 s,) rad, small
         turns of gravity in that frame, then of each sensor about its own axes
+    Returns (residuals (n, s, 2) rad, read less predicted; turns (n, s, 2, 3), change of the angles with a link's turn
+    about the axes of the frame of poses; mounting columns (n, s, 2, 3 + 3 s))
     """
     s = len(readings.sensors)
     stated = Rotation.from_rotvec([sensor.mount for sensor in readings.sensors]).as_matrix()
@@ -151,23 +155,28 @@ def has_gravity(channels: Collection[str]) -> bool:
 
 
 def logged_gravity(channel: Callable[[str], Floats]) -> Floats:
-    """(n, 3) m/s^2 of gravity in the base frame. channel : name -> (n,) values"""
+    """Logged gravity (n, 3) m/s^2 in the base frame.
+
+    channel : name -> (n,) values
+    """
     return np.stack([channel(name) for name in GRAVITY], axis=1)
 
 
 def gravity_at_exposures(
     gravity: Floats, known: Collection[str], channel: Callable[[str], Floats], count: int
 ) -> Floats:
-    """(count, 3) m/s^2 of gravity in the base frame: as logged where the base tilts, else as stated, gravity (3,).
+    """Gravity (count, 3) m/s^2 at exposures, in the base frame.
 
+    As logged where the base tilts, else as stated, gravity (3,).
     known : names of the sensor channels; channel : name -> (count,) values
     """
     return logged_gravity(channel) if has_gravity(known) else np.broadcast_to(gravity, (count, 3))
 
 
 def times_between_small_turns(t: Floats, tilts: tuple[BaseTilt, ...], channels: Mapping[str, Floats]) -> Floats:
-    """Times (m,) s of a log's rows and of as many between as make no tilt turn by more than LARGEST_TURN at once.
+    """Times (m,) s between which tilts turn little.
 
+    Of a log's rows and of as many between as make no tilt turn by more than LARGEST_TURN at once.
     t : (n,) s; channels : {name: (n,) values}, linear between rows
     """
     turns = np.max([np.abs(np.diff(tilt.angle(channels[tilt.channel]))) for tilt in tilts], axis=0)
@@ -179,9 +188,10 @@ def times_between_small_turns(t: Floats, tilts: tuple[BaseTilt, ...], channels: 
 def gravity_channels(
     gravity: Floats, tilts: tuple[BaseTilt, ...], channel: Callable[[str], Floats]
 ) -> dict[str, Floats]:
-    """{channel: (n,) m/s^2} of gravity in the base frame under tilts, each carried by those before it.
+    """Channels of gravity in the base frame under tilts.
 
     gravity : (3,) m/s^2 where all stand at zero; channel : name -> (n,) values
+    Returns {channel: (n,) m/s^2}, each tilt carried by those before it
     """
     turned = Rotation.identity()
     for tilt in tilts:

@@ -1,4 +1,7 @@
-"""Signal of effects that calibration cannot take up: signal-to-noise of each, separation of two by a plan."""
+"""Signal-to-noise of effects, and their separation by a plan.
+
+The signal of an effect is what calibration cannot take up; separation is of two effects.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -45,8 +48,9 @@ def effect_separation(
     effects: list[Effect],
     sigma: tuple[float, float],
 ) -> Separation:
-    """Separation of two effects that move a machine by one plan, each effect as large as expected.
+    """Separation of two effects that move a machine by one plan.
 
+    Each effect as large as expected.
     t : (n,) s exposures; sigma : (m, rad) standard deviation of a measured pose per axis. Raises RigError for what
         nobody commands, and what the machine raises
     """
@@ -88,8 +92,9 @@ def _signal_separation(
 def platform_effect_signal_to_noise(
     recording: Recording, true_design: Design, noise: float, effects: tuple[Effect, ...], sensors: Sensors
 ) -> Floats:
-    """Signal-to-noise (effects,) of each effect in a platform's corners, cameras and geometry projected out.
+    """Signal-to-noise (effects,) of each effect in a platform's corners.
 
+    Cameras and geometry projected out.
     recording : Recording with corners; true_design : Design as it really is; noise : px, standard deviation of a corner
     effects : all that are at work, of the catalogue or not; sensors : Sensors as they truly were
     Raises RigError where corners or commands are missing
@@ -124,8 +129,9 @@ def platform_effect_signal_to_noise(
 def arm_effect_signal_to_noise(
     true_design: Design, commands: Commands, t: Floats, sigma: Floats, effects: tuple[Effect, ...], sensors: Sensors
 ) -> Floats:
-    """Signal-to-noise (effects,) of each effect in an arm's poses, the arm's parameters projected out.
+    """Signal-to-noise (effects,) of each effect in an arm's poses.
 
+    The arm's parameters projected out.
     true_design : Design as it really is; commands, t (n,) s : what was commanded, and when it was measured; sensors :
         as they truly were
     sigma : (2,) m and rad, or (1,) m where positions alone are measured. Raises RigError for what is no arm

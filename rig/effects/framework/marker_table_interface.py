@@ -1,4 +1,7 @@
-"""Table of markers that effects change: identities, poses on bodies, sides."""
+"""Interface of a table of markers, which effects change.
+
+Identities, poses on bodies, sides.
+"""
 
 from dataclasses import replace
 from typing import Any, Protocol, TypeVar, cast

@@ -1,4 +1,7 @@
-"""Effects whose real machines show sums of several members of one law, each with a share of the whole size."""
+"""Effects that are sums of members of one law.
+
+Real machines show sums of several members of the law, each with a share of the whole size.
+"""
 
 from typing import TYPE_CHECKING, ClassVar, Self
 

@@ -1,4 +1,7 @@
-"""Parameters learnt from the poses of a recording, one at a time: by the filter, or by a simple learner."""
+"""Learning of parameters from a recording's poses.
+
+One pose at a time: by the filter, or by a simple learner.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -95,7 +98,10 @@ def learn_by_simple_learner(
     progress: Progress,
     notice: Notice,
 ) -> Learning:
-    """Learning of a recording's new poses by a simple learner, of this name in LEARNERS; all else as by the filter."""
+    """Learning of a recording's new poses by a simple learner, of this name in LEARNERS.
+
+    All else as by the filter.
+    """
     before = learner.number
     fresh, found, commands = _new_poses(recording, sampler, learner.data, calibration, notice)
     samples = found.samples
@@ -134,8 +140,9 @@ def learn_by_simple_learner(
 def resume_or_start_learner(
     name: str, setting: float | None, state: Path | None, mechanism: Hexapod, calibration: Calibration | None
 ) -> Learner:
-    """Simple Learner of a name: that of a state that is there, else a new one.
+    """Learner of a name, resumed or started anew.
 
+    That of a state that is there, else a new one.
     Raises RigError where the two differ.
     """
     kind = LEARNERS[name]

@@ -1,4 +1,6 @@
-"""Kinematics file of a machine's owner: axes, parameters, home, inverse and forward; loaded, run and checked.
+"""User's kinematics file, loaded and run.
+
+Axes, parameters, home, inverse and forward; loaded, run and checked.
 
 The file is run: it is a program, to be trusted as one. What is wrong with it is reported with file and line.
 """
@@ -203,8 +205,9 @@ def difference_step(tolerance: float) -> float:
 
 
 def freedom_columns(file: KinematicsFile, poses: Floats, p: Floats) -> Floats:
-    """Change (n, axes, freedoms) of the axes with the freedoms (m or rad, along and about the base's axes) at poses
-    (n, 4, 4).
+    """Columns (n, axes, freedoms) of the axes' change with the freedoms.
+
+    m or rad, along and about the base's axes, at poses (n, 4, 4).
     """
     out = np.empty((len(poses), len(file.axes), len(file.freedoms)))
     for k, freedom in enumerate(file.freedoms):
@@ -222,7 +225,10 @@ def freedom_columns(file: KinematicsFile, poses: Floats, p: Floats) -> Floats:
 
 
 def parameter_columns(file: KinematicsFile, poses: Floats, p: Floats, which: Integers) -> Floats:
-    """Change (n, axes, k) of the axes with parameters, those of an index `which` (k,), in their units."""
+    """Columns (n, axes, k) of the axes' change with parameters.
+
+    Those of an index `which` (k,), in their units.
+    """
     out = np.empty((len(poses), len(file.axes), len(which)))
     tolerances = file.tolerances
     for k, j in enumerate(which.tolist()):
@@ -247,8 +253,9 @@ def _turn(axis: int, angle: float | complex) -> Floats:
 
 
 def stated_kinematics(source: str, name: str) -> KinematicsFile:
-    """KinematicsFile of a source text, what it states checked but its functions not yet called.
+    """KinematicsFile of a source text.
 
+    What it states is checked, but its functions are not yet called.
     name : of its file, in errors. Raises FileError with the line of what is wrong
     """
     module = ModuleType(f"kinematics_{sha256(source.encode()).hexdigest()[:16]}")

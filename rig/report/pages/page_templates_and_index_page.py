@@ -1,7 +1,9 @@
-"""Templates of HTML pages, HTML and SVG elements of pages and figures, and the index page with verdicts."""
+"""Page templates, and the index page.
+
+Pages are HTML files; the index lists all pages of a folder with their verdicts.
+"""
 
 import html
-import math
 import os
 import re
 from collections.abc import Iterable, Sequence
@@ -14,181 +16,19 @@ from urllib.parse import quote
 from rig.errors import RigError
 from rig.formats.output_files import CommandOutputs, write_text
 from rig.report import verdict_and_refutations
-from rig.report.verdict_and_refutations import WORST, State, Verdict, worst_state
-
-NARROW = {
-    **dict.fromkeys(".,: ", 0.32), "-": 0.37, "i": 0.28, "l": 0.28, "t": 0.4, "r": 0.42, "f": 0.36, "(": 0.4, ")": 0.4,
-}  # fmt: skip
-LETTER = (
-    0.645  # of a letter's height, the width of a digit and the most of a usual letter in the widest of common typefaces
+from rig.report.pages.html_and_svg_elements import (
+    TEXT,
+    WIDTH,
+    capitalise,
+    escape_html,
+    heading_html,
+    inline_html,
+    list_html,
+    split_clauses,
+    svg_text,
+    wrap_text,
 )
-
-
-SIGNS = {  # of a terminal, as patterns, and of print
-    r"\bu(m|rad)\b": r"µ\1", r"(?<!\S)->(?!\S)": "→", r"(?<!\S)\+-(?=[\s\d])": "±", "<=": "≤", ">=": "≥",
-    r"(?<=[a-z])\^2\b": "²",
-}  # fmt: skip
-
-
-def escape_html(text: str) -> str:
-    """Escape text for HTML, with the signs of print for those of a terminal: µm, →, ±, ≤, ≥, ²."""
-    for pattern, sign in SIGNS.items():
-        text = re.sub(pattern, sign, text)
-    return html.escape(text)
-
-
-def text_width(text: str, size: float) -> float:
-    """Width of text on a figure, an upper bound, in the unit of `size`, its letters' height."""
-    return size * sum(NARROW.get(letter, LETTER) for letter in text)
-
-
-def wrap_text(text: str, size: float, room: float) -> list[str]:
-    """Wrap text into lines no wider than room, a single longer word excepted. size, room : as in `text_width`."""
-    lines = [""]
-    for word in text.split():
-        longer = f"{lines[-1]} {word}".lstrip()
-        if lines[-1] and text_width(longer, size) > room:
-            lines.append(word)
-        else:
-            lines[-1] = longer
-    return lines
-
-
-WIDTH = 400
-TEXT = 14  # units of a letter's height; a phone shows a unit as a pixel
-SMALL = 12.5  # of small ones
-
-
-def svg_figure(height: int, title: str, parts: Sequence[str], values: str = "") -> str:
-    """SVG figure of parts, WIDTH wide. title : for screen readers; values : attributes with a point's values"""
-    return (
-        f'<svg class="figure" role="img" viewBox="0 0 {WIDTH} {height}" aria-label="{escape_html(title)}"{values}>'
-        + "".join(parts)
-        + "</svg>"
-    )
-
-
-def svg_text(x: float, y: float, words: str, anchor: str = "start", style: str = "") -> str:
-    """SVG text at a position. anchor : start, middle or end; style : a class of figure.css"""
-    named = f' class="{style}"' if style else ""
-    return f'<text{named} x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape_html(words)}</text>'
-
-
-def svg_text_or_empty_if_too_large(box: tuple[float, float, float, float], words: str, style: str = "") -> str:
-    r"""SVG text within a box, centred; \"\" where it does not fit. box : (left, top, width, height)"""
-    x, y, across, up = box
-    size = TEXT if not style else SMALL
-    return (
-        svg_text(x + across / 2, y + up / 2 + 0.36 * size, words, "middle", style)
-        if text_width(words, size) < across - 2 and size < up
-        else ""
-    )
-
-
-def svg_tooltip(words: str) -> str:
-    """SVG tooltip, to stand within a shape."""
-    return f"<title>{escape_html(words)}</title>"
-
-
-def round_ticks(low: float, high: float, most: int = 5) -> list[float]:
-    """Ticks at round numbers within low .. high, `most` at the most. Raises ValueError for an empty range."""
-    if not high > low:
-        raise ValueError(f"expected a range, got {low:g} .. {high:g}")
-    step = 10 ** math.floor(math.log10((high - low) / most))
-    step = next(
-        step * k for k in (1, 2, 5, 10, 20) if math.floor(high / (step * k)) - math.ceil(low / (step * k)) < most
-    )
-    return [round(k * step, 12) for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
-
-
-LONG = 30  # letters, beyond which a cell breaks its lines
-WORDY = 12  # letters, beyond which a heading of a column does
-
-
-def inline_html(line: str) -> str:
-    """Inline HTML of a line of text; text between backticks becomes <code>."""
-    parts = enumerate(re.split("`([^`]+)`", line))
-    return "".join(f"<code>{html.escape(part)}</code>" if k % 2 else escape_html(part) for k, part in parts)
-
-
-def capitalise(line: str) -> str:
-    """Line with its first letter capitalised, unless its first word is a name, a sign or already capitalised."""
-    first, *rest = line.split(" ", 1)
-    return line[:1].upper() + line[1:] if rest and first.replace("-", "a").isalpha() and first.islower() else line
-
-
-def heading_html(line: str, level: int = 2) -> str:
-    """HTML of a heading. level : 2 of a section, 3 within one"""
-    return f"<h{level}>{inline_html(line)}</h{level}>"
-
-
-def section_html(title: str, parts: Sequence[str]) -> list[str]:
-    """Parts below a heading; nothing where there are none."""
-    return [heading_html(title), *parts] if parts else []
-
-
-def paragraph_html(line: str) -> str:
-    """HTML of a paragraph."""
-    return f"<p>{inline_html(line)}</p>"
-
-
-def note_html(line: str) -> str:
-    """HTML of a note in smaller type, which explains a figure or table."""
-    return f'<p class="note">{inline_html(line)}</p>'
-
-
-def captioned_html(figures: str, caption: str) -> str:
-    """HTML of a figure, or of several side by side, with a caption below; pages number them."""
-    return f'<figure class="plots">{figures}<figcaption>{inline_html(caption)}</figcaption></figure>'
-
-
-def split_clauses(text: str) -> list[str]:
-    """Clauses of a sentence at its semicolons, those within brackets excepted."""
-    return re.split(r"; (?![^()]*\))", text)
-
-
-def list_html(lines: Iterable[str], ordered: bool = False) -> str:
-    """HTML of a list of lines, numbered where ordered."""
-    tag = "ol" if ordered else "ul"
-    return f"<{tag}>" + "".join(f"<li>{inline_html(line)}</li>" for line in lines) + f"</{tag}>"
-
-
-def table_html(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    r"""HTML of a scrolling table. header : of its columns, \"\" for one without; rows : of text and numbers"""
-    lines = [[str(cell) for cell in row] for row in rows]
-    said = [_of_text(column) for column in zip(*lines)] or [False] * len(header)
-    head = "".join(
-        f'<th scope="col"{_style(cell, text, WORDY)}>{escape_html(cell)}</th>' if cell else "<td></td>"
-        for cell, text in zip(header, said)
-    )
-    cells = [
-        [f"<td{_style(cell, text, LONG)}>{escape_html(cell)}</td>" for cell, text in zip(line, said)] for line in lines
-    ]
-    body = "".join(f"<tr>{''.join(row)}</tr>" for row in cells)
-    name = escape_html(", ".join(filter(None, header)))
-    return (
-        '<div class="scroll" tabindex="0" role="group" aria-label="table of '
-        f'{name}"><table><tr>{head}</tr>{body}</table></div>'
-    )
-
-
-def _of_text(column: Sequence[str]) -> bool:
-    """Whether a column is of text, which begins at its left; of numbers, which end at its right, it is when half of its
-    cells begin with one.
-    """
-    said = [cell for cell in column if cell]
-    return 2 * sum(re.match(r"[-+±]?[\d.]", cell) is not None for cell in said) < len(said)
-
-
-def _style(cell: str, text: bool, long: int) -> str:
-    classes = ["text"] * text + ["long"] * (len(cell) > long) + ["wraps"] * (text and WORDY < len(cell) <= long)
-    return f' class="{" ".join(classes)}"' if classes else ""
-
-
-def folding_section_html(summary: str, *parts: str) -> str:
-    """HTML of a folding section: a summary line, and parts shown when it is opened."""
-    return f"<details><summary>{inline_html(summary)}</summary>" + "".join(parts) + "</details>"
-
+from rig.report.verdict_and_refutations import WORST, State, Verdict, worst_state
 
 # nothing is fetched from anywhere
 SHUT = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
@@ -204,7 +44,7 @@ class Link(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class Page:
     """Content of a page. kind : of page, "measure"; title : what it is of; verdict; parts : HTML as
-    rig.report.pages.page_templates_and_elements and its figures make it
+    rig.report.pages.page_templates_and_index_page and its figures make it
     next_steps : what to do next, commands between backticks; links : to other pages; scripts : of this page's own,
         JavaScript"""
 
@@ -253,7 +93,10 @@ def page_html(page: Page) -> str:
 
 
 def read_page_asset(name: str) -> str:
-    """Read an asset of pages: the text of a stylesheet or script."""
+    """Read an asset of pages.
+
+    The text of a stylesheet or script.
+    """
     return resources.files("rig.report.pages").joinpath(name).read_text(encoding="utf-8")
 
 
@@ -275,7 +118,7 @@ def standalone_svg(title: str, words: str, figures: Sequence[str]) -> str:
         found = re.match(rf'<svg class="figure" role="img" viewBox="0 0 {WIDTH} (\d+)"', figure)
         if found is None:
             raise ValueError(
-                f"expected a figure as rig.report.pages.page_templates_and_elements makes it, got {figure[:60]!r}"
+                f"expected a figure as rig.report.pages.page_templates_and_index_page makes it, got {figure[:60]!r}"
             )
         high = int(found[1])
         parts.append(figure.replace("<svg ", f'<svg x="{EDGE}" y="{below}" width="{WIDTH}" height="{high}" ', 1))
@@ -315,8 +158,9 @@ class PageSummary:
 
 
 def read_page_summary(path: Path) -> PageSummary | None:
-    """Summary of a page: kind, title, verdict, later refutations; None for a file that is no page of rig.
+    """Summary of a page.
 
+    Kind, title, verdict, later refutations; None for a file that is no page of rig.
     Raises FileError for a list of refuted results that is none
     """
     try:
@@ -343,7 +187,10 @@ def list_pages_below_folder(folder: Path) -> list[PageSummary]:
 
 
 def write_index_page(path: Path, folder: Path) -> None:
-    """Write the index page of all pages of a folder. path : where it is written before it moves into that folder"""
+    """Write the index page of all pages of a folder.
+
+    path : where it is written before it moves into that folder
+    """
     known = list_pages_below_folder(folder)
     count = {state: sum(found.state == state for found in known) for state in WORST}
     state = worst_state([found.state for found in known])
@@ -373,7 +220,10 @@ def _index_above(place: Path) -> Path | None:
 
 
 def refresh_indices(written_pages: Iterable[Path]) -> None:
-    """Refresh the index pages above pages that were written; one that a user changed is left."""
+    """Refresh the index pages above pages that were written.
+
+    One that a user changed is left.
+    """
     for index in {
         index
         for place in written_pages
@@ -388,7 +238,10 @@ def refresh_indices(written_pages: Iterable[Path]) -> None:
 
 
 def index_and_source_links(page_file: Path, sources: Iterable[Path] = ()) -> list[Link]:
-    """Links of a page at a place: to the index above it, and to the pages of its sources, folders or files."""
+    """Links of a page to the index and to its sources.
+
+    To the index above it, and to the pages of its sources, folders or files.
+    """
     index, own = _index_above(page_file), page_file.resolve()
     near = [
         path

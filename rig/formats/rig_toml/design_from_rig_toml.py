@@ -1,4 +1,7 @@
-"""Design file (rig.toml) read into a Design: every value checked, errors with file, line and column."""
+"""Design read from a rig.toml.
+
+Every value is checked; errors have file, line and column.
+"""
 
 from dataclasses import fields, replace
 from pathlib import Path
@@ -15,7 +18,7 @@ from rig.formats.rig_toml import camera_instrument_and_cube_entries
 from rig.formats.rig_toml.arm_branch_and_hand_entries import bodies_by_word, refuse_tables_unsuited_to_several_hands
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table, user_program_text
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_table
-from rig.model.base_tilt import ANGLE_UNITS, BaseTilt, TiltSensor
+from rig.model.base_and_link_tilts import ANGLE_UNITS, BaseTilt, TiltSensor
 from rig.model.calibration_board import parse_board
 from rig.model.design import (
     DICTIONARIES,
@@ -45,20 +48,26 @@ LARGEST = 1 << 22  # bytes of a rig.toml
 
 
 def load_design(path: str | Path) -> Design:
-    """Load the Design of a rig.toml. Raises FileError with line and column.
+    """Load the Design of a rig.toml.
+
     Raises FileError with line and column for anything missing, malformed or implausible.
     """
     return design_of_entries(load_entries(path))
 
 
 def load_entries(path: str | Path) -> Entries:
-    """Load the unchecked Entries of a rig.toml. Raises FileError where it cannot be read or is no TOML."""
+    """Load the unchecked Entries of a rig.toml.
+
+    Raises FileError where it cannot be read or is no TOML.
+    """
     path = Path(path)
     return toml_entries(read_text(path, LARGEST, "no such file; every recording has a rig.toml"), path)
 
 
 def design_of_entries(root: Entries) -> Design:
-    """Design of the Entries of a rig.toml, lengths in m, angles in rad. Raises FileError.
+    """Design of the Entries of a rig.toml, lengths in m, angles in rad.
+
+    Raises FileError.
     Raises FileError as `load` does.
     """
     root.schema("rig.toml", SCHEMA)
@@ -201,7 +210,10 @@ def _port(table: Entries, default: str | Required = REQUIRED) -> str:
 
 
 def base_tilt_of_table(table: Entries) -> BaseTilt:
-    """BaseTilt of an [[environment.tilt]]. Raises FileError for a channel that is no angle, or an axis of no length."""
+    """BaseTilt of an [[environment.tilt]].
+
+    Raises FileError for a channel that is no angle, or an axis of no length.
+    """
     table.refuse_misspelt(("channel", "axis", "zero"))
     channel, axis = table.text("channel"), table.array("axis", (3,))
     if name_problem(channel) or not channel.endswith(tuple(ANGLE_UNITS)):

@@ -1,4 +1,6 @@
-"""Factors by which the noise of measured poses exceeds what is stated, estimated from residuals.
+"""Excess of pose noise over what is stated.
+
+Factors, estimated from residuals, by which the noise of measured poses exceeds the stated noise.
 
 Noise of a pose moves all closures of struts together, as the geometry has them, and all numbers of an arm's pose alike;
 what scatters at one strut or joint moves that one alone. The likelihood of the residuals' covariance distinguishes
@@ -52,9 +54,11 @@ class _Variances(NamedTuple):
 
 
 def noise_factors(residuals: PoseResiduals) -> dict[str, Value] | None:
-    """{kind of noise: Value with 95 % interval} of the standard deviations over those stated.
+    """Noise factors: standard deviations over those stated.
 
     None where these suffice, where struts or joints scatter each for itself, and where what scatters is not white
+
+    Returns {kind of noise: Value with 95 % interval}
     """
     left, columns = residuals.left, residuals.columns
     whole = sum(float(np.einsum("fii->", K)) for K in residuals.noise.values())
@@ -92,8 +96,9 @@ def noise_factors(residuals: PoseResiduals) -> dict[str, Value] | None:
 
 
 def scaled_pose_covariance(covariance: Floats, factors: dict[str, Value]) -> Floats:
-    """Covariance (F, k, k) of poses, positions or directions whose standard deviations are scaled by factors, those not
-    estimated by 1.
+    """Pose covariance (F, k, k) scaled by noise factors.
+
+    Of poses, positions or directions whose standard deviations are scaled by factors, those not estimated by 1.
     """
     times = np.ones(covariance.shape[-1])
     for name, part in noise_parts(covariance.shape[-1]).items():
@@ -102,12 +107,18 @@ def scaled_pose_covariance(covariance: Floats, factors: dict[str, Value]) -> Flo
 
 
 def noise_parts(count: int) -> dict[str, slice]:
-    """{kind of noise: its part} of so many numbers measured of each pose."""
+    """Parts of a pose's numbers by kind of noise.
+
+    Returns {kind of noise: its part} of so many numbers measured of each pose
+    """
     return DIRECTION if count == 2 else {name: part for name, part in KINDS.items() if part.start < count}
 
 
 def noise_covariance_by_kind(covariance: Floats) -> dict[str, Floats]:
-    """{kind of noise: (F, k, k)} that a covariance (F, k, k) is made of, without what position and rotation share."""
+    """Noise covariance by kind of noise.
+
+    Returns {kind of noise: (F, k, k)} that a covariance (F, k, k) is made of, without what position and rotation share
+    """
     out = {}
     for name, part in noise_parts(covariance.shape[-1]).items():
         out[name] = np.zeros_like(covariance)

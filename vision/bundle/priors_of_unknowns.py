@@ -1,4 +1,6 @@
-"""Priors of an adjustment's unknowns: stated standard deviations, columns, and motions fixed by datums.
+"""Priors of an adjustment's unknowns.
+
+Stated standard deviations, columns, and motions fixed by datums.
 
 Shared unknowns: poses of fixed cameras, lenses, places of markers on their target, places of targets in their body, or
 how markers that are held are printed. Unknowns of one frame: the platform's pose and each moving camera's.

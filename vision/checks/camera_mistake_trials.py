@@ -1,4 +1,7 @@
-"""Camera mistakes in rig.toml as trials: exchanged cameras, other pose or focal length."""
+"""Trials of camera mistakes in rig.toml.
+
+Exchanged cameras, other pose or focal length.
+"""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -20,7 +23,10 @@ ZOOMED = 0.05  # share beyond which that is a mistake
 
 
 def alternative_camera_poses(pose: RigidTransform) -> Iterator[tuple[str, RigidTransform]]:
-    """Alternative readings of a camera's pose in other conventions: [(what the stated pose is, the correct pose)]."""
+    """Alternative readings of a camera's pose in other conventions.
+
+    Returns [(what the stated pose is, the correct pose)]
+    """
     t, R = pose.translation, pose.rotation
     v = R.as_rotvec()
     yield "its pose is inverted (base in camera, not camera in base)", pose.inv()
@@ -97,7 +103,9 @@ def alternative_camera_pose_trials(sample: SampledRecording) -> Iterator[Candida
 
 
 def focal_length_mistakes(sample: SampledRecording, adjusted: tuple[Camera, ...]) -> Iterator[Candidate]:
-    """Focal length mistakes: adjusted focal lengths far from the stated ones.
+    """Focal length mistakes.
+
+    Adjusted focal lengths far from the stated ones.
     adjusted : the Cameras of Seen, adjusted to its corners
     """
     ratios = {

@@ -1,4 +1,7 @@
-"""Frames from image files: camera, frame number and time from names, grouped into exposures."""
+"""Exposures from the names of image files.
+
+Camera, frame number and time from names of image files, grouped into exposures.
+"""
 
 import itertools
 import re
@@ -209,7 +212,9 @@ def _pattern(stem: str, k: int, part: str) -> str:
 def group_images_into_exposures(
     image_files: list[ImageFile], images: Images, are_plausible: Callable[[Floats], bool]
 ) -> ImportedExposures:
-    """Group image files into exposures: by frame number, else by time.
+    """Group image files into exposures.
+
+    By frame number, else by time.
     are_plausible : whether times (n,) s from the first can be so.
 
     Raises FileError for names that are not built alike.

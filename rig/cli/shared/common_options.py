@@ -1,0 +1,225 @@
+"""Common options of several commands.
+
+Outputs, calibrations, controllers, numbers of workers; what they need of matplotlib; results printed as JSON.
+"""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.errors import MissingLibrary
+from rig.formats.number_parsing_and_rounding import parse_number
+from rig.formats.output_files import STANDARD_OUTPUT
+
+if TYPE_CHECKING:
+    from rig.formats.length_and_angle_units import LengthAndAngleUnits
+    from rig.report.pages.page_templates_and_index_page import Link
+
+
+PROGRESS = ("auto", "lines", "none")
+PRINTED = (
+    "doctor completion",
+    "doctor",
+    "effects",
+    "status",
+)  # what they print is all they are for, so they cannot be quiet
+
+SHARED = (
+    "calibrate",
+    "calibrate online",
+    "certify",
+    "diagnose",
+    "investigate",
+    "limbs test",
+    "measure",
+    "simulate",
+    "simulate blind",
+    "verify",
+    "watch",
+    "why",
+)  # work for many
+
+
+def add_common_options(parser: ArgumentParser, command: str) -> None:
+    """Add the common options of all commands.
+
+    They are --quiet and --progress, and worker options where the command uses them.
+    """
+    if command in SHARED:
+        from rig.cli.shared.worker_options_and_pool import add_worker_options
+
+        add_worker_options(parser)
+    if command in PRINTED:
+        return
+    parser.add_argument(
+        "--quiet", action="store_true", help="print only errors, and results requested on the standard output"
+    )
+    parser.add_argument(
+        "--progress",
+        choices=PROGRESS,
+        default="auto",
+        metavar="|".join(PROGRESS),
+        help="progress of a command and the "
+        "time left: bars on a terminal (auto), lines on the error output, pipes too, or none",
+    )
+
+
+SEED = 0  # of the bootstrap; results are the same from run to run
+
+
+def file_or_stdout(text: str) -> Path:
+    """Output file path, or standard output.
+
+    `-` is standard output.
+    """
+    return STANDARD_OUTPUT if text == "-" else Path(text)
+
+
+def add_overwrite_option(parser: ArgumentParser, name: str = "--force") -> None:
+    """Add the option to overwrite files that the command did not make.
+
+    name : of the option
+    """
+    parser.add_argument(
+        name,
+        dest="overwrite",
+        action="store_true",
+        help="overwrite files that this command did not make; it never overwrites its inputs",
+    )
+
+
+def add_units_option(parser: ArgumentParser, what: str) -> None:
+    """Add the option --units of lengths and angles.
+
+    what : has them, in words
+    """
+    parser.add_argument(
+        "--units",
+        metavar="mm,deg",
+        type=_parse_units,
+        help=f"units of lengths (m, mm, cm, um, in) and angles (rad, deg, mrad) {what} (default m,rad)",
+    )
+
+
+def _parse_units(text: str) -> LengthAndAngleUnits:
+    from rig.formats.length_and_angle_units import parse_length_and_angle_units
+
+    try:
+        return parse_length_and_angle_units(text)
+    except ValueError as error:
+        raise ArgumentTypeError(f"expected {error}") from None
+
+
+def add_page_option(parser: ArgumentParser) -> None:
+    """Add the option --page FILE."""
+    parser.add_argument(
+        "--page", metavar="FILE", type=Path, help="a page of it, written here: one file that needs no network"
+    )
+
+
+def page_path(arguments: Namespace) -> Path | None:
+    """Path of the page to write, None where none is requested.
+
+    Raises RigError where it cannot be written.
+    """
+    return None if arguments.page is None else arguments.outputs.file(arguments.page)
+
+
+def page_links(arguments: Namespace, page_file: Path) -> list[Link]:
+    """Links of a command's page.
+
+    To the index above it and to the pages of the command's inputs.
+    """
+    from rig.report.pages.page_templates_and_index_page import index_and_source_links as links
+
+    return links(page_file, arguments.outputs.inputs)
+
+
+def add_json_option(parser: ArgumentParser) -> None:
+    """Add the option --json."""
+    parser.add_argument("--json", action="store_true", help="print the result as JSON (SI units, rad) instead of text")
+
+
+def add_json_result_option(parser: ArgumentParser) -> None:
+    """Add the option --json for a command that leaves its result in `arguments.result`.
+
+    Printed at its end.
+    """
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help="print the result as JSON (SI units, rad) when all is done; text goes to the error output",
+    )
+    parser.set_defaults(result=None)
+
+
+def print_json(tree: object) -> None:
+    """Print a result as JSON.
+
+    NaN becomes null.
+    """
+    import json
+
+    from rig.formats.json_toml_and_yaml_loading import nan_to_null
+
+    print(json.dumps(nan_to_null(tree), indent=1))
+
+
+def add_controller_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of commands that talk to the controller.
+
+    RIG.toml, --port, --trace.
+    """
+    parser.add_argument("design", metavar="RIG.toml", type=Path)
+    add_port_and_trace_options(parser)
+
+
+def add_port_and_trace_options(parser: ArgumentParser) -> None:
+    """Add the options --port of the controller, and --trace FILE of the bytes exchanged."""
+    parser.add_argument(
+        "--port", help="controller address, instead of the one in [controller]: a device, socket://.., rfc2217://.."
+    )
+    parser.add_argument("--trace", metavar="FILE", type=Path, help="write every byte there, with its time")
+
+
+def add_speed_option(parser: ArgumentParser, usual: float) -> None:
+    """Add the option --speed, a share of the struts' greatest speed."""
+    parser.add_argument(
+        "--speed",
+        type=parse_number,
+        default=usual,
+        metavar="SHARE",
+        help=f"of the struts' greatest speed (default {usual:g})",
+    )
+
+
+def add_trust_unhomed_position_option(parser: ArgumentParser) -> None:
+    """Add the option --trust.
+
+    Trust the position that the controller reports, though it was not homed.
+    """
+    parser.add_argument(
+        "--trust", action="store_true", help="trust the position that the controller reports, though it was not homed"
+    )
+
+
+def require_matplotlib(drawings: str) -> None:
+    """Require matplotlib: raise MissingLibrary where it is not installed.
+
+    drawings : what is to be drawn, in the plural
+    """
+    problem = missing_matplotlib_reason()
+    if problem:
+        raise MissingLibrary(f"{drawings} {problem}")
+
+
+def missing_matplotlib_reason() -> str | None:
+    """Reason to print where matplotlib is missing.
+
+    None where it is installed.
+    """
+    from importlib.util import find_spec
+
+    return None if find_spec("matplotlib") else "are drawn by matplotlib: pip install 'rig[print]'"
