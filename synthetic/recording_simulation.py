@@ -17,6 +17,7 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model import motion_simulation
+from rig.model.arm_branches_and_hands import hand_names
 from rig.model.base_and_link_tilts import SENSOR_AXES
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import rig_toml_with_turns
@@ -73,6 +74,13 @@ class Simulation:
         )
         back = np.argsort(order)
         return [T[back] for T in stage_poses_of_run(run)]
+
+    def poses_of_hands(self) -> dict[str, RigidTransform]:
+        """{name of a hand: T_base_platform (n,)} at the exposures; one without a name where there are not several."""
+        names = hand_names(self.world.true.mechanism)
+        if not names:
+            return {"": self.run.T_base_platform}
+        return dict(zip(names, (self.run.T_base_platform, *self.run.stages)))
 
 
 class PictureWriter(Protocol):
@@ -315,7 +323,7 @@ def write_recording(
         )
     instrument, looks = simulation.world.stated.instrument, bool(cameras and simulation.world.stated.targets)
     if instrument is not None or not looks:
-        _write_measured_poses(out / "poses.csv", simulation.run.T_base_platform, instrument or EXACT, rng)
+        _write_measured_poses(out / "poses.csv", simulation.poses_of_hands(), instrument or EXACT, rng)
     if not looks:
         return
     if images is None:
@@ -326,30 +334,42 @@ def write_recording(
 
 
 def _write_measured_poses(
-    path: Path, T_base_platform: RigidTransform, instrument: Instrument, rng: np.random.Generator
+    path: Path, poses: dict[str, RigidTransform], instrument: Instrument, rng: np.random.Generator
 ) -> None:
-    """Write poses.csv as an Instrument sees poses (n,), with its noise: whole, or positions, orientations or a wire's
-    lengths alone.
+    """Write poses.csv as an Instrument sees poses {hand: (n,)}, "" without a name, with its noise: whole, or positions,
+    orientations or a wire's lengths alone.
     """
+    parts = [_measured_columns(T, instrument, rng) for T in poses.values()]
+    named = [*poses] != [""]
+    write_table(
+        path,
+        ("frame", *(["hand"] if named else []), *parts[0][0]),
+        [
+            ",".join([str(f), *([name] if named else []), *(f"{x:.10f}" for x in rows[f])])
+            for f in range(len(parts[0][1]))
+            for name, (_, rows) in zip(poses, parts)
+        ],
+    )
+
+
+def _measured_columns(
+    T_base_platform: RigidTransform, instrument: Instrument, rng: np.random.Generator
+) -> tuple[tuple[str, ...], Floats]:
+    """(names, (n, k) figures) of what an Instrument sees of poses (n,), with its noise."""
     if instrument.kind == "distance":
         lengths = np.linalg.norm(T_base_platform.translation, axis=1) + instrument.position_sigma * rng.normal(
             size=len(T_base_platform)
         )
-        columns: tuple[str, ...] = (DISTANCE,)
-        rows = lengths[:, None]
-    else:
-        seen = np.repeat(
-            [instrument.position_sigma if instrument.kind == "pose" else 0.0, instrument.rotation_sigma or 0.0], 3
-        )
-        rows = pose_to_vector(T_base_platform * exp(seen * rng.normal(size=(len(T_base_platform), 6))))
-        if instrument.kind == "direction":
-            rows = Rotation.from_rotvec(rows[:, 3:]).as_matrix()[:, :, 2]
-        whole = instrument.rotation_sigma is not None and instrument.kind == "pose"
-        first, last = (3, 6) if instrument.kind == "orientation" else (0, 6 if whole else 3)
-        columns, rows = tuple(POSE_COLUMNS[first:last]), rows[:, first:last]
-    write_table(
-        path, ("frame", *columns), [",".join([str(f), *(f"{x:.10f}" for x in row)]) for f, row in enumerate(rows)]
+        return (DISTANCE,), lengths[:, None]
+    seen = np.repeat(
+        [instrument.position_sigma if instrument.kind == "pose" else 0.0, instrument.rotation_sigma or 0.0], 3
     )
+    rows = pose_to_vector(T_base_platform * exp(seen * rng.normal(size=(len(T_base_platform), 6))))
+    if instrument.kind == "direction":
+        rows = Rotation.from_rotvec(rows[:, 3:]).as_matrix()[:, :, 2]
+    whole = instrument.rotation_sigma is not None and instrument.kind == "pose"
+    first, last = (3, 6) if instrument.kind == "orientation" else (0, 6 if whole else 3)
+    return tuple(POSE_COLUMNS[first:last]), rows[:, first:last]
 
 
 def truth_corners(simulation: Simulation) -> list[list[int | str | float]]:

@@ -40,6 +40,7 @@ OF_TOLERANCE = 0.6  # standard deviation of a kinematics file's parameters, of t
 ZERO = 3e-4  # m, of a strut's zero
 ROW = np.array([1e-3, 3e-4, 3e-4, 1e-3, 0.0])  # rad, m, m, rad, rad: of an arm's theta, d, a, alpha, beta
 ASKEW = 1e-4  # rad, greatest of axes that are parallel by design
+BRANCH = np.repeat([3e-4, 1e-3], 3)  # m, rad, of how a branch is mounted on its link
 STOOD = (3e-3, 5e-3)  # m, rad, of where an arm that cameras see stands, and of its hand
 AWAY, HAND = 1.0, 0.1  # m, of where an instrument stands and of its target on the hand, where nobody knows
 
@@ -79,7 +80,18 @@ def _arm(m: Arm, stated: Design, rng: np.random.Generator, size: float) -> Arm:
     for k, (place, far) in enumerate(zip(m.placements, (AWAY, HAND))):
         if instrument is not None and getattr(instrument, place) == "free":
             ends[k] = pose(far * rng.uniform(-1, 1, 3), rng.normal(size=3))
-    return replace(m, joints=rows, base=ends[0], tool=ends[1])
+    if not m.hands:
+        return replace(m, joints=rows, base=ends[0], tool=ends[1])
+    free = instrument is not None and instrument.tool == "free"
+    seen = instrument is None and stated.cameras and stated.targets
+    off = [size * np.repeat(STOOD, 3) * rng.normal(size=6) * bool(seen) for _ in m.hands]
+    tools = [
+        pose(HAND * rng.uniform(-1, 1, 3), rng.normal(size=3)) if free else hand.tool * exp(move)
+        for hand, move in zip(m.hands, off)
+    ]
+    branches = tuple(replace(b, mount=b.mount * exp(size * BRANCH * rng.normal(size=6))) for b in m.branches)
+    hands = tuple(replace(hand, tool=tool) for hand, tool in zip(m.hands, tools))
+    return replace(m, joints=rows, base=ends[0], branches=branches, hands=hands)
 
 
 MOUNT = (3e-3, 5e-3)  # m, rad, of a camera's stated pose

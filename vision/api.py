@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.recording.frame_selection_and_content_hashes import require_one_hand_shown
 from rig.recording.recording_folder import Recording
 from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_adjustment, determined_combinations
 from vision.bundle.marker_displacements import compare_stated_and_adjusted_places
@@ -66,6 +67,7 @@ def measure(
     >>> found.noise < 0.1  # px, standard deviation of a corner
     True
     """
+    require_one_hand_shown(recording)
     recording = recording_with_unstated_markers_placed(recording, options.detect, progress)
     refuse_spoilt_files(recording, options.anyway, notice)
     measured, collected = measure_recording(

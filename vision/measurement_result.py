@@ -14,9 +14,11 @@ from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import replace_cameras, replace_target_markers
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
+from rig.model.arm_branches_and_hands import hand_names, seen_hand
 from rig.model.design import Camera
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from rig.recording import recording_table_loading_and_writing
+from rig.recording.poses_as_roll_pitch_yaw import write_poses_as_roll_pitch_yaw
 from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
 from rig.recording.recording_table_loading_and_writing import Poses
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
@@ -86,9 +88,11 @@ class MeasurementResult(OneLineRepr):
         text = replace_cameras(read_text(recording.folder / "rig.toml"), m.design.cameras)
         write_text(folder / "rig.toml", replace_target_markers(text, adjusted_markers(m)) if m.places_free else text)
         write_kinematics_file(folder, recording.design.mechanism)
-        poses = Poses(m.frames, m.T_base_platform, m.covariance)
-        recording_table_loading_and_writing.write_poses(folder / "poses.csv", poses)
-        recording_table_loading_and_writing.write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
+        hands = hand_names(recording.design.mechanism)
+        hand = np.full(len(m.frames), hands.index(seen_hand(recording.design.mechanism))) if hands else None
+        poses = Poses(m.frames, m.T_base_platform, m.covariance, hand=hand)
+        recording_table_loading_and_writing.write_poses(folder / "poses.csv", poses, hands)
+        write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
         recording_table_loading_and_writing.write_corners(folder / "corners.csv", m.corners())
         copy_frames_commands_and_sensors(recording.folder, folder, recording.exposures, recording.origin)
         for number, stage in m.stages.items():

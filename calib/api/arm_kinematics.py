@@ -14,6 +14,7 @@ from calib.models.arm.correction import ArmCorrection
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
 from rig.model import mechanisms
+from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics, closed_form_and_numerical_arm_inverse
@@ -102,7 +103,9 @@ def load_arm_kinematics(text: str) -> ArmKinematics:
     Raises RigError for other kinds
     """
     if Path(text).suffix != ".json":
-        return ArmKinematics(require_arm(shipped_arms_and_layouts.load_shipped_arm_design(text).mechanism))
+        arm = require_arm(shipped_arms_and_layouts.load_shipped_arm_design(text).mechanism)
+        require_one_hand(arm, "kinematics is printed")
+        return ArmKinematics(arm)
     calibration = calibration_file.load(text)
     correction, left_out = calibration.correction, None
     if calibration.physics is not None and calibration.physics.compensable_effects():

@@ -43,6 +43,7 @@ from calib.models.arm import calibration_page as arm_page
 from calib.models.arm import certification as arm_certification
 from calib.models.arm.joint_space_correction_and_certification import commanded_minus_joint_values_by_stated_arm
 from calib.models.arm.pointing_terms import PointingTerms, pointing_terms
+from calib.models.arm.workspace_claim import arm_workspace_claim
 from calib.models.chain import certification_and_page as chain_certification
 from calib.models.machine_models import Certified
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
@@ -53,6 +54,7 @@ from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_text_parsing import Kinds
 from rig.errors import RigError
+from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_arm,
@@ -197,6 +199,8 @@ class CalibrationResult(OneLineRepr):
         of an arm whose poses do not determine its joints
         """
         nominal, samples = self.calibration.correction.nominal, self.sampled.samples
+        if hand_names(nominal):
+            raise RigError("correction values by joint are for arms with one hand: several share joints")
         if nominal.link_rows is not None:
             if samples.measured in arm_certification.UNPLACED:
                 raise RigError(arm_certification.UNPLACED[samples.measured])
@@ -210,7 +214,7 @@ class CalibrationResult(OneLineRepr):
 
 def has_axis_correction_summands(design: Design) -> bool:
     """Whether a design's machine has correction summands, one per axis (ksf.csv)."""
-    return not design.mechanism.bodies
+    return not design.mechanism.bodies and not hand_names(design.mechanism)
 
 
 def calibrate(
@@ -237,7 +241,7 @@ def calibrate(
         if options.limbs is not None:
             sampled = sample_by_limbs(recording, options.limbs, progress, notice)
         else:
-            sampled = sample_recording(recording, progress=progress, on_corners=prepared.look)
+            sampled = sample_recording(recording, progress=progress, on_corners=prepared.look, several_hands=True)
         _require_tilt_readings(recording)
         clocks: tuple[Clocks, ...] = ()
         if not options.with_findings and options.limbs is None:  # which tell clocks and lags themselves
@@ -340,7 +344,7 @@ def _fitted_arm(
     samples = sampled.samples if together is None else together.samples
     arm = require_arm(recording.design.mechanism)
     done = arm_certification.certify_arm(sampled.samples, arm, sampled.instrument, rng, progress, together)
-    claim = arm_certification.arm_workspace_claim(samples, done, rng)
+    claim = arm_workspace_claim(samples, done, rng)
     return samples, done, claim, None if refit is None else refit.with_geometry(done)
 
 

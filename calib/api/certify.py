@@ -43,6 +43,7 @@ from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.output_files import write_text
+from rig.model.arm_branches_and_hands import seen_hand
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,
     frames_with_known_hashes,
@@ -144,6 +145,10 @@ def certify(
     Raises RigError for a recording that took part in fitting, NotEnoughData where these have too few configurations
     """
     every = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    hands = dict.fromkeys(seen_hand(recording.design.mechanism) for recording in every)
+    if len(hands) > 1:
+        raise RigError(f"a certificate is of one hand, and these recordings are of {' and '.join(map(str, hands))}")
+    calibration = calibration.of_recorded_hand(every[0].design.mechanism)
     held, lines, unexpected = _in_calibrated_frames(
         calibration, _held_out_recordings(calibration, every, name, progress)
     )
@@ -159,6 +164,7 @@ def certify(
     for recording_name, ends in unexpected:
         known = evidence_with_displaced_ends(known, ends, recording_name)
     refuting = tuple((one.recording, refutation_sentence(one.found)) for one in claims if one.found.refutes)
+    lines = (*(f"this certificate is of the hand {name!r} alone" for name in hands if name is not None), *lines)
     return CertificationResult(replace(found, known=known, claims=claims, displacement=lines), tuple(held), refuting)
 
 

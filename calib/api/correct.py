@@ -29,6 +29,7 @@ from rig.errors import RigError, Unreachable
 from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, TableFormat
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
+from rig.model.arm_branches_and_hands import hand_names
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Sensors, WantedPoses
 from rig.recording.recording_table_loading_and_writing import POSE_COLUMNS, POSE_UNITS, Poses
@@ -46,6 +47,7 @@ class CorrectOptions:
     uncorrected : whether to command what the nominal model says; single_step : whether to command X + KSF(X), the
     method's first step, not the exact fixed point
     pose_frames : frames of a controller that takes poses, which are written in place of lengths; None for lengths
+    hand : whose poses are wanted, of an arm with several; joints that do not move it stay at the start
     """
 
     sensors: Sensors | None = None
@@ -55,6 +57,7 @@ class CorrectOptions:
     uncorrected: bool = False
     single_step: bool = False
     pose_frames: PoseFrames | None = None
+    hand: str | None = None
 
     def __post_init__(self) -> None:
         if self.approach not in APPROACHES:
@@ -216,6 +219,7 @@ def correct(
     Raises Unreachable listing the poses that leave the axes' ranges or come too soon, NotConverged where no commands
         are found, RigError for a log of sensors that does not cover the poses
     """
+    calibration = _of_chosen_hand(calibration, options)
     if isinstance(wanted, RigidTransform):
         T = RigidTransform.from_matrix(wanted.as_matrix().reshape(-1, 4, 4))
         wanted = WantedPoses(Poses(np.arange(len(T)), T, None))
@@ -328,6 +332,18 @@ def _require_log(sensors: Sensors | None, wanted: WantedPoses) -> None:
             "each is to be held, or give "
             "one row that applies to all"
         )
+
+
+def _of_chosen_hand(calibration: Calibration, options: CorrectOptions) -> Calibration:
+    """The calibration of the hand that is chosen, other joints at the start. Raises RigError where one is missing."""
+    names = hand_names(calibration.correction.nominal)
+    if options.hand is None:
+        if names:
+            raise RigError(f"poses are wanted of one hand; choose it with --hand NAME: {', '.join(names)}")
+        return calibration
+    seen = calibration.of_hand(options.hand)
+    assert isinstance(seen.correction, ArmCorrection)
+    return replace(seen, correction=seen.correction.with_other_joints_at(_start(options.start, calibration)))
 
 
 def _start(values: Floats | None, calibration: Calibration) -> Floats:

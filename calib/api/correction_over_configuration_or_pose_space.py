@@ -57,15 +57,16 @@ from calib.correction.interpolation_methods_and_correction_summand_fields import
     single_step_command_errors,
 )
 from calib.files.mechanism_and_physics_entries import mechanism_dict
-from calib.models.arm import certification as arm_certification
 from calib.models.arm import joint_space_correction_and_certification as arm_extension
 from calib.models.arm.certification import CertifiedArm as ArmCertified
+from calib.models.arm.workspace_claim import arm_workspace_claim
 from calib.models.platform.identification import inverse_strut_length_jacobian
 from calib.samples.pose_samples import Sampled, Samples
 from rig.array_and_json_types import Booleans, Json
 from rig.errors import NotEnoughData, RigError
 from rig.formats.number_parsing_and_rounding import parse_number
 from rig.model import mechanisms
+from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, has_links, require_arm, require_parallel
 from rig.model.pose import pose_difference
@@ -246,6 +247,7 @@ class ExtendOptions:
 
     def refuse_unsuited(self, design: Design) -> None:
         """Raise RigError where a pass cannot be of a design's machine, or stand on its calibration."""
+        require_one_hand(design.mechanism, "corrections are extended")
         if self.onto is None:
             return
         if design.mechanism.link_rows is not None:
@@ -291,7 +293,7 @@ def certify_correction_extension(
     if has_links(design.mechanism):
         arm = require_arm(design.mechanism)
         of_arm, tried = arm_extension.certify_extended_arm(samples, arm, sampled.instrument, ask, rng, progress)
-        claim_of = arm_extension.claim_without_geometry if options.alone else arm_certification.arm_workspace_claim
+        claim_of = arm_extension.claim_without_geometry if options.alone else arm_workspace_claim
         misses = arm_extension.single_step_correction_errors(of_arm.correction)
         claim = claim_of(samples, of_arm, rng)
         return ExtendedCorrection(of_arm, tried, claim, {}, misses, mechanisms.travel_unit(arm), base)

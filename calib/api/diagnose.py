@@ -34,6 +34,7 @@ from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_text_parsing import Kinds, parse_effect_and_place, require_known_effect
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
+from rig.model.arm_branches_and_hands import hand_names
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
@@ -154,7 +155,9 @@ def diagnose(
     _refuse_same_data(options, recording)
     found, report, sampled = _diagnosed(recording, options, options.stated_terms(recording, kinds), kinds, progress)
     marks = content_hashes_of_frames(recording)
-    against = refuted_calibrations(report, marks, options.calibrations, None if sampled is None else sampled.samples)
+    several = bool(hand_names(recording.design.mechanism))  # of which each hand has a claim of its own
+    tested = None if sampled is None or several else sampled.samples
+    against = refuted_calibrations(report, marks, () if several else options.calibrations, tested)
     refuted = tuple(f"{one.path.name} is refuted: {one.finding}" for one in against if one.state == State.BAD)
     left = unexplained_findings_and_refutations(marks, options.calibrations, False).unexplained
     return DiagnosisResult(
@@ -185,7 +188,7 @@ def _diagnosed(
             "--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording"
         )
     commanded = recording.commands is not None and bool(mechanism.axes)
-    sampled = sample_recording(recording, progress=progress) if commanded else None
+    sampled = sample_recording(recording, progress=progress, several_hands=True) if commanded else None
     found = recording_diagnosis.diagnose(
         recording,
         DiagnosisOptions(

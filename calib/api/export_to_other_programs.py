@@ -27,6 +27,7 @@ from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
+from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_arm, require_hexapod
 from rig.recording.recording_folder import Sensors, WantedPoses, load_recording, load_wanted_poses
@@ -354,7 +355,7 @@ def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
         design = design_from_rig_toml.load_design(path)
         return design.mechanism, [], design.actuator.screw_lead
 
-    calibration = calibration_file.load(path)
+    calibration = calibration_file.load(path, several_hands=True)
     correction, left_out = calibration.correction, []
     if calibration.physics is not None and calibration.physics.compensable_effects():
         names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.compensable_effects())
@@ -370,4 +371,5 @@ def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
 
 def _exported(mechanism: Mechanism) -> Hexapod | Arm:
     """The mechanism, which has a geometry that can be written."""
+    require_one_hand(mechanism, "geometry is exported")
     return require_arm(mechanism) if mechanism.link_rows is not None else require_hexapod(mechanism)

@@ -33,6 +33,7 @@ from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model import mechanisms
+from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.planning.configuration_generators import sobol_configurations
@@ -198,6 +199,7 @@ def investigate(
 
 def _require_observed(design: Design) -> None:
     """Raise RigError for a machine that cannot be investigated."""
+    require_one_hand(design.mechanism, "an investigation is")
     if len(design.mechanism.stages) != 1:
         raise RigError(
             "an investigation requires a platform on struts or an arm, not a mechanism of kind "

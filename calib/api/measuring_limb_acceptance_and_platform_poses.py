@@ -29,6 +29,7 @@ from rig.formats.output_files import write_bytes
 from rig.model import mechanisms
 from rig.model.pose import rms_uncertainty
 from rig.recording import recording_table_loading_and_writing
+from rig.recording.poses_as_roll_pitch_yaw import write_poses_as_roll_pitch_yaw
 from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
 from rig.recording.recording_table_loading_and_writing import Poses, write_poses
 from rig.report.pages.page_templates_and_index_page import Link
@@ -217,7 +218,7 @@ class MeasuredLimbPoses(OneLineRepr):
         write_bytes(folder / "rig.toml", read_bytes(recording.folder / "rig.toml"))
         poses = Poses(found.frames, found.T_base_platform, found.covariance)
         recording_table_loading_and_writing.write_poses(folder / "poses.csv", poses)
-        recording_table_loading_and_writing.write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
+        write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
         copy_frames_commands_and_sensors(recording.folder, folder, recording.exposures, recording.origin)
 
 

@@ -49,6 +49,7 @@ from rig.effects.texts.effect_text_parsing import parse_effect, require_existing
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import quantity_text
 from rig.model import mechanisms
+from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.base_and_link_tilts import GRAVITY_SIGMA
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
@@ -301,6 +302,8 @@ def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progre
     >>> calib.plan(design, calib.PlanOptions(parts="sobol:3")).values.shape
     (3, 6)
     """
+    if options.parts is None:
+        require_one_hand(design.mechanism, "configurations are chosen")
     if options.promise is not None:
         found = _keeping_promise(design, options.promise, options, progress)
     elif options.separate is not None:

@@ -27,6 +27,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.checks import command_and_pose_disagreements
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.model import mechanisms
+from rig.model.arm_branches_and_hands import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Parallel,
     geometric_parameters,
@@ -205,13 +206,14 @@ def check_and_combine_recordings(
     recording = found.recording
     if is_measured_by_instrument(recording):
         measured = "pose" if recording.design.instrument is None else recording.design.instrument.kind
+        several = bool(hand_names(recording.design.mechanism))
         if recording.design.mechanism.strut_joints is not None:
             recording, places = remove_instrument_displacement(recording)
             for place in places:
                 notice(place.line(every[place.recording].name))
             if not places:
                 notice("the instrument has not moved")
-        elif has_placements(recording.design.mechanism, measured):
+        elif has_placements(recording.design.mechanism, measured) and not several:
             recording, placements = remove_base_and_tool_displacement(recording)
             for line in placement_lines(placements, [one.name for one in every[1:]]):
                 notice(line)
@@ -220,7 +222,7 @@ def check_and_combine_recordings(
         else:
             notice(
                 "the instrument is assumed not to have moved: this is not checked for a mechanism of kind "
-                f"{recording.design.mechanism.kind!r} seen so"
+                f"{recording.design.mechanism.kind!r} {'with several hands' if several else 'seen so'}"
             )
     return PreparedRecording(recording, lambda corners: None, True)
 
@@ -238,11 +240,13 @@ def refuse_unfit_recording(recording: Recording, anyway: bool, notice: Notice) -
 
 def pose_mistakes(recording: Recording) -> tuple[Mistake, ...]:
     """Mistakes that poses.csv and commands.csv show of each other."""
-    from calib.models.arm.command_and_pose_mistakes import find_arm_mistakes
+    from calib.models.arm.command_and_pose_mistakes import find_arm_mistakes, find_mistakes_of_several_hands
 
     if recording.poses is None or recording.commands is None:
         return ()
     mechanism = recording.design.mechanism
+    if hand_names(mechanism):
+        return find_mistakes_of_several_hands(recording)
     if mechanism.link_rows is not None:
         return find_arm_mistakes(recording)
     if mechanism.plates is None:

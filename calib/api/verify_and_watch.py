@@ -153,6 +153,7 @@ def verify(
     """
     calibration.refuse_kind(recording.design.mechanism.kind, str(recording.folder))
     sampled = sample_recording(recording, progress=progress)
+    calibration = calibration.of_recorded_hand(recording.design.mechanism)
     clocks: tuple[Clocks, ...] = ()
     if calibration.physics is None:  # whose effects tell clocks themselves; a lag is the machine's own
         clocks = tuple(replace(one, lag=0.0) for one in clocks_of_samples(recording, sampled.samples))

@@ -26,6 +26,7 @@ from calib.samples.confounded_conditions import confound_sentences
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.importers.import_recipe_of_path import require_data
+from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.pose import direction_difference
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
@@ -275,6 +276,7 @@ def why(
     with tempfile.TemporaryDirectory(prefix="rig-why-") as scratch:
         kept = Path(scratch) if folder is None else folder
         recording, assumed = recording_of_data(data, options, kept, notice)
+        require_one_hand(recording.design.mechanism, "rig why answers")
         _require_commands(recording, data)
         diagnosed = diagnose(recording, DiagnoseOptions(anyway=options.anyway), progress, notice)
         diagnosis = kept / "diagnosis"

@@ -17,6 +17,7 @@ from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_map_and_lost_poses import Workspace
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
+from rig.model.arm_branches_and_hands import hand_names, seen_hand
 from rig.recording.recording_folder import Recording
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 
@@ -214,6 +215,21 @@ class Calibration(OneLineRepr):
             ]
         )
         return result_html(str(self), [] if self.claim is None else claim_lines(self.claim)[1:], rows)
+
+    def of_hand(self, hand: str) -> "Calibration":
+        """The calibration of one hand, by name, of an arm with several; other joints stand at home where it commands.
+
+        Raises RigError for a hand that the arm does not have
+        """
+        return replace(self, correction=self.correction.of_hand(hand))
+
+    def of_recorded_hand(self, mechanism: object) -> "Calibration":
+        """The calibration of the hand at which a recording's mechanism is seen; itself for machines without several.
+
+        Raises RigError for a hand that the calibrated arm does not have
+        """
+        name = seen_hand(mechanism)
+        return self if name is None and not hand_names(self.correction.nominal) else self.of_hand(name or "")
 
     def with_physics(self, recording: Recording, samples: Samples) -> Samples:
         """The samples of a recording with what physics says of their commands, under the recording's own sensors and

@@ -18,7 +18,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import (
 )
 from calib.certification.claim_verification import Part, Verification, verify_claim
 from calib.certification.error_claim_over_workspace import Claim
-from calib.certification.held_out_errors import HeldOut, pose_errors
+from calib.certification.held_out_errors import HeldOut, pose_errors, predicted_poses
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     axis_travel_limits,
     configuration_numbers,
@@ -155,7 +155,7 @@ def verify_claim_on_samples(
     if calibration.claim is None or calibration.claim.after is None:
         return None
     label = configuration_numbers(samples.commanded, axis_travel_limits(calibration.correction.nominal))
-    return verify_claim(calibration.correction.predict(samples.effective), samples, label, calibration.claim, rng)
+    return verify_claim(predicted_poses(calibration.correction, samples), samples, label, calibration.claim, rng)
 
 
 def evidence_with_confounds(
@@ -240,7 +240,7 @@ def check_claim_on_recording(
     if found is None or calibration.claim is None or calibration.claim.after is None:
         return None
     errors, covariance = (
-        pose_errors(calibration.correction.predict(samples.effective), samples),
+        pose_errors(predicted_poses(calibration.correction, samples), samples),
         samples.total_covariance(),
     )
 

@@ -105,12 +105,24 @@ def compare_errors(
 
 
 def errors_before_and_after_correction(correction: AnyCorrection, samples: Samples) -> tuple[Floats, Floats]:
-    """Pose errors (before, after) correction, both (n, 6).
-
-    Measured against the nominal and the corrected model.
-    """
+    """Pose errors (before, after) correction, both (n, 6): measured against the nominal and the corrected model."""
+    if samples.hand is not None:
+        before, after = np.empty((len(samples), 6)), np.empty((len(samples), 6))
+        for number, own, alone in samples.by_hand():
+            before[own], after[own] = errors_before_and_after_correction(correction.of_hand(number), alone)
+        return before, after
     nominal = mechanisms.kinematics_of(correction.nominal).forward(samples.commanded, correction.nominal)
-    return pose_errors(nominal, samples), pose_errors(correction.predict(samples.effective), samples)
+    return pose_errors(nominal, samples), pose_errors(predicted_poses(correction, samples), samples)
+
+
+def predicted_poses(correction: AnyCorrection, samples: Samples) -> RigidTransform:
+    """Poses (n,) that the corrected model predicts for samples, each of its own hand."""
+    if samples.hand is None:
+        return correction.predict(samples.effective)
+    matrices = np.empty((len(samples), 4, 4))
+    for number, own, alone in samples.by_hand():
+        matrices[own] = correction.of_hand(number).predict(alone.effective).as_matrix()
+    return RigidTransform.from_matrix(matrices)
 
 
 def pose_errors(T_base_platform: RigidTransform, samples: Samples) -> Floats:

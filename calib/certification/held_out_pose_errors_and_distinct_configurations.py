@@ -94,6 +94,7 @@ def mean_sample_per_configuration(samples: Samples, label: Integers, to_pose: Fl
         np.where(unseen[first], np.inf, covariance),
         covariance @ common,
         effective - commanded,
+        hand=None if samples.hand is None else samples.hand[first],
     )
 
 

@@ -11,7 +11,7 @@ Source: configuration-space patent, [0024]-[0031], [0130]-[0137].
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -84,6 +84,10 @@ class Correction(Generic[M, R]):
     def deficient(self) -> bool:
         """Whether the machine has too few axes to take any pose: then it comes as near to wanted ones as it can."""
         return bool(self.nominal.files) and len(self.nominal.pose_coordinates) < 6
+
+    def of_hand(self, hand: str | int) -> Self:
+        """The correction of one of several hands, by name or number. Raises RigError: this machine has no hands"""
+        raise RigError(f"a mechanism of kind {self.nominal.kind!r} has no hands, so none is chosen: {hand!r}")
 
     def rho(self, commands: Floats) -> Floats:
         """(..., axes) m, the remainder at commands (..., axes)."""

@@ -28,7 +28,8 @@ from rig.model.base_and_link_tilts import GRAVITY, BaseTilt, has_gravity
 from rig.model.design import Actuator, Design, Platform
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, is_parallel
+from rig.model.mechanisms.arm import poses_of_hands
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, has_links, is_parallel
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Sensors, sensors_with_gravity
 
@@ -179,7 +180,7 @@ def samples_with_effects(
     T = poses_with_predicted_rotations(design, samples)
     if samples.sway is not None:
         T = T * exp(samples.sway)
-    values, sway = machine.effective_commands_and_sway(design, commands, t, T, effects, sensors)
+    values, sway = machine.effective_commands_and_sway(design, commands, t, T, effects, sensors, samples.hand)
     tilts = samples.tilts
     if tilts is not None:
         tilts = tilts.with_lean(machine.lean_of_base(design, commands, t, T, effects, sensors))
@@ -196,7 +197,11 @@ def poses_with_predicted_rotations(design: Design, samples: Samples) -> RigidTra
     T = samples.T_base_platform
     if samples.measured != "position":
         return T
-    predicted = mechanisms.kinematics_of(design.mechanism).forward(samples.effective, design.mechanism)
+    m = design.mechanism
+    if has_links(m):
+        predicted = poses_of_hands(samples.effective, m, samples.hand)
+    else:
+        predicted = mechanisms.kinematics_of(m).forward(samples.effective, m)
     return RigidTransform.from_components(T.translation, predicted.rotation)
 
 

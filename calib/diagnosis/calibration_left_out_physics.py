@@ -25,7 +25,7 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import (
     verify_claim_on_samples,
 )
 from calib.certification.error_claim_over_workspace import Claim
-from calib.certification.held_out_errors import pose_errors
+from calib.certification.held_out_errors import pose_errors, predicted_poses
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.diagnosis.report import report_sentences
@@ -117,7 +117,7 @@ def _widened_claim(calibration: Calibration, samples: Samples) -> Claim:
     claim = calibration.claim
     assert claim is not None and claim.before is not None and claim.after is not None
     errors, covariance = (
-        pose_errors(calibration.correction.predict(samples.effective), samples),
+        pose_errors(predicted_poses(calibration.correction, samples), samples),
         samples.total_covariance(),
     )
     after = tuple(
@@ -200,7 +200,8 @@ def unexplained_findings_and_refutations(
         if any(tree.get(key) for key in BEYOND):
             continue
         known = calibration_evidence(
-            calibration_file.load(path), refutations_of_file(path) if include_later_refutations else ()
+            calibration_file.load(path, several_hands=True),
+            refutations_of_file(path) if include_later_refutations else (),
         )
         refuted += [f"{path.name} {text}" for text in known.refuted] if include_later_refutations else []
         left += known.unexplained

@@ -49,6 +49,7 @@ from rig.formats.checked_entries import Entries
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
+from rig.model.arm_branches_and_hands import hand_names
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,
     frames_with_known_hashes,
@@ -257,15 +258,16 @@ def calibration_text(calibration: Calibration) -> str:
     return json.dumps(tree, indent=1) + "\n"
 
 
-def load(path: Path | str, effect_kinds: Kinds = BY_NAME) -> Calibration:
-    """Load a Calibration from calibration.json.
-
-    effect_kinds : effects that it may hold.
-    Raises FileError
+def load(path: Path | str, effect_kinds: Kinds = BY_NAME, several_hands: bool = False) -> Calibration:
+    """Load a Calibration from calibration.json. effect_kinds : effects that it may hold; several_hands : whether it may
+    be of an arm with several hands. Raises FileError
     """
     tree = json_toml_and_yaml_loading.load_json(Path(path), "calibration", SCHEMA, WITH_PHYSICS, WITH_POSE_MAPS)
     nominal, fitted = mechanism_from_entries(tree.table("nominal"), True), mechanism_from_entries(tree.table("fitted"))
     require_same_ranges(tree, nominal, fitted)
+    if hand_names(nominal) and not several_hands:
+        names = ", ".join(hand_names(nominal))
+        tree.fail(f"is of an arm with several hands ({names}), for which this is not done", "nominal")
     schema = tree.text("schema")
     require_schema_contents(tree, *CONTENTS[schema])
     model, axes = model_of(nominal), len(nominal.axes)

@@ -22,6 +22,7 @@ from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.machine_geometry_and_effects_json_file import effect_to_dict, effects_from_entries
+from rig.formats.rig_toml.arm_branch_and_hand_entries import branch_and_hand_dicts, branches_of_tables, hands_of_tables
 from rig.formats.rig_toml.design_from_rig_toml import base_tilt_of_table
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_file
 from rig.model import mechanisms
@@ -164,11 +165,13 @@ def mechanism_dict(mechanism: Commanded) -> Json:
     if has_stages(mechanism):
         return {"kind": mechanism.kind, "stages": [mechanism_dict(stage) for stage in mechanism.stages]}
     if has_links(mechanism):
+        ends = bool(mechanism.hands)  # of several hands each states its own tool
         return {
             "kind": mechanism.kind,
             "joints": mechanism.rows.tolist(),
-            **{name: json_data(getattr(mechanism, name)) for name in ("limits", "base", "tool")},
+            **{name: json_data(getattr(mechanism, name)) for name in ("limits", "base", "tool")[: 3 - ends]},
             **({"slides": mechanism.slides.tolist()} if mechanism.slides.any() else {}),
+            **branch_and_hand_dicts(mechanism.branches, mechanism.hands),
         }
     if not has_struts(mechanism):
         return file_mechanism_dict(mechanism)
@@ -243,12 +246,16 @@ def _arm(table: Entries) -> Arm:
     joints = table.array("joints", (None, columns))
     if not 0 < len(joints) <= MOST_JOINTS:
         table.fail(f"{table.name('joints')} has {len(joints)} rows; an arm has 1 to {MOST_JOINTS} joints", "joints")
+    branches = branches_of_tables(table, len(joints))
+    hands = hands_of_tables(table, len(joints), branches)
     return Arm(
         joints,
         table.array("limits", (len(joints), 2)),
         table.pose("base"),
-        table.pose("tool"),
+        hands[0].tool if hands else table.pose("tool"),
         _slides_in(table, len(joints)),
+        branches,
+        hands,
     )
 
 

@@ -32,6 +32,7 @@ from calib.workspace.workspace_map_and_lost_poses import map_workspace
 from rig.array_and_json_types import Booleans, Floats
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
+from rig.model.arm_branches_and_hands import hand_names
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.model.mechanisms.file_mechanism import SCALE
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
@@ -289,14 +290,14 @@ def corrected_pose_covariance(calibration: Calibration, T_base_platform: RigidTr
 
 
 def calibration_with_workspace(calibration: Calibration) -> Calibration:
-    """Calibration with its workspace computed.
+    """Calibration with its workspace computed; a chain has none, nor an arm whose hand stays or has others beside.
 
     A chain has none, nor has an arm whose hand stays in one place.
     Raises NotConverged where no configuration closes on a pose
     """
     nominal = calibration.correction.nominal
     pointing = isinstance(nominal, Arm) and not (nominal.rows[:, 1:3].any() or nominal.tool.translation.any())
-    if nominal.bodies or pointing and not nominal.slides.any():
+    if nominal.bodies or hand_names(nominal) or pointing and not nominal.slides.any():
         return calibration
     return replace(
         calibration,

@@ -17,7 +17,8 @@ from typing import cast
 import numpy as np
 from scipy.special import betainc
 
-from calib.samples.pose_samples import Samples, conditions_of_exposures
+from calib.samples.exposure_conditions import conditions_of_exposures
+from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Json
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms

@@ -14,92 +14,21 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.samples.exposure_conditions import Conditions, conditions_of_exposures
 from calib.samples.platform_poses_with_tilts import poses_with_platform_tilts
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
-from rig.model.base_and_link_tilts import TiltReadings, gravity_at_exposures, has_gravity
+from rig.model.arm_branches_and_hands import hand_names
+from rig.model.base_and_link_tilts import TiltReadings, gravity_at_exposures
 from rig.model.design import Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, nearest_reachable_poses
-from rig.recording.recording_folder import PAYLOAD, Commands, Recording
+from rig.recording.frame_selection_and_content_hashes import is_of_several_hands, require_one_hand_shown, select_hand
+from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners, Poses
 
 if TYPE_CHECKING:
     from vision.reading.recording_corners import Collected
     from vision.recording_adjustment import Measurement
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Weight:
-    """What axes carry, as far as rig.toml states it. gravity : (3,) m/s^2 in the base frame; mass : kg, of the
-    platform, centre : (3,) m, of it, and
-    payload : (3,) m, of what it carries, in the platform's frame. A mass that is not stated counts as 1 kg alone, a
-        centre as the origin."""
-
-    gravity: Floats
-    mass: float | None
-    centre: Floats | None
-    payload: Floats | None
-
-    def wrench(self, T_base_platform: RigidTransform, carried: Floats) -> Floats:
-        """(n, 6) N, N m in the platform's frame at poses (n,) with payloads carried (n,) kg."""
-        down = np.swapaxes(T_base_platform.rotation.as_matrix(), 1, 2) @ self.gravity
-        own, more = (1.0, np.zeros_like(carried)) if self.mass is None else (self.mass, carried)
-        out = np.zeros((len(down), 6))
-        for force, centre in ((own * down, self.centre), (more[:, None] * down, self.payload)):
-            out += np.concatenate([force, np.zeros_like(force) if centre is None else np.cross(centre, force)], axis=1)
-        return out
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Conditions:
-    """Of n samples. direction : (n, axes) sign of each axis' last move before the exposure, 0 where it never moved
-
-    t : (n,) s; channels : {name: (n,)} temperatures (degrees Celsius) and payload (kg) logged at the exposures
-    weight : Weight, None where there is no gravity, or where it turns: loads then follow no configuration
-    """
-
-    direction: Floats
-    t: Floats
-    channels: dict[str, Floats]
-    weight: Weight | None = None
-
-    def take(self, index: Booleans | Integers | slice) -> Conditions:
-        """The conditions of an index or mask (n,)."""
-        return Conditions(
-            self.direction[index],
-            self.t[index],
-            {name: values[index] for name, values in self.channels.items()},
-            self.weight,
-        )
-
-
-def conditions_of_exposures(recording: Recording, t: Floats) -> Conditions:
-    """Conditions of a recording's exposures at times t (n,) s. Raises RigError without commands."""
-    recording.commanded()
-    assert recording.commands is not None
-    sensors = recording.sensors
-    names = (
-        []
-        if sensors is None
-        else [name for name in sensors.channels if name.endswith("temperature_C") or name == PAYLOAD]
-    )
-    channels = {} if sensors is None else {name: sensors.at(t, name) for name in names}
-    design = recording.design
-    weight = Weight(
-        design.gravity, design.platform.mass, design.platform.centre_of_mass, design.platform.payload_centre_of_mass
-    )
-    stands = design.gravity.any() and (sensors is None or not has_gravity(sensors.channels))
-    return Conditions(approach_direction(recording.commands, t), t, channels, weight if stands else None)
-
-
-def approach_direction(commands: Commands, t: Floats) -> Floats:
-    """Direction of approach (n, axes): sign of each axis' last move before times t (n,) s, 0 for none."""
-    moved = np.sign(np.diff(commands.values, axis=0))
-    begin = np.isin(commands.t[1:], commands.starts)  # the step from one recording to the next is no move
-    latest = np.zeros((len(moved) + 1, commands.values.shape[1]))
-    for k, step in enumerate(moved):
-        latest[k + 1] = 0.0 if begin[k] else np.where(step != 0, step, latest[k])
-    return latest[np.clip(np.searchsorted(commands.t, t, side="left"), 0, len(moved))]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,6 +81,7 @@ class Samples:
     conditions : Conditions under which they were measured, None where no recording says
     tilts : TiltReadings, None without tilt sensors
     sway : (n, 6) tangent, on the right, that physics beyond its joints has, taken off an arm's poses; None for none
+    hand : (n,) number, from 0, of the hand that each pose is of; None of machines with one, and of one hand's samples
     """
 
     frame: Integers
@@ -165,6 +95,7 @@ class Samples:
     conditions: Conditions | None = None
     tilts: TiltReadings | None = None
     sway: Floats | None = None
+    hand: Integers | None = None
 
     def __post_init__(self) -> None:
         if not len(self.frame):
@@ -199,7 +130,14 @@ class Samples:
             None if self.conditions is None else self.conditions.take(index),
             None if self.tilts is None else self.tilts.take(index),
             None if self.sway is None else self.sway[index],
+            None if self.hand is None else self.hand[index],
         )
+
+    def by_hand(self) -> list[tuple[int, Booleans, Samples]]:
+        """[(number, mask (n,), Samples)] of each hand's own, of an arm with several."""
+        assert self.hand is not None
+        masks = [(int(number), self.hand == number) for number in np.unique(self.hand)]
+        return [(number, mask, replace(self.take(mask), hand=None)) for number, mask in masks]
 
     @property
     def effective(self) -> Floats:
@@ -311,19 +249,26 @@ class Sampled:
     assumed: bool = False
 
 
+Progress = Callable[[str, int, int], None]  # called with (label, done, of)
+
+
 def sample_recording(
     recording: Recording,
     free: tuple[str, ...] = ("poses", "lenses"),
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
     on_corners: Callable[[Corners], None] | None = None,
+    several_hands: bool = False,
 ) -> Sampled:
     """Samples of a recording (Sampled).
 
     From its instrument's poses, its corners or images, or poses.csv.
     progress : called with (label, done, of), or None; on_corners : called with the Corners before they are measured, or
-        None
-    Raises RigError without commands, NotEnoughData without poses, and what look raises
+        None; several_hands : whether poses may be of several hands
+    Raises RigError without commands, and for poses of several hands that may not be, NotEnoughData without poses, and
+    what look raises
     """
+    if not several_hands:
+        require_one_hand_shown(recording)
     recording.commanded()  # a recording that nobody commanded fails before its images are read
     poses = recording.poses
     if poses is not None and (
@@ -342,6 +287,8 @@ def sample_recording(
         raise NotEnoughData(
             f"{recording.folder}: there are no images, no corners.csv and no poses.csv, so nothing was measured"
         )
+    if is_of_several_hands(recording):
+        return _sample_hands(recording, free, progress)
     from vision.recording_measurement import (
         measure_recording,  # opens OpenCV: only where images or corners are measured
     )
@@ -362,11 +309,37 @@ def sample_recording(
     )
 
 
+def _sample_hands(recording: Recording, free: tuple[str, ...], progress: Progress | None) -> Sampled:
+    """Sampled of cameras that see targets of an arm's several hands: each hand's measured by themselves, all together.
+
+    What poses of one hand share, as the places of cameras, is a draw of its own for each hand
+    """
+    names = hand_names(recording.design.mechanism)
+    parts = [sample_recording(select_hand(recording, name), free, progress) for name in names]
+    count = [0, *np.cumsum([part.samples.common.shape[2] for part in parts]).tolist()]
+    common = [
+        np.pad(part.samples.common, ((0, 0), (0, 0), (before, count[-1] - after)))
+        for part, before, after in zip(parts, count, count[1:])
+    ]
+    frame = np.concatenate([part.samples.frame for part in parts])
+    hand = np.concatenate([np.full(len(part.samples), number) for number, part in enumerate(parts)])
+    order = np.lexsort((hand, frame))
+    found = pair_samples(
+        recording,
+        frame[order],
+        RigidTransform.concatenate([part.samples.T_base_platform for part in parts])[order],
+        np.concatenate([part.samples.covariance for part in parts])[order],
+        np.concatenate(common)[order],
+    )
+    return Sampled(replace(found, hand=hand[order]), parts[0].source, None, None, instrument=CAMERAS)
+
+
 def _from_poses(recording: Recording, poses: Poses) -> Samples:
     instrument = recording.design.instrument
     if instrument is not None and not has_links(recording.design.mechanism):
         _require_whole_poses(recording, instrument)
     found = pair_samples(recording, poses.frame, poses.T_base_platform, _covariance(poses, instrument), poses.common)
+    found = replace(found, hand=poses.hand)
     for stage, below in recording.stages.items():
         own = _covariance(below, instrument)
         found = add_stage_measurements(found, stage, below.frame, below.T_base_platform, own, below.common)

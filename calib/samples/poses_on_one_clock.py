@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.samples.pose_samples import Sampled, Samples, conditions_of_exposures, tilt_readings
+from calib.samples.exposure_conditions import conditions_of_exposures
+from calib.samples.pose_samples import Sampled, Samples, tilt_readings
 from rig.recording.recording_folder import Recording
 from vision.clocks_of_moving_exposures import Clocks, clocks_of_recording, recording_with_clocks
 

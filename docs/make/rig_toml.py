@@ -18,6 +18,7 @@ from rig.formats.length_and_angle_units import UnitNames
 from rig.formats.rig_toml import arm_dynamics_entries, design_from_rig_toml
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
 from rig.formats.rig_toml.mechanism_entries import Joint
+from rig.model.arm_branches_and_hands import Branch, Hand
 from rig.model.base_and_link_tilts import BaseTilt, TiltSensor
 from rig.model.design import (
     Actuator,
@@ -63,6 +64,11 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
     '[mechanism] kind = "planar2"': (Planar2, ""),
     '[mechanism] kind = "arm"': (Arm, ""),
     "[[mechanism.joints]]": (Joint, "In place of a row of `joints`."),
+    "[[mechanism.branch]]": (
+        Branch,
+        "Of an arm with several hands on one trunk; [several hands](several-hands.md) says more.",
+    ),
+    "[[mechanism.hand]]": (Hand, "Two or more, in place of `tool`; joints are counted from 1, as q1 .."),
     '[mechanism] kind = "chain"': (
         None,
         "Two tables `[[mechanism.stage]]` or more, each of a kind above, each on the last; [chains](chains.md) "
@@ -217,10 +223,15 @@ HANGS_ON_ANOTHER = {
     ("[[target.marker]]", "pose"): "found from the recording",
     ('[mechanism] kind = "arm"', "base"): "the frame of poses itself",
     ('[mechanism] kind = "arm"', "tool"): "the last frame itself",
+    ("[[mechanism.branch]]", "mount"): "the frame of that link itself",
+    ("[[mechanism.hand]]", "tool"): "the frame of that link itself",
 }
 FIRST = "identity of a board's first marker"
 LEGACY = "whether a charuco's first square holds a marker where its rows are even"
 KEYS_TOLD = {  # of keys that are not fields, or not those alone
+    ("[[mechanism.branch]]", "joint"): "its number: 4 is q4",
+    ("[[mechanism.branch]]", "parent"): "number of the joint whose link carries it, 0 for the base",
+    ("[[mechanism.hand]]", "joint"): "number of the joint whose link holds it",
     ("[[target]]", "board"): "description of a board with the lengths of its print",
     ("[[target]]", "pose"): "T_body_cube, of the cube's centre, or T_body_board, of the board's lower left corner: x "
     "right, y up, z out of the paper",
@@ -295,7 +306,8 @@ def samples() -> list[dict[str, Any]]:
             "tilt_sensor": [leans],
         }
     )
-    return [whole, listed, *arms, {**whole, "mechanism": {"kind": "free"}, "controller": None}]
+    hands = tomllib.loads(Path("docs/hands/humanoid.toml").read_text())
+    return [whole, listed, *arms, hands, {**whole, "mechanism": {"kind": "free"}, "controller": None}]
 
 
 def asked() -> dict[tuple[str, Key], Asked]:
@@ -316,6 +328,8 @@ TABLE_KEYS = (
     "environment",
     "tilt",
     "mechanism",
+    "branch",
+    "hand",
     "camera",
     "capture",
     "target",

@@ -22,6 +22,7 @@ from rig.cli.shared.common_options import (
     page_links,
     require_matplotlib,
 )
+from rig.cli.shared.hand_option import add_hand_option, recording_of_chosen_hand
 from rig.cli.shared.input_options import read_recording
 from rig.cli.shared.option_value_parsing import parse_tolerance
 from rig.cli.shared.output_display import Progress
@@ -136,6 +137,7 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="FRAMES",
         help="exclude these frames of the one recording, for example 0-11: those that `rig calibrate --mask` left in",
     )
+    add_hand_option(parser)
     add_overwrite_option(parser)
     add_json_result_option(parser)
 
@@ -157,9 +159,9 @@ def run(arguments: Namespace) -> int:
     from calib.files import calibration_file
     from rig.report.verdict_and_refutations import refutations_of_file
 
-    calibration = calibration_file.load(arguments.calibration)
+    calibration = calibration_file.load(arguments.calibration, several_hands=True)
     whole = arguments.outputs.folder(arguments.out) if suffix == "" else arguments.outputs.file(arguments.out)
-    recordings = [read_recording(arguments, path) for path in arguments.recordings]
+    recordings = [recording_of_chosen_hand(arguments, read_recording(arguments, p)) for p in arguments.recordings]
     refuted = refutations_of_file(arguments.calibration)
     source = certificate_provenance(arguments.calibration, calibration, recordings, arguments.argv, SEED)
     result = certify(calibration, recordings, options, refuted, source, str(arguments.calibration), progress)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared import input_options, refutation_printing_and_writing
 from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout
+from rig.cli.shared.hand_option import add_hand_option, calibration_of_chosen_hand
 from rig.errors import RigError
 from rig.formats.number_parsing_and_rounding import parse_numbers
 
@@ -105,6 +106,7 @@ def arguments(parser: ArgumentParser) -> None:
         default="point",
         help="decimal sign in --poses and --out: point, commas between the cells (the default), or comma, semicolons",
     )
+    add_hand_option(parser)
     input_options.add_user_effect_files_option(parser)
     add_overwrite_option(parser)
     add_json_result_option(parser)
@@ -135,7 +137,7 @@ def run(arguments: Namespace) -> None:
     calibration = input_options.calibration_of_arguments(arguments)
     out = arguments.outputs.file(arguments.out)
     if arguments.forward:
-        return _write_read_poses(arguments, calibration, out)
+        return _write_read_poses(arguments, calibration_of_chosen_hand(arguments, calibration), out)
     refutation_printing_and_writing.read_and_print_refutations(arguments.calibration)
     form = _format(arguments)
     wanted = load_wanted_poses(arguments.poses, form)
@@ -177,6 +179,7 @@ def _options(
         arguments.uncorrected,
         arguments.single_step,
         _pose_frames(arguments, units),
+        arguments.hand,
     )
 
 

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from rig.formats.importers import ImportedRecording, Recipe
 
 TABLES = {
-    "commands": "table of the commands: time, lengths or angles",
-    "poses": "table of measured poses",
+    "commands": "table of the commands: time, lengths or angles; CSV, Parquet, YAML or MATLAB's .mat",
+    "poses": "table of measured poses; a pose may be one cell, as [x, y, z, rx, ry, rz] or a 4x4 matrix",
     "sensors": "log of sensors",
     "frames": "table of the images' times: frame or image, time",
 }

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, page_links
+from rig.cli.shared.hand_option import add_hand_option, recording_of_chosen_hand
 from rig.cli.shared.input_options import (
     add_anyway_option,
     add_limb_options,
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 def arguments(parser: ArgumentParser) -> None:
     """Add the arguments of `rig measure` to a parser."""
     add_recording_argument(parser)
+    add_hand_option(parser)
     parser.add_argument(
         "--out", metavar="DIR", type=Path, required=True, help="gets poses.csv, corners.csv, rig.toml and report.html"
     )
@@ -57,7 +59,7 @@ def run(arguments: Namespace) -> None:
     progress = Progress()
     progress("reading the recording", 0, 1)
     hold, limbs = _hold(arguments.hold), limb_source(arguments)
-    recording = read_recording(arguments)
+    recording = recording_of_chosen_hand(arguments, read_recording(arguments))
     if limbs is not None:
         return _by_limbs(arguments, recording, limbs, progress)
     from calib.report.measurement_page import write_measurement_page

@@ -67,7 +67,13 @@ def add_own_arm_options(parser: ArgumentParser) -> None:
     A URDF or a table of Denavit-Hartenberg rows.
     """
     parser.add_argument("--urdf", metavar="FILE.urdf", type=Path, help="your own arm, with the URDF's exact kinematics")
-    parser.add_argument("--tip", metavar="LINK", help="of --urdf, the link that is measured; by default its only end")
+    parser.add_argument(
+        "--tip",
+        metavar="LINK",
+        action="append",
+        default=[],
+        help="of --urdf, the link that is measured; by default its only end; repeated, the hands of one arm",
+    )
     parser.add_argument("--root", metavar="LINK", help="of --urdf, the link in which poses are; by default its first")
     parser.add_argument(
         "--dh",
@@ -87,8 +93,9 @@ def arm_file_options(arguments: Namespace, units: str | None) -> "ArmFileOptions
     """
     from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions
 
-    names = ("urdf", "tip", "root", "dh", "modified")
-    return ArmFileOptions(**{name: getattr(arguments, name) for name in names}, units=units)
+    names = ("urdf", "root", "dh", "modified")
+    given = {name: getattr(arguments, name) for name in names}
+    return ArmFileOptions(**given, tips=tuple(arguments.tip), units=units)
 
 
 def _radius(text: str) -> float:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared import input_options, refutation_printing_and_writing
 from rig.cli.shared.common_options import add_json_option, add_page_option, page_links, page_path, print_json
+from rig.cli.shared.hand_option import add_hand_option, recording_of_chosen_hand
 from rig.cli.shared.input_options import add_recording_argument, read_recording
 from rig.cli.shared.output_display import Progress
 from rig.cli.shared.printing_of_held_out_errors import print_frames_without_pose, print_held_out_errors
@@ -28,6 +29,7 @@ def arguments(parser: ArgumentParser) -> None:
     add_recording_argument(parser)
     add_json_option(parser)
     add_page_option(parser)
+    add_hand_option(parser)
     input_options.add_user_effect_files_option(parser)
     parser.add_argument(
         "--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were intended to take"
@@ -49,7 +51,7 @@ def run(arguments: Namespace) -> int:
     progress("reading the recording", 0, 1)
     calibration = input_options.calibration_of_arguments(arguments)
     wanted = load_poses(arguments.wanted, are_commands=True) if arguments.wanted else None
-    recording, page = read_recording(arguments), page_path(arguments)
+    recording, page = recording_of_chosen_hand(arguments, read_recording(arguments)), page_path(arguments)
     refuted = refutations_of_file(arguments.calibration)
     result = verify(calibration, recording, wanted, refuted, progress)
     progress.close()

@@ -325,8 +325,8 @@ WORDS = {
 }
 
 
-def load_yaml(path: Path) -> Entries:
-    """Load the Entries of a YAML file.
+def load_yaml(path: Path, list_key: str | None = None) -> Entries:
+    """Load the Entries of a YAML file. list_key : under which a list in place of a table stands, None to refuse one
     Raises FileError for a file that is missing, cut off, no YAML, no table or larger than such files are.
     """
     text = DIRECTIVE.sub("", read_text(path, LARGEST_YAML))
@@ -340,11 +340,16 @@ def load_yaml(path: Path) -> Entries:
         raise FileError(path, f"not valid YAML: {str(error).splitlines()[0]}") from None
     except RecursionError:
         raise FileError(path, "not valid YAML: nested too deep") from None
-    if not isinstance(root, yaml.MappingNode):
+    listed = list_key is not None and isinstance(root, yaml.SequenceNode)
+    if root is None or not (listed or isinstance(root, yaml.MappingNode)):
         raise FileError(path, "holds no table of keys and values")
     places: dict[tuple[str | int, ...], tuple[int, int]] = {}
     try:
-        tree = _yaml_value(root, (), places, path)
+        tree = (
+            {str(list_key): _yaml_value(root, (str(list_key),), places, path)}
+            if listed
+            else _yaml_value(root, (), places, path)
+        )
     except RecursionError:
         raise FileError(path, "not valid YAML: nested too deep, or an alias within itself") from None
     assert isinstance(tree, dict)  # as its node is a mapping

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
@@ -19,8 +20,9 @@ from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.local_and_remote_input_files import short_repr
+from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Camera, Design
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_stages
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_stages, require_arm
 from rig.model.pose import pose, pose_to_vector
 
 LIMBS = ("base_joints", "platform_joints", "zeros")
@@ -55,7 +57,15 @@ def _geometry(m: Mechanism) -> Json:
     return {
         **{name: array.tolist() for name, array in m.geometry_arrays.items()},
         **{name: pose_to_vector(getattr(m, name)).tolist() for name in m.placements},
+        **({name: pose_to_vector(T).tolist() for name, T in _ends_of_several_hands(m)} if hand_names(m) else {}),
     }
+
+
+def _ends_of_several_hands(m: Mechanism) -> list[tuple[str, RigidTransform]]:
+    """[(name, pose)] of the mounts of an arm's branches and the tools of its hands."""
+    arm = require_arm(m)
+    mounts = [(f"mount_{branch.joint + 1}", branch.mount) for branch in arm.branches]
+    return [*mounts, *((f"tool_{hand.name}", hand.tool) for hand in arm.hands)]
 
 
 def effect_to_dict(effect: Effect) -> Json:
@@ -148,6 +158,15 @@ def _mechanism(stated: Mechanism, table: Entries) -> Mechanism:
     for name in stated.placements:
         if name in table.tree:
             found[name] = pose(*np.split(table.array(name, (6,), length_limit=LARGEST_RIG), 2))
+    if hand_names(stated):
+        arm = require_arm(stated)
+        ends = [
+            pose(*np.split(table.array(name, (6,), length_limit=LARGEST_RIG), 2)) if name in table.tree else T
+            for name, T in _ends_of_several_hands(stated)
+        ]
+        count = len(arm.branches)
+        found["branches"] = tuple(replace(one, mount=T) for one, T in zip(arm.branches, ends[:count]))
+        found["hands"] = tuple(replace(one, tool=T) for one, T in zip(arm.hands, ends[count:]))
     return replace(stated, **found)
 
 

@@ -252,7 +252,7 @@ class Target:
     """Markers fixed to one body. A cube has edge, marker, faces and pose, a board its board and
     T_body_board; any other target lists its markers.
 
-    name : its own; body : what it is fixed to, of a chain also what a stage below the last moves, as "stage 1"
+    name : its own; body : what it is fixed to, of a chain also "stage 1", of an arm with hands a hand's name
     dictionary : OpenCV's name of the markers'; edge : m, of the cube; marker : m, outer side of the black border
     faces : pairs of face and id; pose : T_body_cube, of the cube's centre; listed : the markers of one that is no cube
     board : printed layout of one that is a board; T_body_board : of its lower left corner, x right, y up, z out of the

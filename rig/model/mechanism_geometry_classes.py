@@ -1,17 +1,15 @@
-"""Geometry classes of mechanisms.
+"""Geometry classes of mechanisms (hexapod, planar, arm, chain, of a file, free): frozen dataclasses in m and rad."""
 
-Hexapod, planar, arm, chain, of a file, free: frozen dataclasses in m and rad.
-"""
-
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_and_json_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats, Integers
+from rig.model.arm_branches_and_hands import Branch, Hand, carried_joints, hand_number, joint_parents
 from rig.model.user_kinematics_file import KinematicsFile
 from rig.model.user_kinematics_file_checks import kinematics_of_source
 
@@ -27,9 +25,8 @@ def _array(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> Floats
 
 
 def freeze_array(instance: object, name: str, shape: tuple[int | None, ...]) -> None:
-    """Freeze an array field of a dataclass instance.
+    """Freeze an array field of a dataclass instance: read-only floats of a shape.
 
-    Read-only floats of a shape.
     Raises ValueError otherwise.
     """
     object.__setattr__(instance, name, _array(getattr(instance, name), shape, name))
@@ -227,6 +224,8 @@ class Arm(StatedMechanism):
     base : where the arm's own frame 0 stands in the frame of poses; tool : the platform (hand, target) in frame n
     slides : (n,) bool, joints that are prismatic: Rot_z(theta_i) Trans_z(d_i + q_i), q_i and its limits in m; none by
         default
+    branches : joints that stand on another link than that of the joint before them; hands : of an arm with several, the
+        tool then that of hand number `hand`, from 0, of which forward kinematics and Jacobians are
     """
 
     joints: Floats
@@ -234,6 +233,9 @@ class Arm(StatedMechanism):
     base: RigidTransform = field(default_factory=RigidTransform.identity)
     tool: RigidTransform = field(default_factory=RigidTransform.identity)
     slides: Booleans = field(default_factory=lambda: np.zeros(0, bool))
+    branches: tuple[Branch, ...] = ()
+    hands: tuple[Hand, ...] = ()
+    hand: int = 0
     kind: ClassVar[Literal["arm"]] = "arm"
     axis_unit: ClassVar[Literal["m", "rad"]] = "rad"
     placements: ClassVar[tuple[str, ...]] = ("base", "tool")
@@ -245,6 +247,30 @@ class Arm(StatedMechanism):
         freeze_array(self, "limits", (len(self.joints), 2))
         slides = self.slides if np.size(self.slides) else np.zeros(len(self.joints))
         object.__setattr__(self, "slides", _array(slides, (len(self.joints),), "slides") > 0)
+        joint_parents(len(self.joints), self.branches)
+        if self.hands:
+            object.__setattr__(self, "tool", self.hands[self.hand].tool)
+
+    @property
+    def parents(self) -> Integers:
+        """(n,) index of the joint whose link carries each joint, -1 for the base."""
+        return joint_parents(len(self.joints), self.branches)
+
+    @property
+    def moving(self) -> Booleans:
+        """(n,) bool, the joints that move the hand."""
+        last = self.hands[self.hand].joint if self.hands else len(self.joints) - 1
+        return np.asarray(carried_joints(self.parents)[:, last])
+
+    def of_hand(self, hand: str | int) -> Self:
+        """The arm seen at one of its hands, by name or number (from 0). Raises RigError for a hand that it lacks."""
+        return replace(self, hand=hand_number(self, hand))
+
+    def with_ends(self, base: RigidTransform | None = None, tool: RigidTransform | None = None) -> Self:
+        """The arm with another base, or another tool of the hand that it is seen at; None leaves an end."""
+        base, tool = (self.base if base is None else base), (self.tool if tool is None else tool)
+        hands = tuple(replace(one, tool=tool) if k == self.hand else one for k, one in enumerate(self.hands))
+        return replace(self, base=base, tool=tool, hands=hands)
 
     @property
     def rows(self) -> Floats:

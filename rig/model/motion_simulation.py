@@ -9,14 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_and_json_types import Floats
+from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion_and_play import Motion, Path
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
+from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Design
 from rig.model.mechanisms import mechanism_chain
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_stages, require_axes, require_parallel
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_stages, require_arm, require_axes, require_parallel
 from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 
@@ -32,7 +33,7 @@ class MachineRun:
     T_base_platform : RigidTransform (n,); deviation : (n, axes) m or rad the axes stood beyond their command
     rate, curvature : (n, 6) tangent per s and per s^2 at the exposure (on the right), None where not asked for
     stages : of a chain T_base_stage : RigidTransform (n,) of every stage's platform but the last, which is
-        T_base_platform
+        T_base_platform; of an arm with several hands those of its second hand and on
     """
 
     T_base_platform: RigidTransform
@@ -121,6 +122,9 @@ def simulate_machine_run(
             )
     sway = sum((effect.sway(state) for effect in effects), np.zeros((len(state.t), 6)))
     stages = mechanism_chain.stage_poses(state.lengths + deviation, m)[:-1] if has_stages(m) else []
+    if hand_names(m) and not require_arm(m).hand:
+        others = [replace(design, mechanism=require_arm(m).of_hand(k)) for k in range(1, len(hand_names(m)))]
+        stages = [simulate_machine_run(one, commands, t, effects, sensors).T_base_platform for one in others]
     return MachineRun(T * exp(sway) if sway.any() else T, deviation, stages=tuple(stages))
 
 
@@ -150,13 +154,25 @@ def effective_commands_and_sway(
     T: RigidTransform,
     effects: Sequence[Effect] = (),
     sensors: Sensors | None = None,
+    hand: Integers | None = None,
 ) -> tuple[Floats, Floats]:
     """Effective commands (n, axes) under effects and the platform's sway (n, 6).
 
     Taken at poses T (n,).
 
-    What joints hold is displaced along with them in ways that no joint may make up for. Raises as `motion_of_commands`
+    What joints hold is displaced along with them in ways that no joint may make up for. hand : (n,) number of the hand
+    that each pose is of, None for that at which an arm is seen. Raises as `motion_of_commands`
     """
+    if hand is not None:
+        arm, out, sway = (
+            require_arm(design.mechanism),
+            np.empty((len(t), len(design.mechanism.axes))),
+            np.empty((len(t), 6)),
+        )
+        for k in np.unique(hand):
+            rows, seen = hand == k, replace(design, mechanism=arm.of_hand(int(k)))
+            out[rows], sway[rows] = effective_commands_and_sway(seen, commands, t[rows], T[rows], effects, sensors)
+        return out, sway
     state = motion_of_commands(design, commands, t, effects, sensors, T)
     out = state.lengths + sum((e.deviation(state) for e in effects), np.zeros(state.lengths.shape))
     return out, sum((e.sway(state) for e in effects), np.zeros((len(state.t), 6)))

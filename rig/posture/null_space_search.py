@@ -280,11 +280,11 @@ def return_hand_to_target(q: Floats, target: Floats, arm: Arm, fixed_hand_part: 
     By Newton's method.
     """
     for _ in range(6):
-        chain = mechanism.link_frames(q, arm)
-        e = _error(chain[:, -1], target, fixed_hand_part)
+        frames = mechanism.joint_frames(q, arm)
+        e = _error(frames.tip, target, fixed_hand_part)
         if np.abs(e).max(initial=0) < 0.1 * STILL:
             break
-        J = mechanism.geometric_jacobian(chain, "base", arm.slides)[:, FIXED_ROWS[fixed_hand_part]]
+        J = mechanism.geometric_jacobian(frames, arm, "base")[:, FIXED_ROWS[fixed_hand_part]]
         T = np.swapaxes(J, 1, 2)
         q = q + (T @ np.linalg.solve(J @ T + DAMPING * np.eye(T.shape[2]), e[..., None]))[..., 0]
     return q

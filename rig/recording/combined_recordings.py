@@ -253,10 +253,12 @@ def _poses(parts: Sequence[RecordingPart], stage: int | None) -> Poses | None:
         lacks = next(part for part, p in seen if p.covariance is None)
         name = "poses.csv" if stage is None else f"poses_stage{stage}.csv"
         raise RigError(f"{lacks.recording.folder / name} states no covariance, and another recording's does")
+    hands = [p.hand for _, p in seen if p.hand is not None]
     return Poses(
         np.concatenate([part.frames + p.frame for part, p in seen]),
         RigidTransform.concatenate([p.T_base_platform for _, p in seen]),
         np.concatenate(covariance) if covariance else None,
+        hand=np.concatenate(hands) if hands else None,
     )
 
 

@@ -32,9 +32,10 @@ from rig.compute.worker_processes import worker_count
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.output_files.atomic_file_and_manifest import file_digest, load_manifest
+from rig.model.arm_branches_and_hands import hand_names
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import LIMB, Recording
-from rig.recording.recording_table_loading_and_writing import Poses
 
 FRAME = re.compile(r"\s*([0-9]{1,18})(?:\s*-\s*([0-9]{1,18}))?\s*")
 
@@ -86,6 +87,38 @@ def select_frames(recording: Recording, frames: Integers) -> Recording:
     return _without(recording, every[~np.isin(every, frames)])
 
 
+def select_hand(recording: Recording, hand: str | int) -> Recording:
+    """The Recording of one hand, by name or number from 0, of an arm with several: its poses alone, the arm seen there.
+
+    Raises RigError for a hand that the arm does not have, and for another machine
+    """
+    arm, poses, corners = require_arm(recording.design.mechanism).of_hand(hand), recording.poses, recording.corners
+    if poses is not None and poses.hand is not None:
+        poses = replace(poses.take(poses.hand == arm.hand), hand=None)
+    mine = [one for one in recording.design.targets if one.body == "base" or one.stage == arm.hand]
+    targets = tuple(one if one.body == "base" else replace(one, body="platform") for one in mine)
+    if corners is not None:
+        corners = corners.take(np.isin(corners.marker, [number for target in targets for number in target.ids]))
+    design = replace(recording.design, mechanism=arm, targets=targets)
+    return replace(recording, design=design, poses=poses, corners=corners)
+
+
+def is_of_several_hands(recording: Recording) -> bool:
+    """Whether a recording shows several hands of one arm, by poses or by targets."""
+    names, poses = hand_names(recording.design.mechanism), recording.poses
+    seen = any(target.stage for target in recording.design.targets)
+    return bool(names) and (seen or (poses is not None and poses.hand is not None))
+
+
+def require_one_hand_shown(recording: Recording) -> None:
+    """Raise RigError for a recording that shows several hands, with how to choose one."""
+    if is_of_several_hands(recording):
+        raise RigError(
+            f"{recording.folder} is of several hands ({', '.join(hand_names(recording.design.mechanism))}), and this "
+            "is done for one: choose it with --hand NAME where the command has it, or select_hand(recording, NAME)"
+        )
+
+
 def _without(recording: Recording, out: Integers) -> Recording:
     """The Recording without frames (k,)."""
     seen, corners = recording.exposures, recording.corners
@@ -97,35 +130,14 @@ def _without(recording: Recording, out: Integers) -> Recording:
         camera=list(compress(seen.camera, keep)),
         image=list(compress(seen.image, keep)),
     )
-    if corners is not None:
-        keep = ~np.isin(corners.frame, out)
-        corners = replace(
-            corners,
-            frame=corners.frame[keep],
-            camera=list(compress(corners.camera, keep)),
-            marker=corners.marker[keep],
-            corner=corners.corner[keep],
-            uv=corners.uv[keep],
-            covariance=None if corners.covariance is None else corners.covariance[keep],
-        )
-    poses = None if recording.poses is None else _others(recording.poses, out)
+    corners = None if corners is None else corners.take(~np.isin(corners.frame, out))
+    poses = None if recording.poses is None else recording.poses.take(~np.isin(recording.poses.frame, out))
     return replace(
         recording,
         exposures=seen,
         corners=corners,
         poses=poses,
-        stages={k: _others(own, out) for k, own in recording.stages.items()},
-    )
-
-
-def _others(poses: Poses, out: Integers) -> Poses:
-    """Poses of other frames than these (k,)."""
-    keep = ~np.isin(poses.frame, out)
-    return replace(
-        poses,
-        frame=poses.frame[keep],
-        T_base_platform=poses.T_base_platform[keep],
-        covariance=None if poses.covariance is None else poses.covariance[keep],
+        stages={k: own.take(~np.isin(own.frame, out)) for k, own in recording.stages.items()},
     )
 
 

@@ -22,6 +22,7 @@ from rig.formats.csv_and_parquet_tables_and_time_origin import (
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import require_complete_folder, write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
+from rig.model.arm_branches_and_hands import hand_names
 from rig.model.base_and_link_tilts import GRAVITY, BaseTilt, gravity_channels, has_gravity, times_between_small_turns
 from rig.model.design import Design, Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
@@ -196,7 +197,7 @@ def load_recording(folder: str | Path, skip_unreadable: bool = False) -> Recordi
     corners = load_corners(folder / "corners.csv", design, exposures)
     known = set(exposures.frame.tolist())
     poses = (
-        load_instrument_poses(folder / "poses.csv", known, design.instrument)
+        load_instrument_poses(folder / "poses.csv", known, design.instrument, hands=hand_names(design.mechanism))
         if local_and_remote_input_files.exists(folder / "poses.csv")
         else None
     )

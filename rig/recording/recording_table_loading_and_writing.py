@@ -2,30 +2,24 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_and_json_types import Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import FileError
 from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, Table, TableFormat
 from rig.formats.output_files import write_text
 from rig.model.design import Design, Instrument
-from rig.model.pose import (
-    TRIANGLE,
-    covariance_from_triangle,
-    pose,
-    pose_to_vector,
-    poses_pointing_along,
-    roll_pitch_yaw,
-    roll_pitch_yaw_sigmas,
-)
+from rig.model.pose import TRIANGLE, covariance_from_triangle, pose, pose_to_vector, poses_pointing_along
 from rig.recording.direction_table import read_direction_table
 from rig.recording.exposure_table import Exposures
+from rig.recording.frame_and_hand_columns import HAND, frame_and_hand_columns, frame_column
 
 POSE_COLUMNS = ("x", "y", "z", "rx", "ry", "rz")
 POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
@@ -47,17 +41,31 @@ class Corners:
     uv: Floats
     covariance: Floats | None
 
+    def take(self, rows: Booleans) -> "Corners":
+        """The corners of a mask (n,)."""
+        camera = list(compress(self.camera, rows))
+        covariance = None if self.covariance is None else self.covariance[rows]
+        own = (self.marker[rows], self.corner[rows], self.uv[rows])
+        return Corners(self.frame[rows], camera, *own, covariance)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
     """Platform in base. frame : (n,) int; T_base_platform : RigidTransform (n,); covariance : (n, 6, 6) m, rad, on the
     right, order x y z rx ry rz, or None; common : (n, 6, k) m, rad, factor of errors that poses share beyond it, or
-    None: of several recordings together, where the instrument stood in each."""
+    None: of several recordings, where the instrument stood in each; hand : (n,) number, from 0, of its hand, or None"""
 
     frame: Integers
     T_base_platform: RigidTransform
     covariance: Floats | None
     common: Floats | None = None
+    hand: Integers | None = None
+
+    def take(self, index: Booleans | Integers) -> "Poses":
+        """The poses of an index or mask (n,)."""
+        covariance, common = (None if part is None else part[index] for part in (self.covariance, self.common))
+        own = (self.frame[index], self.T_base_platform[index], covariance, common)
+        return Poses(*own, None if self.hand is None else self.hand[index])
 
 
 def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | None:
@@ -137,43 +145,48 @@ def load_poses(
     positions_only: bool = False,
     are_commands: bool = False,
     form: TableFormat = PLAIN,
+    hands: tuple[str, ...] = (),
 ) -> Poses:
     """Load the Poses of a poses.csv, measured or wanted.
 
     known_frames : set of frame numbers that there are, or None; positions_only : rotations and covariances, if there
     are any, mean nothing: the poses are unrotated; are_commands : a covariance may be 0 in directions in which the
-    machine has no freedom; form : of the file
+    machine has no freedom; form : of the file; hands : names in its column `hand`, where there are several
     Raises FileError with line and column.
     """
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(
-        path, ("frame", *POSE_COLUMNS[: 3 if positions_only else 6]), COVARIANCE_COLUMNS, form
+        path, ("frame", *[HAND][: len(hands)], *POSE_COLUMNS[: 3 if positions_only else 6]), COVARIANCE_COLUMNS, form
     )
-    frame = _frames(rows, known_frames)
+    frame, hand = frame_and_hand_columns(rows, known_frames, hands)
     values, k = np.zeros((len(rows), 6)), 3 if positions_only else 6
     values[:, :k] = form.units.si(rows.matrix(POSE_COLUMNS[:k]), POSE_UNITS[:k])
     _plausible(rows, values[:, :3], POSE_COLUMNS[:3])
-    return Poses(
-        frame, pose(values[:, :3], values[:, 3:]), None if positions_only else _pose_covariance(rows, are_commands)
-    )
+    covariance = None if positions_only else _pose_covariance(rows, are_commands)
+    found = Poses(frame, pose(values[:, :3], values[:, 3:]), covariance, hand=hand)
+    return found if hand is None else found.take(np.lexsort((hand, frame)))
 
 
 def load_instrument_poses(
-    path: str | Path, known_frames: set[int] | None, instrument: Instrument | None, form: TableFormat = PLAIN
+    path: str | Path,
+    known_frames: set[int] | None,
+    instrument: Instrument | None,
+    form: TableFormat = PLAIN,
+    hands: tuple[str, ...] = (),
 ) -> Poses:
     """Load the Poses of a poses.csv as its instrument measures them: poses, orientations, distances or directions.
 
-    form : of the file, where it holds poses or directions. Raises FileError with line and column
+    form : of the file, where it holds poses or directions; hands : as there. Raises FileError with line and column
     """
     kind = "pose" if instrument is None else instrument.kind
     if kind == "pose":
-        return load_poses(path, known_frames, instrument is not None and instrument.rotation_sigma is None, form=form)
+        alone = instrument is not None and instrument.rotation_sigma is None
+        return load_poses(path, known_frames, alone, form=form, hands=hands)
     if kind == "direction":
         rows, directions = read_direction_table(path, form)
-        return Poses(_frames(rows, known_frames), poses_pointing_along(directions), None)
+        return Poses(frame_column(rows, known_frames), poses_pointing_along(directions), None)
     columns = POSE_COLUMNS[3:] if kind == "orientation" else (DISTANCE,)
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", *columns))
-    frame, values = _frames(rows, known_frames), rows.matrix(columns)
-    nothing = np.zeros((len(rows), 3))
+    frame, values, nothing = frame_column(rows, known_frames), rows.matrix(columns), np.zeros((len(rows), 3))
     if kind == "orientation":
         return Poses(frame, pose(nothing, values), None)
     _plausible(rows, values, columns)
@@ -182,19 +195,6 @@ def load_instrument_poses(
         length = values[short[0], 0]
         rows.fail(f"a wire's length must be positive, not {length:g} m", short[0], DISTANCE, length)
     return Poses(frame, pose(np.pad(values, ((0, 0), (0, 2))), nothing), None)
-
-
-def _frames(rows: Table, known_frames: set[int] | None) -> Integers:
-    """(n,) frame of each row, each once and known."""
-    frame = rows.whole("frame")
-    seen: dict[Any, Any] = {}
-    for i, number in enumerate(frame.tolist()):
-        if known_frames is not None and number not in known_frames:
-            rows.fail(f"frame {number} is not in frames.csv", i, "frame", number)
-        if number in seen:
-            rows.fail(f"frame {number} is listed twice, first in line {rows.lines[seen[number]]}", i, "frame", number)
-        seen[number] = i
-    return frame
 
 
 def _plausible(rows: Table, values: Floats, columns: tuple[str, ...]) -> None:
@@ -228,9 +228,6 @@ def _pose_covariance(rows: Table, commanded: bool) -> Floats | None:
     return covariance
 
 
-ANGLES = ("x", "y", "z", "roll", "pitch", "yaw")
-
-
 def write_table(path: Path, header: Iterable[str], rows: Iterable[str]) -> None:
     """Write a CSV table of a header (names) and rows (lines of text)."""
     write_text(path, "\n".join([",".join(header), *rows]) + "\n")
@@ -245,42 +242,20 @@ def write_configurations(path: Path, axis_names: Iterable[str], configurations: 
     )
 
 
-def write_poses(path: Path, poses: Poses) -> None:
-    """Write a poses.csv, with covariance where there is one; resolution 1e-10 m and rad."""
-    header = ["frame", *POSE_COLUMNS, *(COVARIANCE_COLUMNS if poses.covariance is not None else ())]
-    lines = [",".join(header)]
+def write_poses(path: Path, poses: Poses, hands: tuple[str, ...] = ()) -> None:
+    """Write a poses.csv, with covariance where there is one; resolution 1e-10 m and rad.
+
+    hands : names of the hands by number, of an arm with several
+    """
+    of_hand = [] if poses.hand is None else [hands[number] for number in poses.hand]
+    header = ["frame", *[HAND][: len(of_hand)], *POSE_COLUMNS]
+    lines = [",".join([*header, *(COVARIANCE_COLUMNS if poses.covariance is not None else ())])]
     for i, (frame, values) in enumerate(zip(poses.frame, pose_to_vector(poses.T_base_platform))):
-        cells = [str(frame), *(f"{value:.10f}" for value in values)]
+        cells = [str(frame), *of_hand[i : i + 1], *(f"{value:.10f}" for value in values)]
         if poses.covariance is not None:
             cells += [f"{value:.9e}" for value in poses.covariance[i][TRIANGLE]]
         lines.append(",".join(cells))
     write_text(path, "\n".join(lines) + "\n")
-
-
-def write_poses_as_roll_pitch_yaw(path: Path, poses: Poses) -> None:
-    """Write poses as x, y, z (m) and roll, pitch, yaw (rad), with standard deviations u_* where known."""
-    sure = poses.covariance is not None
-    rows = np.concatenate([poses.T_base_platform.translation, roll_pitch_yaw(poses.T_base_platform)], axis=-1)
-    lines = [
-        ",".join([str(frame), *(f"{value:.10f}" for value in row)])
-        for frame, row in zip(poses.frame, np.atleast_2d(rows))
-    ]
-    if poses.covariance is not None:
-        sigma = np.concatenate(
-            [_positions(poses), roll_pitch_yaw_sigmas(poses.T_base_platform, poses.covariance)], axis=-1
-        )
-        lines = [
-            line + "".join(f",{value:.4e}" if np.isfinite(value) else "," for value in row)
-            for line, row in zip(lines, sigma)
-        ]
-    write_table(path, ("frame", *ANGLES, *(f"u_{name}" for name in ANGLES if sure)), lines)
-
-
-def _positions(poses: Poses) -> Floats:
-    """(n, 3) m, standard deviations along the static frame's axes: a covariance stands along the platform's."""
-    R, C = poses.T_base_platform.rotation.as_matrix(), poses.covariance
-    assert C is not None
-    return np.sqrt(np.einsum("nij,njk,nik->ni", R, C[:, :3, :3], R))
 
 
 def write_corners(path: Path, corners: Corners) -> None:

@@ -17,7 +17,8 @@ import numpy as np
 from calib.diagnosis.findings_refit import findings_of_diagnosis, refit_arm_with_findings
 from calib.files.calibration_file import calibration_with_provenance
 from calib.models.arm import error_model_and_observations
-from calib.models.arm.certification import arm_workspace_claim, certify_arm
+from calib.models.arm.certification import certify_arm
+from calib.models.arm.workspace_claim import arm_workspace_claim
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.pose_samples import sample_recording
 from rig.effects.framework.effect import Effect

@@ -7,7 +7,7 @@ import numpy as np
 from calib.models.arm import error_model_and_observations
 from calib.samples.pose_samples import Samples
 from rig.model.design import Actuator, Design, Instrument, Platform
-from rig.model.pose import exp, log, pose, pose_to_vector
+from rig.model.pose import exp, log, pose, pose_difference, pose_to_vector
 from rig.recording.recording_table_loading_and_writing import POSE_COLUMNS, write_table
 from tests.rig.arms import configurations
 
@@ -117,7 +117,8 @@ def same_gauge(true, nominal, free):
     for _ in range(30):
         J = error_model_and_observations.parameter_jacobian(q, arm)[..., free].reshape(-1, free.sum())
         step = np.zeros(len(free))
-        step[free] = np.linalg.lstsq(J, error_model_and_observations.pose_residuals(q, T, arm).ravel())[0]
+        left = pose_difference(error_model_and_observations.predicted_target_poses(q, arm), T)
+        step[free] = np.linalg.lstsq(J, left.ravel())[0]
         arm = error_model_and_observations.arm_with_parameter_step(arm, step)
         if np.abs(step).max() < 1e-13:
             return arm

@@ -266,8 +266,10 @@ def _points(q: Floats, arm: Arm | Chain) -> tuple[Floats, Floats]:
     whatever stands where.
     """
     if isinstance(arm, Arm):
-        at = (mechanism.link_frames(q, arm)[..., :3, 3] - arm.base.translation) @ arm.base.rotation.as_matrix()
-        return at, at[:, : len(arm.joints)]
+        origins = mechanism.joint_frames(q, arm).before[..., :3, 3]
+        back = arm.base.rotation.as_matrix()
+        line = (mechanism.link_points(q, arm) - arm.base.translation) @ back
+        return line, (origins - arm.base.translation) @ back
     outline: list[Floats] = []
     joints: list[Floats] = []
     below = np.broadcast_to(np.eye(4), (len(q), 4, 4))

@@ -125,7 +125,7 @@ def _change_cell(change: float, sigma: float) -> str:
 
 def _arm_parameters(calibration: Calibration) -> str:
     fitted, nominal = calibration.correction.fitted, calibration.correction.nominal
-    sigma = np.sqrt(np.diag(calibration.covariance))[6:-6].reshape(-1, 5)
+    sigma = np.sqrt(np.diag(calibration.covariance))[6 : 6 + 5 * len(nominal.joints)].reshape(-1, 5)
     change = fitted.rows - nominal.rows
     rows = [(f"row {i + 1}", *(_change_cell(c, s) for c, s in zip(change[i], sigma[i]))) for i in range(len(change))]
     units = [

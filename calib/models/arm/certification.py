@@ -6,17 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.error_claim_over_workspace import (
-    DRAWS,
-    PLACES,
-    Claim,
-    ConfigurationInformation,
-    Workspace,
-    claim_from_machine_draws,
-    draw_variance_ratio,
-    empty_claim_of_too_few_configurations,
-    mean_square_pose_errors_of_extension,
-)
 from calib.certification.held_out_errors import (
     HeldErrors,
     HeldOut,
@@ -30,7 +19,6 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     axis_travel_limits,
     configuration_folds,
     configuration_numbers,
-    mean_sample_per_configuration,
 )
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.identify.least_squares_and_robust_fit import CONSISTENT, MOST, isolated_outlier_rows
@@ -50,14 +38,11 @@ from calib.models.arm.joint_effect_fit_and_held_out_scatter import (
     held_out_geometry_errors,
     identification_with_held_out_scatter,
     mean_square_arm_errors_caused_by_parameters,
-    unexplained_scatter_sentences,
 )
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Instrument
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.pose import pose_difference
-from rig.planning.configuration_generators import FILL, sobol_configurations
 
 STRETCHES = 30  # in time; every third is held out at once, so a third of the samples, and each sample once
 PARTS = 3
@@ -288,9 +273,12 @@ def placed_nominal_arm(observations: Observations, nominal: Arm, instrument: Ins
     """
     if instrument is None or "free" not in (instrument.base, instrument.tool):
         return nominal
-    free = np.zeros(12 + 5 * len(nominal.joints), bool)
-    free[:6], free[-6:] = instrument.base == "free", instrument.tool == "free"
-    return identify_arm(observations, replace(nominal, base=start.base, tool=start.tool), free, np.inf).arm
+    free, placed = np.zeros(len(error_model_and_observations.parameter_names(nominal)), bool), nominal
+    free[:6] = instrument.base == "free"
+    for k in range(max(len(nominal.hands), 1)):
+        placed = replace(placed, hand=k).with_ends(start.base, replace(start, hand=k).tool)
+        free[error_model_and_observations.tool_parameters(placed)] = instrument.tool == "free"
+    return identify_arm(observations, replace(placed, hand=nominal.hand), free, np.inf).arm
 
 
 def arm_pose_covariance(calibration: Calibration, commands: Floats) -> Floats:
@@ -346,64 +334,3 @@ def _held_out(
 def _spread(errors: Floats) -> Floats:
     """(6,) a robust scale of positions and of rotations, for comparing two fits."""
     return np.repeat([np.median(np.abs(errors[:, part])) for part in (slice(0, 3), slice(3, 6))], 3) + 1e-15
-
-
-def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.random.Generator) -> Claim:
-    """Claim of a certified arm over its workspace of recorded joint angles, each configuration once."""
-    found, correction = certified.found, certified.correction
-    good = found.inliers
-    if samples.measured in UNPLACED:
-        fitted = int(found.rank.free.sum())
-        return Claim(
-            int(certified.label.max()) + 1,
-            fitted,
-            fitted,
-            found.rank.asked,
-            "all determined parameters are fitted without one",
-            "none",
-            None,
-            None,
-            None,
-            None,
-            UNPLACED[samples.measured],
-        )
-    label = np.unique(certified.label[good], return_inverse=True)[1]
-    kept = samples.take(good)
-    each = mean_sample_per_configuration(
-        kept, label, error_model_and_observations.joint_jacobian(kept.commanded, found.arm)
-    )
-    words = f"the middle {FILL * 100:.0f} % of the recorded angles, all joints independent"
-    fitted = int(found.rank.free.sum())
-    told = ConfigurationInformation(
-        len(each), fitted, fitted, found.rank.asked, "all determined parameters are fitted without one"
-    )
-    if certified.held_out is None:
-        return empty_claim_of_too_few_configurations(told, words)
-    seen = np.stack([each.commanded.min(axis=0), each.commanded.max(axis=0)], axis=1)
-    q = sobol_configurations(seen, PLACES, FILL)
-    T = correction.predict(q)
-    stated = mean_square_pose_errors_of_extension(
-        correction, q, error_model_and_observations.joint_jacobian(q, found.arm)
-    )
-    own = certified.left.own_draws(float(stated[0]), DRAWS, rng) if certified.left is not None else stated
-    workspace = Workspace(
-        error_model_and_observations.parameter_jacobian(q, correction.fitted),
-        pose_difference(error_model_and_observations.predicted_target_poses(q, correction.nominal), T),
-        own,
-        words,
-    )
-    observed = sample_observations(each)
-    free = independent_arm_parameters(
-        correction.nominal, observed.kind
-    )  # of the figures stated: axes found a little off parallel tell no more
-    again = identify_arm(replace(observed, q=observed.q - correction.rho(observed.q)), correction.fitted, free)
-    whitened = np.linalg.solve(
-        np.linalg.cholesky(observed.covariance + np.diag(again.scatter**2)), again.residuals[..., None]
-    )[again.inliers]
-    freedom = max(whitened.size - int(again.rank.free.sum()), 1)
-    draws = rng.multivariate_normal(np.zeros(len(again.covariance)), again.covariance, DRAWS, method="eigh")
-    draws *= np.sqrt(draw_variance_ratio(float((whitened**2).sum()), freedom, DRAWS, rng))[:, None]
-    return replace(
-        claim_from_machine_draws(workspace, draws, each, told, rng),
-        unexplained=unexplained_scatter_sentences(again.scatter, observed.covariance),
-    )

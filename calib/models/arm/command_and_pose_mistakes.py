@@ -21,11 +21,13 @@ from rig.checks.command_and_pose_disagreements import LIKELY, pose_columns_of_po
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.checks.unit_and_convention_mistakes import poses_in_other_conventions
 from rig.errors import RigError
+from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Instrument
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
 from rig.model.pose import pose_to_vector
+from rig.recording.frame_selection_and_content_hashes import select_hand
 from rig.recording.recording_folder import Recording
 
 ROUNDS = 60
@@ -38,18 +40,18 @@ def _place_arm_roughly(q: Floats, T: RigidTransform, positions_only: bool, arm: 
     """
     if not (base or tool):
         return arm
-    links = mechanism.forward(q, replace(arm, base=RigidTransform.identity(), tool=RigidTransform.identity()))
+    links = mechanism.forward(q, arm.with_ends(RigidTransform.identity(), RigidTransform.identity()))
     if positions_only:
         return _from_positions(T.translation, links, arm, base, tool)
     if not base:
-        return replace(arm, tool=_middle(links.inv() * arm.base.inv() * T))
+        return arm.with_ends(tool=_middle(links.inv() * arm.base.inv() * T))
     if not tool:
         return replace(arm, base=_middle(T * (links * arm.tool).inv()))
     F = links.rotation.as_matrix()
     X, Z, _ = solve_rotation_placement(T.rotation.as_matrix(), F)
     A = np.concatenate([X @ F, np.tile(np.eye(3), (len(F), 1, 1))], axis=2).reshape(-1, 6)
     t = np.linalg.lstsq(A, (T.translation - links.translation @ X.T).ravel())[0]
-    return replace(arm, tool=rigid_transform(Z, t[:3]), base=rigid_transform(X, t[3:]))
+    return arm.with_ends(tool=rigid_transform(Z, t[:3]), base=rigid_transform(X, t[3:]))
 
 
 def _from_positions(p: Floats, links: RigidTransform, arm: Arm, base: bool, tool: bool) -> Arm:
@@ -141,6 +143,25 @@ class ReachedPoses:
         return position + REACH * rotation
 
 
+def find_mistakes_of_several_hands(recording: Recording) -> tuple[Mistake, ...]:
+    """Mistakes that make commands and poses of an arm's hands disagree, hand by hand, or two hands that are exchanged.
+
+    recording : whose poses are of several hands
+    """
+    names, poses = hand_names(recording.design.mechanism), recording.poses
+    assert poses is not None and poses.hand is not None
+    found = {name: find_arm_mistakes(select_hand(recording, name)) for name in names}
+    for one, other in combinations([name for name in names if found[name]], 2):
+        numbers = np.arange(len(names))
+        numbers[[names.index(one), names.index(other)]] = names.index(other), names.index(one)
+        changed = replace(recording, poses=replace(poses, hand=numbers[poses.hand]))
+        if not any(find_arm_mistakes(select_hand(changed, name)) for name in (one, other)):
+            what = f"poses.csv: the hands {one} and {other} are exchanged: each agrees with the other's joints"
+            return (Mistake(what, "Exchange their names", True, LIKELY),)
+    every = [replace(one, what=f"hand {name}: {one.what}") for name in names for one in found[name]]
+    return sort_mistakes(every)
+
+
 def find_arm_mistakes(recording: Recording) -> tuple[Mistake, ...]:
     """The mistake in an arm's commands and poses that makes them disagree, if there is one."""
     arm = recording.design.mechanism
@@ -160,7 +181,7 @@ def find_arm_mistakes(recording: Recording) -> tuple[Mistake, ...]:
         return ()
     design, T = recording.design, recording.poses.T_base_platform[some]
     alone = design.instrument is not None and design.instrument.rotation_sigma is None
-    v = pose_columns_of_poses_csv_as_written(recording)[some] if not alone else pose_to_vector(T)
+    v = pose_to_vector(T) if alone or arm.hands else pose_columns_of_poses_csv_as_written(recording)[some]
     return sort_mistakes(_mistakes(ReachedPoses(arm, design.instrument, all_q, index[some], v, alone, T)))
 
 

@@ -13,8 +13,8 @@ is for `rest` to say.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import cast
+from dataclasses import dataclass, replace
+from typing import Self, cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -83,7 +83,16 @@ class ArmCorrection(Correction[Arm, Profile]):
     @property
     def deficient(self) -> bool:
         """Whether the arm has too few joints to take any pose."""
-        return len(self.nominal.joints) < deficient.WHOLE
+        return int(self.nominal.moving.sum()) < deficient.WHOLE
+
+    def of_hand(self, hand: str | int) -> Self:
+        """The correction of one of an arm's several hands, by name or number; the joints of others stand at home."""
+        seen = replace(self, nominal=self.nominal.of_hand(hand), fitted=self.fitted.of_hand(hand))
+        return seen.with_other_joints_at(np.clip(0.0, *self.nominal.limits.T))
+
+    def with_other_joints_at(self, values: Floats) -> Self:
+        """The correction whose commands leave the joints that do not move its hand at values (joints,) rad or m."""
+        return replace(self, visited=np.where(self.nominal.moving, self.visited, values))
 
     def summand(self, commands: Floats) -> Floats:
         """KSF (..., joints) rad or m at commands: commanded less what the nominal model says for the pose that it

@@ -5,7 +5,8 @@ Independent parameters and pose Jacobians.
 Parameters stand in one vector of 12 + 5 n: the base (where the arm stands in the instrument's frame; tangent x y z rx
 ry rz on the right, m and rad), then theta, d, a, alpha, beta of every row (rad, m, m, rad, rad), then the tool (where
 the target sits on the last link; tangent on the right). To first order the target's pose moves by tangent =
-J_parameters dp + J_joints dq.
+J_parameters dp + J_joints dq. Of an arm with several hands the mounts of its branches follow the rows, then the tool of
+each hand: 6 + 5 n + 6 (branches + hands) parameters, one vector that all hands share.
 Source: lecture on the manipulator Jacobian, eqs 4.63 and 4.64 (d = M_theta dtheta + M_d dd + M_a da + M_alpha dalpha +
 M_beta dbeta and the rotational rows); Hayati, CDC 1983.
 
@@ -33,10 +34,7 @@ TANGENT = ("x", "y", "z", "rx", "ry", "rz")
 
 
 def joint_zeros(arm: Arm) -> Floats:
-    """Joint zeros (n,) rad, m for slides.
-
-    The offset of each joint's value in its row, theta or d.
-    """
+    """Joint zeros (n,) rad, m for slides: the offset of each joint's value in its row, theta or d."""
     return np.where(arm.slides, arm.rows[:, 1], arm.rows[:, 0])
 
 
@@ -51,56 +49,64 @@ def parameter_names(arm: Arm) -> tuple[str, ...]:
     base x .. base rz, theta 1, d 1, a 1, alpha 1, beta 1, theta 2 .., tool x ..
     """
     rows = [f"{name} {i + 1}" for i in range(len(arm.joints)) for name in ROW]
-    return tuple([f"base {name}" for name in TANGENT] + rows + [f"tool {name}" for name in TANGENT])
+    mounts = [f"mount {branch.joint + 1} {name}" for branch in arm.branches for name in TANGENT]
+    ends = [f"{hand.name} tool" for hand in arm.hands] or ["tool"]
+    return tuple([f"base {name}" for name in TANGENT] + rows + mounts + [f"{end} {x}" for end in ends for x in TANGENT])
 
 
 def parameter_units(arm: Arm) -> tuple[str, ...]:
     """Unit of each parameter, "m" or "rad"."""
-    ends = ["m"] * 3 + ["rad"] * 3
-    return tuple(ends + ["rad", "m", "m", "rad", "rad"] * len(arm.joints) + ends)
+    end = ["m"] * 3 + ["rad"] * 3
+    ends = end * (len(arm.branches) + max(len(arm.hands), 1))
+    return tuple(end + ["rad", "m", "m", "rad", "rad"] * len(arm.joints) + ends)
+
+
+def tool_parameters(arm: Arm) -> slice:
+    """Slice of the tool's six among the parameters: of the hand that the arm is seen at."""
+    start = 6 + 5 * len(arm.joints) + 6 * (len(arm.branches) + arm.hand)
+    return slice(start, start + 6)
 
 
 def arm_with_parameter_step(arm: Arm, step: Floats) -> Arm:
-    """Arm with its parameters changed by a step (12 + 5 n,)."""
-    rows = arm.rows + np.reshape(step[6:-6], (-1, 5))
-    return replace(arm, base=arm.base * exp(step[:6]), joints=rows, tool=arm.tool * exp(step[-6:]))
+    """Arm with its parameters changed by a step (p,)."""
+    ends = 6 + 5 * len(arm.joints)
+    changed = replace(arm, base=arm.base * exp(step[:6]), joints=arm.rows + np.reshape(step[6:ends], (-1, 5)))
+    if not arm.hands:
+        return replace(changed, tool=arm.tool * exp(step[-6:]))
+    parts = step[ends:].reshape(-1, 6)
+    mounts, tools = np.split(parts, [len(arm.branches)])
+    branches = tuple(replace(one, mount=one.mount * exp(part)) for one, part in zip(arm.branches, mounts))
+    hands = tuple(replace(one, tool=one.tool * exp(part)) for one, part in zip(arm.hands, tools))
+    return replace(changed, branches=branches, hands=hands)
 
 
-def predicted_target_poses(q: Floats, arm: Arm) -> RigidTransform:
-    """Predicted poses (...) of the instrument's target in the instrument's frame.
+def predicted_target_poses(q: Floats, arm: Arm, hand: Integers | None = None) -> RigidTransform:
+    """Predicted poses (...) of the instrument's target in the instrument's frame, at joint values q (..., n).
 
-    At joint values q (..., n).
+    hand : (m,) number of the hand that each row of q is of, None where it is the one that the arm is seen at
     """
-    return mechanism.forward(q, arm)
+    return mechanism.poses_of_hands(q, arm, hand)
 
 
-def pose_residuals(q: Floats, T_measured: RigidTransform, arm: Arm) -> Floats:
-    """Pose residuals (..., 6) m, rad.
+def joint_jacobian(q: Floats, arm: Arm, hand: Integers | None = None) -> Floats:
+    """Joint Jacobian (..., 6, n): change of the target's pose (m, rad) with joint values q (..., n). hand : as there"""
+    return mechanism.of_each_hand(mechanism.jacobian, q, arm, hand)
 
-    Measured against predicted, in the predicted target frame.
+
+def parameter_jacobian(q: Floats, arm: Arm, hand: Integers | None = None) -> Floats:
+    """Parameter Jacobian (..., 6, p): change of the target's pose (m, rad) with the parameters.
+
+    q : (..., n) rad or m; hand : as there. At the tool the columns are the identity; all others are axis x lever over
+        axis, seen in the target.
     """
-    return pose_difference(predicted_target_poses(q, arm), T_measured)
+    return mechanism.of_each_hand(_parameter_jacobian, q, arm, hand)
 
 
-def joint_jacobian(q: Floats, arm: Arm) -> Floats:
-    """Joint Jacobian (..., 6, n).
-
-    Change of the target's pose (m, rad) with joint values q (..., n).
-    """
-    return mechanism.jacobian(q, arm)
-
-
-def parameter_jacobian(q: Floats, arm: Arm) -> Floats:
-    """Parameter Jacobian (..., 6, 12 + 5 n).
-
-    Change of the target's pose (m, rad) with the parameters.
-    q : (..., n) rad or m. At the tool the columns are the identity; all others are axis x lever over axis, seen in the
-        target.
-    """
-    chain = mechanism.link_frames(q, arm)
+def _parameter_jacobian(q: Floats, arm: Arm) -> Floats:
+    """The same of the hand that the arm is seen at."""
+    before, after, tip = mechanism.joint_frames(q, arm)
     n = len(arm.joints)
-    R, p = chain[..., -1, :3, :3], chain[..., -1, :3, 3]
-    before, after = chain[..., :n, :, :], chain[..., 1 : n + 1, :, :]
+    R, p = tip[..., :3, :3], tip[..., :3, 3]
     rows = arm.rows
     turn = (mechanism.joint_values_with_zero_for_slides(q, arm) + rows[:, 0])[..., None]
     along = (
@@ -109,23 +115,31 @@ def parameter_jacobian(q: Floats, arm: Arm) -> Floats:
     across, origin = after[..., :3, 1], after[..., :3, 3]
     z = before[..., :3, 2]
     lever = p[..., None, :] - origin
-    out = np.zeros((*p.shape[:-1], 12 + 5 * n, 6))  # columns as rows first
-    out[..., :6, :] = _at_base(chain[..., 0, :3, :3], p - chain[..., 0, :3, 3])
-    joints = out[..., 6:-6, :].reshape(*p.shape[:-1], n, 5, 6)
+    out = np.zeros((*p.shape[:-1], len(parameter_units(arm)), 6))  # columns as rows first
+    base = arm.base.as_matrix()
+    out[..., :6, :] = _at_frame(base[:3, :3], p - base[:3, 3])
+    joints = np.zeros((*p.shape[:-1], n, 5, 6))
     joints[..., 0, :3], joints[..., 0, 3:] = np.cross(z, p[..., None, :] - before[..., :3, 3]), z
     joints[..., 1, :3] = z
     joints[..., 2, :3] = along
     joints[..., 3, :3], joints[..., 3, 3:] = np.cross(along, lever), along
     joints[..., 4, :3], joints[..., 4, 3:] = np.cross(across, lever), across
-    out[..., 6:-6, :] = joints.reshape(*p.shape[:-1], 5 * n, 6)
+    moving = arm.moving
+    joints[..., ~moving, :, :] = 0.0
+    out[..., 6 : 6 + 5 * n, :] = joints.reshape(*p.shape[:-1], 5 * n, 6)
+    for k, branch in enumerate(arm.branches):
+        if moving[branch.joint]:
+            at = before[..., branch.joint, :3, :]
+            part = slice(6 + 5 * n + 6 * k, 12 + 5 * n + 6 * k)
+            out[..., part, :] = _at_frame(at[..., :3], p - at[..., 3])
     out[..., :3], out[..., 3:] = out[..., :3] @ R, out[..., 3:] @ R
-    out[..., -6:, :] = np.eye(6)
+    out[..., tool_parameters(arm), :] = np.eye(6)
     return np.swapaxes(out, -1, -2)
 
 
-def _at_base(R: Floats, lever: Floats) -> Floats:
-    """(..., 6, 6), one parameter a row: the base's tangent on its right, seen in the frame of poses; lever (..., 3)
-    m.
+def _at_frame(R: Floats, lever: Floats) -> Floats:
+    """(..., 6, 6), one parameter a row: the tangent on the right of a frame, the base's or a mount's, seen in the frame
+    of poses; lever (..., 3) m.
     """
     out = np.zeros((*lever.shape[:-1], 6, 6))
     out[..., :3, :3] = np.swapaxes(R, -1, -2)
@@ -152,6 +166,7 @@ class Observations:
     right), 2 (about x and y, on the right) or 1, m and rad
     common : (m, k, j) factor of errors that all share (error = common z + own, z ~ N(0, I)); j = 0 where there are none
     tilts : TiltReadings beside them, None without tilt sensors
+    hand : (m,) number of the hand that each is of, None where all are of the one that an arm is seen at
     """
 
     kind: str
@@ -160,6 +175,7 @@ class Observations:
     covariance: Floats
     common: Floats
     tilts: TiltReadings | None = None
+    hand: Integers | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -177,40 +193,43 @@ class Observations:
     def take(self, index: Integers | slice) -> "Observations":
         """The observations of an index or mask (m,)."""
         tilts = None if self.tilts is None else self.tilts.take(index)
+        hand = None if self.hand is None else self.hand[index]
         return Observations(
-            self.kind, self.q[index], self.value[index], self.covariance[index], self.common[index], tilts
+            self.kind, self.q[index], self.value[index], self.covariance[index], self.common[index], tilts, hand
         )
 
     def residuals(self, arm: Arm) -> Floats:
         """(m, k): observed less predicted."""
+        T = predicted_target_poses(self.q, arm, self.hand)
         if self.kind in ("pose", "orientation"):
-            left = pose_residuals(self.q, self.value, arm)
+            left = pose_difference(T, self.value)
             return left if self.kind == "pose" else left[:, 3:]
         if self.kind == "direction":
-            return direction_difference(predicted_target_poses(self.q, arm), self.value)
-        position = predicted_target_poses(self.q, arm).translation
+            return direction_difference(T, self.value)
         if self.kind == "position":
-            return self.value - position
-        return (self.value - np.linalg.norm(position, axis=-1))[:, None]
+            return self.value - T.translation
+        return (self.value - np.linalg.norm(T.translation, axis=-1))[:, None]
 
     def jacobian(self, arm: Arm) -> Floats:
-        """(m, k, 12 + 5 n) change of what is predicted with the parameters."""
-        return observation_jacobian(self.kind, parameter_jacobian(self.q, arm), self.q, arm)
+        """(m, k, p) change of what is predicted with the parameters."""
+        J = parameter_jacobian(self.q, arm, self.hand)
+        return observation_jacobian(self.kind, J, self.q, arm, self.hand)
 
     def joint_jacobian(self, arm: Arm) -> Floats:
         """(m, k, n) change of what is predicted with the joint angles."""
-        return observation_jacobian(self.kind, joint_jacobian(self.q, arm), self.q, arm)
+        J = joint_jacobian(self.q, arm, self.hand)
+        return observation_jacobian(self.kind, J, self.q, arm, self.hand)
 
 
-def observation_jacobian(kind: str, pose_jacobian: Floats, q: Floats, arm: Arm) -> Floats:
-    """Jacobian (m, k, p) of observations of a kind, from that of the target's pose (m, 6, p)."""
+def observation_jacobian(kind: str, pose_jacobian: Floats, q: Floats, arm: Arm, hand: Integers | None = None) -> Floats:
+    """Jacobian (m, k, p) of observations of a kind, from that of the target's pose (m, 6, p). hand : as there"""
     if kind == "pose":
         return pose_jacobian
     if kind == "orientation":
         return pose_jacobian[:, 3:]
     if kind == "direction":
         return pose_jacobian[:, 3:5]
-    T = predicted_target_poses(q, arm)
+    T = predicted_target_poses(q, arm, hand)
     pose_jacobian = T.rotation.as_matrix() @ pose_jacobian[:, :3]
     if kind == "position":
         return pose_jacobian
@@ -219,11 +238,8 @@ def observation_jacobian(kind: str, pose_jacobian: Floats, q: Floats, arm: Arm) 
 
 
 def sample_observations(samples: Samples) -> Observations:
-    """Observations of Samples.
-
-    Whole poses, or the part of them that was measured, with what tilt sensors showed.
-    """
-    return replace(_instrument_observations(samples), tilts=samples.tilts)
+    """Observations of Samples: whole poses, or the part of them that was measured, with what tilt sensors showed."""
+    return replace(_instrument_observations(samples), tilts=samples.tilts, hand=samples.hand)
 
 
 def _instrument_observations(samples: Samples) -> Observations:
@@ -246,18 +262,12 @@ def _instrument_observations(samples: Samples) -> Observations:
 
 
 def pose_observations(samples: Samples) -> Observations:
-    """Pose observations of Samples.
-
-    Whole poses, with their covariance and common errors.
-    """
+    """Pose observations of Samples: whole poses, with their covariance and common errors."""
     return Observations("pose", samples.effective, samples.T_base_platform, samples.covariance, samples.common)
 
 
 def position_observations(q: Floats, positions: Floats, sigma: float | Floats) -> Observations:
-    """Position observations.
-
-    The target's positions (m, 3) m at joint angles q (m, n).
-    """
+    """Position observations: the target's positions (m, 3) m at joint angles q (m, n)."""
     variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
     return Observations(
         "position", np.asarray(q, float), np.asarray(positions, float), variance * np.eye(3), np.zeros((len(q), 3, 0))
@@ -265,10 +275,7 @@ def position_observations(q: Floats, positions: Floats, sigma: float | Floats) -
 
 
 def orientation_observations(q: Floats, orientations: RigidTransform, sigma: float | Floats) -> Observations:
-    """Orientation observations.
-
-    Rotations (m,) of the target at joint angles q (m, n); sigma (rad) about each axis.
-    """
+    """Orientation observations: rotations (m,) of the target at joint angles q (m, n); sigma (rad) about each axis."""
     variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
     return Observations(
         "orientation", np.asarray(q, float), orientations, variance * np.eye(3), np.zeros((len(q), 3, 0))
@@ -276,19 +283,13 @@ def orientation_observations(q: Floats, orientations: RigidTransform, sigma: flo
 
 
 def direction_observations(q: Floats, pointing: RigidTransform, sigma: float | Floats) -> Observations:
-    """Direction observations.
-
-    Poses (m,) whose z axes the target's points along at q (m, n); sigma (rad) across it.
-    """
+    """Direction observations: poses (m,) whose z axes the target's points along at q (m, n); sigma (rad) across it."""
     variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
     return Observations("direction", np.asarray(q, float), pointing, variance * np.eye(2), np.zeros((len(q), 2, 0)))
 
 
 def distance_observations(q: Floats, distances: Floats, sigma: float | Floats) -> Observations:
-    """Distance observations.
-
-    A drawn wire's lengths (m,) m at joint angles q (m, n).
-    """
+    """Distance observations: a drawn wire's lengths (m,) m at joint angles q (m, n)."""
     variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
     return Observations(
         "distance", np.asarray(q, float), np.asarray(distances, float), np.array(variance), np.zeros((len(q), 1, 0))
@@ -367,11 +368,12 @@ def generally_independent_parameters(arm: Arm, kind: str) -> Booleans:
     calib.models.arm.error_model_and_observations
     """
     rng, (low, high) = np.random.default_rng(SEED), arm.limits.T
-    arm = replace(
-        arm, base=pose(rng.normal(size=3), rng.normal(size=3)), tool=pose(0.1 * rng.normal(size=3), rng.normal(size=3))
-    )
-    q = rng.uniform(low, high, (CONFIGURATIONS, len(low)))
-    J = observation_jacobian(kind, parameter_jacobian(q, arm), q, arm)
+    for k in range(max(len(arm.hands), 1)):
+        base, tool = pose(rng.normal(size=3), rng.normal(size=3)), pose(0.1 * rng.normal(size=3), rng.normal(size=3))
+        arm = replace(arm, hand=k).with_ends(base, tool)
+    q = rng.uniform(low, high, (CONFIGURATIONS * max(len(arm.hands), 1), len(low)))
+    hand = np.arange(len(q)) % len(arm.hands) if arm.hands else None
+    J = observation_jacobian(kind, parameter_jacobian(q, arm, hand), q, arm, hand)
     columns = J.reshape(-1, J.shape[-1])
     free, basis = np.zeros(columns.shape[1], bool), np.zeros((len(columns), 0))
     for k in _order(arm):
@@ -402,6 +404,7 @@ def _order(arm: Arm) -> list[int]:
     zeros = joint_zero_indices(arm)
     angles = [*index[:, 3], *index[parallel, 4]]
     lengths = [*index[:, 2], *index[~parallel, 1]]
-    ends = [*range(6), *range(6 + 5 * n, 12 + 5 * n)]
+    count = len(parameter_units(arm))
+    ends = [*range(6), *range(6 + 5 * n, count)]
     first = [*ends, *zeros[1:].tolist(), *angles, *lengths]
-    return [int(k) for k in first] + [k for k in range(12 + 5 * n) if k not in first]
+    return [int(k) for k in first] + [k for k in range(count) if k not in first]

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.models.arm import error_model_and_observations
-from calib.models.arm.error_model_and_observations import Observations
+from calib.models.arm.error_model_and_observations import Observations, tool_parameters
 from rig.array_and_json_types import Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.mechanism_geometry_classes import Arm
@@ -73,13 +73,18 @@ def place_arm(observations: Observations, arm: Arm, base: bool, tool: bool) -> A
     """
     if not (base or tool):
         return arm
+    if observations.hand is not None:  # the first hand's observations place the base, which then holds for the others
+        for k in range(len(arm.hands)):
+            own = replace(observations.take(observations.hand == k), hand=None)
+            arm = place_arm(own, arm.of_hand(k), base and not k, tool)
+        return arm.of_hand(0)
     if len(observations) < LEAST[observations.kind]:
         raise NotEnoughData(
             f"{len(observations)} observations of a {observations.kind} cannot locate the instrument; "
             f"it takes {LEAST[observations.kind]}"
         )
     if observations.kind == "distance":
-        links = mechanism.forward(observations.q, replace(arm, base=RigidTransform.identity(), tool=arm.tool))
+        links = mechanism.forward(observations.q, arm.with_ends(base=RigidTransform.identity()))
         return _from_distances(observations.value, links, arm) if base else arm
     if observations.kind == "orientation":
         return _from_orientations(observations, arm, base, tool)
@@ -119,9 +124,7 @@ def _unknown(base: bool, tool: bool) -> str:
 
 def _starts(observations: Observations, arm: Arm, base: bool, tool: bool) -> list[Arm]:
     """Arms with different bases, the likeliest first."""
-    links = mechanism.forward(
-        observations.q, replace(arm, base=RigidTransform.identity(), tool=RigidTransform.identity())
-    )
+    links = mechanism.forward(observations.q, arm.with_ends(RigidTransform.identity(), RigidTransform.identity()))
     F, f = links.rotation.as_matrix(), links.translation
     value = observations.value
     p, M = (value.translation, value.rotation.as_matrix()) if isinstance(value, RigidTransform) else (value, None)
@@ -167,7 +170,7 @@ def _placed_about(
     Z = arm.tool.rotation.as_matrix()
     if tool and M is not None:
         Z = nearest_rotation(np.einsum("mji,kj,mkl->il", F, X, M))
-    return replace(arm, base=rigid_transform(X, t), tool=rigid_transform(Z, cast(Floats, z)))
+    return arm.with_ends(rigid_transform(X, t), rigid_transform(Z, cast(Floats, z)))
 
 
 def _apart(X: Floats, cost: Floats) -> list[int]:
@@ -191,12 +194,13 @@ def _refined(observations: Observations, arm: Arm, rows: Floats, unknown: tuple[
     """Placement by damped, robust least squares over base, tool and the joints' zeros, which a prior holds near the
     maker's rows (n, 5).
     """
-    n, posed = len(arm.joints), observations.kind == "pose"
-    free, prior = np.zeros(12 + 5 * n, bool), np.zeros(12 + 5 * n)
-    free[:6], free[-6:] = unknown
-    free[-3:] &= posed
+    posed = observations.kind == "pose"
+    count, tool = len(error_model_and_observations.parameter_names(arm)), tool_parameters(arm)
+    free, prior = np.zeros(count, bool), np.zeros(count)
+    free[:6], free[tool] = unknown
+    free[tool.stop - 3 : tool.stop] &= posed
     zeros = error_model_and_observations.joint_zero_indices(arm)[1:]  # all but the first, which is the base's
-    prior[:6], prior[-6:] = 1 / np.repeat([AWAY, TURN], 3), 1 / np.repeat([REACH, TURN], 3)
+    prior[:6], prior[tool] = 1 / np.repeat([AWAY, TURN], 3), 1 / np.repeat([REACH, TURN], 3)
     free[zeros], prior[zeros] = True, 1 / ZERO
     start = arm
     at = _Misfit.of(observations, arm, start, rows, prior, posed)
@@ -246,10 +250,9 @@ class _Misfit:
         r = observations.residuals(arm) / _sigma(posed)
         size = np.linalg.norm(r, axis=1)
         scale = max(1.0, float(np.median(size)))  # what is far off at first weighs less against the prior
-        moved = np.concatenate(
-            [log(start.base.inv() * arm.base), np.zeros(len(prior) - 12), log(start.tool.inv() * arm.tool)]
-        )
-        moved[6:-6] = (arm.rows - rows).ravel()
+        moved = np.zeros(len(prior))
+        moved[:6], moved[tool_parameters(arm)] = log(start.base.inv() * arm.base), log(start.tool.inv() * arm.tool)
+        moved[6 : 6 + rows.size] = (arm.rows - rows).ravel()
         return cls(r, prior * moved, scale, np.sqrt(np.minimum(1.0, HUBER * scale / np.maximum(size, 1e-12))) / scale)
 
     def cost(self, scale: float) -> float:
@@ -291,7 +294,7 @@ def _from_orientations(observations: Observations, arm: Arm, base: bool, tool: b
     Raises RigError where the hand's rotations leave a family of answers
     """
     none = RigidTransform.identity()
-    F = mechanism.forward(observations.q, replace(arm, base=none, tool=none)).rotation.as_matrix()
+    F = mechanism.forward(observations.q, arm.with_ends(none, none)).rotation.as_matrix()
     value = observations.value
     assert isinstance(value, RigidTransform)
     M, X, Z = value.rotation.as_matrix(), arm.base.rotation.as_matrix(), arm.tool.rotation.as_matrix()
@@ -303,12 +306,10 @@ def _from_orientations(observations: Observations, arm: Arm, base: bool, tool: b
                 "target; move more joints, or "
                 "state one of the two poses"
             )
-        return replace(
-            arm, base=rigid_transform(X, arm.base.translation), tool=rigid_transform(Z, arm.tool.translation)
-        )
+        return arm.with_ends(rigid_transform(X, arm.base.translation), rigid_transform(Z, arm.tool.translation))
     X = nearest_rotation(np.einsum("mij,mkj->ik", M, F @ Z)) if base else X
     Z = nearest_rotation(np.einsum("mji,mjk->ik", X @ F, M)) if tool else Z
-    return replace(arm, base=rigid_transform(X, arm.base.translation), tool=rigid_transform(Z, arm.tool.translation))
+    return arm.with_ends(rigid_transform(X, arm.base.translation), rigid_transform(Z, arm.tool.translation))
 
 
 def _from_directions(observations: Observations, arm: Arm) -> Arm:

@@ -79,7 +79,7 @@ class History:
         """
         design = replace(self.design, mechanism=arm)
         run = (design, self.commands, samples.t, poses_with_predicted_rotations(design, samples), effects, self.sensors)
-        return *motion_simulation.effective_commands_and_sway(*run), motion_simulation.lean_of_base(*run)
+        return *motion_simulation.effective_commands_and_sway(*run, samples.hand), motion_simulation.lean_of_base(*run)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,7 +169,7 @@ def fit_geometry_and_effects(
 @dataclass(frozen=True, slots=True, eq=False)
 class WhitenedSamples:
     """How samples see an arm. W : (m, k, k) weights of those that agree; inliers : (n,) bool; q : (n, joints);
-    kind : of Observations; arm : Arm; tilts : TiltWeights of r rows of tilt sensors, None without
+    kind, hand : of Observations; arm : Arm; tilts : TiltWeights of r rows of tilt sensors, None without
     nuisances : (m k + j + r, p + j + ..) whitened columns of the free parameters, of the j shared draws and of how tilt
         sensors are mounted; basis : orthonormal, of the same span."""
 
@@ -181,6 +181,7 @@ class WhitenedSamples:
     nuisances: Floats
     basis: Floats
     tilts: tuple[TiltReadings, TiltWeights] | None = None
+    hand: Integers | None = None
 
     @staticmethod
     def of(samples: Samples, found: Identified) -> "WhitenedSamples":
@@ -206,12 +207,14 @@ class WhitenedSamples:
             stacked,
             np.linalg.qr(stacked / np.linalg.norm(stacked, axis=0))[0],
             known,
+            o.hand,
         )
 
     def whitened(self, columns: Columns) -> Floats:
         """(m k + j, c) of Columns (n, ..)."""
-        moved = error_model_and_observations.joint_jacobian(self.q, self.arm) @ columns.joints + columns.hand
-        seen = self.W @ observation_jacobian(self.kind, moved, self.q, self.arm)[self.inliers]
+        J = error_model_and_observations.joint_jacobian(self.q, self.arm, self.hand)
+        moved = J @ columns.joints + columns.hand
+        seen = self.W @ observation_jacobian(self.kind, moved, self.q, self.arm, self.hand)[self.inliers]
         seen = seen.reshape(seen.shape[0] * seen.shape[1], seen.shape[2])
         if self.tilts is None:
             return self._padded(seen)
@@ -353,7 +356,7 @@ def mean_square_arm_errors_caused_by_parameters(
 
 def _fitted(found: Identified, correction: ArmCorrection, agreed: Samples) -> tuple[Floats, Floats, Floats]:
     """(jacobian (m, 6, p), covariance (p, p), noise (m, 6, 6)) of a fit."""
-    J = error_model_and_observations.parameter_jacobian(agreed.commanded, correction.fitted)
+    J = error_model_and_observations.parameter_jacobian(agreed.commanded, correction.fitted, agreed.hand)
     return J, found.covariance, sample_observations(agreed).covariance + np.diag(found.scatter**2)
 
 

@@ -184,14 +184,14 @@ def known_effects(effect_files: tuple[Plugin, ...]) -> Kinds:
     return catalogue_with_files(effect_files)
 
 
-def load_calibration(path: Path, effect_files: tuple[Plugin, ...]) -> Calibration:
+def load_calibration(path: Path, effect_files: tuple[Plugin, ...], several_hands: bool = False) -> Calibration:
     """Load a calibration that may use effects of these files.
 
     Raises RigError where such a file has changed since.
     """
     from calib.files import calibration_file
 
-    found = calibration_file.load(path, known_effects(effect_files))
+    found = calibration_file.load(path, known_effects(effect_files), several_hands)
     hashes = found.provenance.get("inputs_sha256", {}).values()
     used = {effect.name for effect in found.physics.effects} if found.physics is not None else set()
     for plugin in effect_files:
@@ -203,6 +203,7 @@ def load_calibration(path: Path, effect_files: tuple[Plugin, ...]) -> Calibratio
 def calibration_of_arguments(arguments: Namespace) -> Calibration:
     """Calibration that the argument CALIBRATION names, with the effects of --effects.
 
+    Of one hand or, where the command has --hand, several.
     Raises as `load_calibration`
     """
-    return load_calibration(arguments.calibration, load_effect_files(arguments))
+    return load_calibration(arguments.calibration, load_effect_files(arguments), "hand" in arguments)

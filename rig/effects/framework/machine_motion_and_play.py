@@ -9,11 +9,17 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.numba_kernels_and_lazy_exports import njit
+from rig.effects.framework.weight_of_platform_and_hands import (
+    UNSTATED,
+    has_stated_weights,
+    loads_by_weight_of_hands,
+    weight_wrench,
+)
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.base_and_link_tilts import gravity_at_exposures
 from rig.model.design import Actuator, Platform
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, MechanismKinematics
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, MechanismKinematics, has_links
 from rig.recording.recording_folder import PAYLOAD, Sensors
 
 SOON = 1e-6  # s; knots that lie closer together are one
@@ -290,12 +296,17 @@ class Motion:
         reason = self.no_loads()
         if reason:
             raise RigError(f"the model {reason}")
-        return self.once(
-            ("loads",), lambda: self.kind.axis_loads(self.T, self.lengths, self.mechanism, self.platform_wrench())
-        )
+        m = self.mechanism
+        if has_links(m) and m.hands:
+            return self.once(("loads",), lambda: loads_by_weight_of_hands(self.lengths, m, self.gravity_in_base()))
+        return self.once(("loads",), lambda: self.kind.axis_loads(self.T, self.lengths, m, self.platform_wrench()))
 
     def no_loads(self) -> str | None:
         """Why the loads of the axes are not known, or None."""
+        if has_links(self.mechanism) and self.mechanism.hands:
+            if not has_stated_weights(self.mechanism):
+                return UNSTATED
+            return "takes no payload with several hands" if self.payload().any() else None
         if self.platform.mass is None or self.platform.centre_of_mass is None:
             return "needs [platform] mass and centre_of_mass in rig.toml"
         if self.payload().any() and self.platform.payload_centre_of_mass is None:
@@ -304,13 +315,10 @@ class Motion:
 
     def platform_wrench(self) -> Floats:
         """(n, 6) N and N m of the weight of the platform and its payload, in the platform's frame."""
-        platform, payload = self.platform, self.payload()
-        R = self.posed().rotation.as_matrix()
-        down = np.einsum("nji,nj->ni", R, self.gravity_in_base())  # acceleration in the platform's axes
-        wrench = np.concatenate([platform.mass * down, _moment(platform.centre_of_mass, platform.mass * down)], axis=1)
+        platform, payload, gravity = self.platform, self.payload(), self.gravity_in_base()
+        wrench = weight_wrench(self.posed(), gravity, platform.mass or 0.0, platform.centre_of_mass)
         if payload.any():
-            weight = payload[:, None] * down
-            wrench += np.concatenate([weight, _moment(platform.payload_centre_of_mass, weight)], axis=1)
+            wrench += weight_wrench(self.posed(), gravity, payload, platform.payload_centre_of_mass)
         return wrench
 
     def links(self) -> Floats:
@@ -319,13 +327,6 @@ class Motion:
             ("links",),
             lambda: self.kind.link_weight_loads(self.T, self.lengths, self.mechanism, self.gravity_in_base()),
         )
-
-
-def _moment(arm: Floats | None, force: Floats) -> Floats:
-    """(n, 3) N m of forces (n, 3) N at a place (3,) m."""
-    if arm is None:
-        raise ValueError("where a weight acts is not stated")
-    return np.cross(arm, force)
 
 
 def independent_load_columns(load_table: Floats) -> Floats:

@@ -29,6 +29,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
+from rig.model.arm_branches_and_hands import Hand
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
 from rig.model.pose import pose
 
@@ -39,38 +40,40 @@ def arm_urdf(arm: Arm, name: str = "arm") -> str:
     Links base, link_1 .. link_n, platform; joints named as commands.csv heads its columns.
 
     An Arm that has a base (frame of poses to its own) or a tool (its last frame to the platform) carries them as fixed
-    joints.
+    joints. Of several hands each is a link of its name.
     """
-    identity = RigidTransform.identity()
-    links = ["base", *[f"link_{i + 1}" for i in range(len(arm.joints))], "platform"]
+    mounts = {branch.joint: branch.mount for branch in arm.branches}
+    hands = arm.hands or (Hand("platform", len(arm.joints) - 1, arm.tool),)
+    links = ["base", *[f"link_{i + 1}" for i in range(len(arm.joints))]]
     lines = [
         '<?xml version="1.0"?>',
         f"<robot name={quoteattr(name)}>",
-        *[f'  <link name="{link}"/>' for link in links],
+        *[f"  <link name={quoteattr(link)}/>" for link in (*links, *(hand.name for hand in hands))],
     ]
-    behind = getattr(arm, "base", identity)
-    for i, (axis, (low, high), parent, child) in enumerate(zip(arm.axes, arm.limits, links, links[1:])):
+    ends = [arm.base]  # of the base and of each link, in the frame in which a joint behind it is stated
+    for i, (axis, (low, high), parent) in enumerate(zip(arm.axes, arm.limits, arm.parents.tolist())):
         theta, d, a, alpha, beta = arm.rows[i]
         kind = "prismatic" if arm.slides[i] else "revolute"
+        behind = ends[parent + 1] * mounts.get(i, RigidTransform.identity())
         lines += [
             f'  <joint name="{axis}" type="{kind}">',
-            f'    <parent link="{parent}"/>',
-            f'    <child link="{child}"/>',
+            f'    <parent link="{links[parent + 1]}"/>',
+            f'    <child link="{links[i + 1]}"/>',
             f"    {origin_element(behind * pose([0, 0, 0], [0, 0, theta]))}",
             '    <axis xyz="0 0 1"/>',
             f'    <limit lower="{low:.12g}" upper="{high:.12g}" effort="0" velocity="0"/>',
             "  </joint>",
         ]
-        behind = pose([a, 0, d], [alpha, 0, 0]) * pose([0, 0, 0], [0, beta, 0])
-    lines += [
-        '  <joint name="tool" type="fixed">',
-        f'    <parent link="{links[-2]}"/>',
-        '    <child link="platform"/>',
-        f"    {origin_element(behind * getattr(arm, 'tool', identity))}",
-        "  </joint>",
-        "</robot>",
-    ]
-    return "\n".join(lines) + "\n"
+        ends.append(pose([a, 0, d], [alpha, 0, 0]) * pose([0, 0, 0], [0, beta, 0]))
+    for hand in hands:
+        lines += [
+            f'  <joint name={quoteattr("tool" if not arm.hands else f"{hand.name}_tool")} type="fixed">',
+            f'    <parent link="{links[hand.joint + 1]}"/>',
+            f"    <child link={quoteattr(hand.name)}/>",
+            f"    {origin_element(ends[hand.joint + 1] * hand.tool)}",
+            "  </joint>",
+        ]
+    return "\n".join([*lines, "</robot>"]) + "\n"
 
 
 def origin_element(T: RigidTransform) -> str:

@@ -18,6 +18,7 @@ from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cell
 from rig.formats.importers.foreign_table_columns import Cells
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.units_and_timestamps import split_header
+from rig.formats.importers.urdf_arm_with_several_hands import urdf_arm_with_several_hands
 from rig.formats.importers.urdf_joint_chain import MOVING, limits_text, load_joint_chain
 from rig.formats.length_and_angle_units import ANGLES, LENGTHS, SI, parse_length_and_angle_units
 from rig.formats.local_and_remote_input_files import short_repr
@@ -198,12 +199,12 @@ class ReadArm:
         ]
         limits = [f"  [{low!r}, {high!r}]," for low, high in arm.limits.tolist()]
         stands = [
-            f"{key} = {{ position = {T.translation.tolist()}, rotvec = {T.rotation.as_rotvec().tolist()} }}   # {text}"
+            f"{key} = {_pose(T)}   # {text}"
             for key, T, text in (
                 ("base", arm.base, "frame 0 of the rows, in the frame of poses"),
                 ("tool", arm.tool, "what is measured, in the last frame of the rows"),
             )
-            if not _is_identity(T)
+            if not _is_identity(T) and not (key == "tool" and arm.hands)
         ]
         return "\n".join(
             [
@@ -223,9 +224,26 @@ class ReadArm:
                 *limits,
                 "]",
                 *stands,
+                *_branch_and_hand_tables(arm),
                 "",
             ]
         )
+
+
+def _branch_and_hand_tables(arm: Arm) -> list[str]:
+    """Lines of the tables of an arm's branches and hands; none of an arm with one hand."""
+    out: list[str] = []
+    for branch in arm.branches:
+        out += ["", "[[mechanism.branch]]", f"joint = {branch.joint + 1}", f"parent = {branch.parent + 1}"]
+        out += [] if _is_identity(branch.mount) else [f"mount = {_pose(branch.mount)}"]
+    for hand in arm.hands:
+        out += ["", "[[mechanism.hand]]", f"name = {json.dumps(hand.name)}", f"joint = {hand.joint + 1}"]
+        out += [] if _is_identity(hand.tool) else [f"tool = {_pose(hand.tool)}"]
+    return out
+
+
+def _pose(T: RigidTransform) -> str:
+    return f"{{ position = {T.translation.tolist()}, rotvec = {T.rotation.as_rotvec().tolist()} }}"
 
 
 def _comment(text: str) -> str:
@@ -238,13 +256,14 @@ def _is_identity(T: RigidTransform) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class ArmFileOptions:
-    """The file that states an arm. urdf : with tip and root, links of it, None for its only end and its first
+    """The file that states an arm. urdf : with tips and root, links of it, none for its only end and its first; several
+    tips are the hands of one arm
     dh : table of Denavit-Hartenberg rows, with modified, whether in Craig's convention, and units, as "mm,deg"
     Raises RigError for options that do not belong to each other
     """
 
     urdf: Path | None = None
-    tip: str | None = None
+    tips: tuple[str, ...] = ()
     root: str | None = None
     dh: Path | None = None
     modified: bool = False
@@ -253,7 +272,7 @@ class ArmFileOptions:
     def __post_init__(self) -> None:
         if self.urdf is not None and self.dh is not None:
             raise RigError("--urdf and --dh both state the arm; give only one")
-        if (self.tip is not None or self.root is not None) and self.urdf is None:
+        if (self.tips or self.root is not None) and self.urdf is None:
             raise RigError("--tip and --root name links of a URDF; give --urdf FILE.urdf")
         if (self.modified or self.units is not None) and self.dh is None:
             raise RigError("--modified and --units apply to a table of Denavit-Hartenberg rows; give --dh FILE.csv")
@@ -271,17 +290,19 @@ def read_arm_file(options: ArmFileOptions) -> ReadArm | None:
         rig.formats.importers.arm_of_urdf_or_dh_table
     """
     if options.urdf is not None:
-        return read_urdf_arm(options.urdf, options.tip, options.root)
+        return read_urdf_arm(options.urdf, options.tips, options.root)
     return None if options.dh is None else read_dh_table_arm(options.dh, options.modified, options.units)
 
 
-def read_urdf_arm(path: Path, tip: str | None = None, root: str | None = None) -> ReadArm:
-    """ReadArm of a URDF's joints from a root link to a tip.
+def read_urdf_arm(path: Path, tips: tuple[str, ...] = (), root: str | None = None) -> ReadArm:
+    """ReadArm of a URDF's joints from a root link to a tip, or to several, whose forward kinematics is the URDF's.
 
     Whose forward kinematics is the URDF's.
     Raises FileError as rig.formats.importers.urdf_joint_chain.load_joint_chain
     """
-    chain = load_joint_chain(path, tip, root)
+    if len(tips) > 1:
+        return _read_urdf_arm_with_several_hands(path, tips, root)
+    chain = load_joint_chain(path, tips[0] if tips else None, root)
     placed = denavit_hartenberg_rows_of_joint_axes(*chain.axes_at_zero())
     moving = chain.moving
     arm = Arm(
@@ -294,6 +315,24 @@ def read_urdf_arm(path: Path, tip: str | None = None, root: str | None = None) -
     source = f"{path.name}, link {chain.root} to link {chain.tip}"
     lines = (*(joint.line_of_text for joint in chain.joints), *chain.remarks)
     return ReadArm(arm, chain.name, tuple(joint.name for joint in moving), source, lines)
+
+
+def _read_urdf_arm_with_several_hands(path: Path, tips: tuple[str, ...], root: str | None) -> ReadArm:
+    """The same of an arm whose hands are several tips."""
+    arm, chains = urdf_arm_with_several_hands(path, tips, root)
+    joints = {joint.name: joint for chain in chains for joint in chain.joints}
+    names = [joint.name for joint in joints.values() if joint.kind in MOVING]
+    shared = [name for name in names if all(name in [joint.name for joint in chain.moving] for chain in chains)]
+    lines = [joint.line_of_text for joint in joints.values()]
+    lines.append(f"joints that all hands share: {', '.join(shared) or 'none'}")
+    remarks = dict.fromkeys(line for chain in chains for line in chain.remarks if not _names_any(line, names))
+    source = f"{path.name}, link {chains[0].root} to links {', '.join(tips)}"
+    return ReadArm(arm, chains[0].name, tuple(names), source, (*lines, *remarks))
+
+
+def _names_any(remark: str, names: list[str]) -> bool:
+    """Whether a remark on a joint that is left out names one that another hand has."""
+    return any(remark.startswith(f"ignored joint {name}:") for name in names)
 
 
 def read_dh_table_arm(path: Path, is_modified: bool = False, units: str | None = None) -> ReadArm:

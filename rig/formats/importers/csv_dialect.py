@@ -10,6 +10,7 @@ from pathlib import Path
 
 from rig.errors import FileError
 from rig.formats.csv_and_parquet_tables_and_time_origin import is_parquet, read_parquet_cells
+from rig.formats.importers.array_cells import APART, cells_with_arrays_as_columns, is_array_cell
 from rig.formats.importers.foreign_table_columns import (
     LONGEST,
     NUMBER,
@@ -19,6 +20,7 @@ from rig.formats.importers.foreign_table_columns import (
 )
 from rig.formats.importers.import_recipe import DECIMALS, SEPARATORS, ForeignTable
 from rig.formats.importers.units_and_timestamps import ambiguity_error
+from rig.formats.importers.yaml_and_matlab_tables import is_matlab, is_yaml, read_matlab_rows, read_yaml_rows
 from rig.formats.local_and_remote_input_files import read_bytes, short_repr
 
 LARGEST = 1 << 27  # bytes
@@ -38,9 +40,18 @@ def read_foreign_table_header_and_cells(table: ForeignTable, section: str) -> Ce
 
     Raises FileError for what is no table, RigError for one that reads well in two ways
     """
+    return cells_with_arrays_as_columns(_read_cells(table, section), section)
+
+
+def _read_cells(table: ForeignTable, section: str) -> Cells:
+    """The same with cells as they are written."""
     if is_parquet(table.file):
         header, rows = add_time_column(table, *read_parquet_cells(table.file))
         return Cells(table.file, header, rows, list(range(1, len(rows) + 1)), table, ())
+    if is_yaml(table.file) or is_matlab(table.file):
+        read = read_yaml_rows(table.file, section) if is_yaml(table.file) else read_matlab_rows(table.file)
+        header, rows = add_time_column(table, read.header, read.rows)
+        return Cells(table.file, header, rows, read.lines, table, read.said)
     content, words = _decoded(table.file)
     with_header = lines_with_missing_header_added(table, section, _lines(table.file, content, table.header is None))
     lines, table, words = with_header.lines, with_header.table, (*words, *with_header.said)
@@ -178,10 +189,7 @@ def _parsed(table: ForeignTable, lines: list[tuple[int, str]], separator: str, d
         return None
     header, *body = rows
     numbers = [number for number, _ in lines[1:]]
-    odd = next(
-        (i for i, row in enumerate(body) if len(row) != len(header) or any(len(cell) > LONGEST_CELL for cell in row)),
-        None,
-    )
+    odd = next((i for i, row in enumerate(body) if len(row) != len(header) or _too_long(row)), None)
     if odd is not None and len(body[odd]) == len(header):
         raise FileError(table.file, f"a cell has more than {LONGEST_CELL} characters", numbers[odd])
     if odd is not None:
@@ -205,26 +213,45 @@ def _parsed(table: ForeignTable, lines: list[tuple[int, str]], separator: str, d
     )
 
 
+def _too_long(row: list[str]) -> bool:
+    return any(len(cell) > LONGEST_CELL and not is_array_cell(cell) for cell in row)
+
+
 def _split(line: str, separator: str) -> list[str]:
     if separator == "space":
-        return line.split()
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=SEPARATORS[separator]), [])]
+        return _lists_joined(line.split(), " ")
+    sign = SEPARATORS[separator]
+    return _lists_joined([cell.strip() for cell in next(csv.reader([line], delimiter=sign), [])], sign)
+
+
+def _lists_joined(cells: list[str], sign: str) -> list[str]:
+    """Cells, with what lies within brackets as one: lists that are written without quotation marks."""
+    if not any(cell.startswith("[") for cell in cells):
+        return cells
+    out: list[str] = []
+    depth = 0
+    for cell in cells:
+        if depth > 0:
+            out[-1] += f"{sign} {cell}"
+        else:
+            out.append(cell)
+        if depth > 0 or cell.startswith("["):
+            depth += cell.count("[") - cell.count("]")
+    return out
 
 
 def _fit(rows: list[list[str]], decimal: str) -> bool:
     header, *body = rows
     if not 2 <= len(header) <= MOST_COLUMNS or len({len(row) for row in rows}) > 1:
         return False
-    if (
-        any(len(cell) > LONGEST_CELL for row in rows for cell in row)
-        or NUMBER["point"].fullmatch(header[0])
-        or DATE.fullmatch(header[0])
-    ):
+    if any(_too_long(row) for row in rows) or NUMBER["point"].fullmatch(header[0]) or DATE.fullmatch(header[0]):
         return False
     figures = 0
     for row in body:
         for cell in row:
-            if len(cell) <= LONGEST and (NUMBER[decimal].fullmatch(cell) or DATE.fullmatch(cell)):
+            if is_array_cell(cell) or (
+                len(cell) <= LONGEST and (NUMBER[decimal].fullmatch(cell) or DATE.fullmatch(cell))
+            ):
                 figures += 1
             elif (cell and TORN.search(cell) and not DATE.match(cell)) or NUMBER[
                 "comma" if decimal == "point" else "point"
@@ -234,6 +261,9 @@ def _fit(rows: list[list[str]], decimal: str) -> bool:
 
 
 def _point(cell: str, decimal: str) -> str:
+    """A cell with a decimal point; the numbers of a list apart by one space, whatever was between them."""
+    if is_array_cell(cell):
+        return APART.sub(" ", cell)
     return cell.replace(",", ".") if decimal == "comma" and NUMBER["comma"].fullmatch(cell) else cell
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats, Integers
-from rig.errors import RigError
-from rig.formats.checked_entries import LARGEST_RIG
+from rig.errors import FileError, RigError
+from rig.formats.checked_entries import LARGEST_RIG, nearest_known_word
 from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import (
     FRAME,
@@ -24,6 +24,8 @@ from rig.formats.importers.foreign_table_columns import (
 from rig.formats.importers.import_recipe import EULER, ForeignTable
 from rig.formats.importers.units_and_timestamps import ambiguity_error
 from rig.formats.length_and_angle_units import ANGLES, LENGTHS
+from rig.formats.local_and_remote_input_files import short_repr
+from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Design
 from rig.model.mechanisms import hexapod, kinematics_of
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, is_hexapod
@@ -41,6 +43,7 @@ VECTOR = {
 EULERS = {"roll": ("roll",), "pitch": ("pitch",), "yaw": ("yaw",)}
 QUATERNION = {"qw": ("qw", "quatw", "w"), "qx": ("qx", "quatx"), "qy": ("qy", "quaty"), "qz": ("qz", "quatz")}
 NUMBERED = {"q0": ("q0",), "q1": ("q1",), "q2": ("q2",), "q3": ("q3",), "q4": ("q4",)}
+HAND = {"hand": ("hand", "tip", "arm", "gripper", "effector", "greifer", "main", "mano")}
 REACH = (0.02, 10.0)  # of the rig's size, that positions lie from its origin
 UNIT = 1e-2  # that a quaternion's length may differ from one
 UNKNOWN_SIZE = 0.5  # m, of a rig of which nobody knows how large it is
@@ -56,7 +59,7 @@ ReadRotations = tuple[Rotation | None, ForeignTable, tuple[str, ...]]
 @dataclass(frozen=True, slots=True, eq=False)
 class ImportedPoses:
     """T : RigidTransform (n,), or positions unrotated where alone is true; frame : (n,) numbers or None; t : n exact s
-    or None.
+    or None; hand : (n,) number, from 0, of the hand that each is of, None of arms with one
     """
 
     T: RigidTransform
@@ -65,6 +68,7 @@ class ImportedPoses:
     t: list[Decimal] | None
     table: ForeignTable
     said: tuple[str, ...]
+    hand: Integers | None = None
 
 
 Asked = Callable[[list[Decimal] | None, Floats | None, int], Floats | None]
@@ -91,9 +95,10 @@ def read_poses(
         keep = [k for k, header in enumerate(cells.header) if header not in of_commands]
         rows = [[row[k] for k in keep] for row in cells.rows]
         cells = replace(cells, header=tuple(cells.header[k] for k in keep), rows=rows)
-    found = find_columns(
-        cells, "poses", {**TIME, **FRAME, **POSITION, **VECTOR, **EULERS, **QUATERNION, **NUMBERED}, ("x", "y", "z")
-    )
+    hands = hand_names(design.mechanism)
+    of_hands = HAND if hands else {}
+    names = {**TIME, **FRAME, **of_hands, **POSITION, **VECTOR, **EULERS, **QUATERNION, **NUMBERED}
+    found = find_columns(cells, "poses", names, ("x", "y", "z", *of_hands))
     table = replace(cells.table, columns=column_headers_for_import_recipe(table, cells, found))
     p, table, said = _positions(cells, found, table, design)
     t = None
@@ -105,10 +110,24 @@ def read_poses(
             replace(table, time_unit=read_times.unit, zone=read_times.zone),
         )
     frame = np.array(cells.numbers(found["frame"])) if "frame" in found else None
-    rotations, table, more = _rotations(cells, found, table, design, p, commands_of_rows(t, frame, len(p)))
+    hand = _hand_numbers(cells, found["hand"], hands) if hands else None
+    q = commands_of_rows(t, frame, len(p))
+    if q is not None and hand is not None:
+        q = np.where((hand == 0)[:, None], q, np.nan)  # turns are compared of one hand
+    rotations, table, more = _rotations(cells, found, table, design, p, q)
     alone = rotations is None
     T = RigidTransform.from_components(p, Rotation.identity(len(p)) if alone else rotations)
-    return ImportedPoses(T, alone, frame, t, table, (*cells.said, *said, *more))
+    return ImportedPoses(T, alone, frame, t, table, (*cells.said, *said, *more), hand)
+
+
+def _hand_numbers(cells: Cells, at: int, hands: tuple[str, ...]) -> Integers:
+    """(n,) number of each row's hand, by its name in a column. Raises FileError at the first that is none."""
+    for name, line in zip(cells.column(at), cells.lines):
+        if name not in hands:
+            near = nearest_known_word(name, hands)
+            hint = f"is {near!r} meant?" if near else f"rig.toml has {', '.join(hands)}"
+            raise FileError(cells.path, f"{short_repr(name)} is no hand; {hint}", line, at + 1, name)
+    return np.array([hands.index(name) for name in cells.column(at)])
 
 
 def _positions(
@@ -212,16 +231,20 @@ def _disagreement_with_commands(
     """How far rotations (n,) at positions p (n, 3) m are from what was commanded, q (n, axes), and that in words; None
     where it cannot be determined.
 
-    Of an arm the turns between one pose and the next are compared: they depend neither on where the instrument stands
-    nor on where its target sits.
+    Rows of which nothing commanded is known, NaN, do not count. Of an arm the turns between one pose and the next are
+    compared: they depend neither on where the instrument stands nor on where its target sits.
     """
     m = design.mechanism
-    if q is None or len(p) < LEAST:
+    if q is None:
+        return None
+    known = np.isfinite(q).all(axis=1)
+    p, q = p[known], q[known]
+    if len(p) < LEAST:
         return None
     if is_hexapod(m):
 
         def of_lengths(R: Rotation) -> tuple[float, str]:
-            off = float(np.sqrt(((hexapod.inverse(RigidTransform.from_components(p, R), m) - q) ** 2).mean()))
+            off = float(np.sqrt(((hexapod.inverse(RigidTransform.from_components(p, R[known]), m) - q) ** 2).mean()))
             return off, f"{off * 1e3:.3g} mm"
 
         return of_lengths
@@ -230,7 +253,7 @@ def _disagreement_with_commands(
     turns = _turns_between_rows(kinematics_of(m).forward(q, m).rotation)
 
     def of_turns(R: Rotation) -> tuple[float, str]:
-        off = float(np.sqrt(np.mean((_turns_between_rows(R) - turns) ** 2)))
+        off = float(np.sqrt(np.mean((_turns_between_rows(R[known]) - turns) ** 2)))
         return off, f"{np.degrees(off):.2g} degrees"
 
     return of_turns

@@ -38,6 +38,7 @@ from rig.formats.local_and_remote_input_files import read_bytes, read_text
 from rig.formats.output_files import write_bytes
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
+from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Design
 from rig.recording.image_file_check_and_reading import image_file_problem
 from rig.recording.recording_table_loading_and_writing import Poses, write_poses, write_table
@@ -149,7 +150,7 @@ def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
         if commanded is not None and commanded.table.file == recipe.poses.file:
             of_commands = [header for name, header in commanded.table.columns if name in design.mechanism.axes]
         posed = read_poses(recipe.poses, design, partial(_commanded, exposed, commanded), like, of_commands)
-        exposed, posed = _placed(exposed, posed, commanded)
+        exposed, posed = _placed_by_hand(exposed, posed, commanded)
     if exposed is None:
         raise RigError("there are no observations")
     _refuse_unused_options(recipe, skip_unreadable)
@@ -235,6 +236,27 @@ def _commanded(
         return None
     at, rows = (seconds_since_origin(times_of, commanded.t[0]) for times_of in (t, commanded.t))
     return np.stack([np.interp(at, rows, column) for column in commanded.values.T], axis=1)
+
+
+def _placed_by_hand(
+    exposed: ImportedExposures | None, posed: ImportedPoses, commanded: ImportedCommands | None
+) -> tuple[ImportedExposures, ImportedPoses]:
+    """Poses assigned to frames as `_placed`; of several hands, rows of one frame or time are one frame."""
+    if posed.hand is None:
+        return _placed(exposed, posed, commanded)
+    keys = posed.t if posed.frame is None else posed.frame.tolist()
+    if keys is None:
+        raise RigError(f"{posed.table.file}: poses of several hands belong to frames by a column frame or t; add one")
+    first: dict[object, int] = {}
+    back = [first.setdefault(key, len(first)) for key in keys]
+    rows = [back.index(number) for number in range(len(first))]
+    if len(set(zip(back, posed.hand.tolist()))) < len(back):
+        raise RigError(f"{posed.table.file}: a hand occurs twice in a frame")
+    frame, t = (None if part is None else [part[k] for k in rows] for part in (posed.frame, posed.t))
+    once = replace(posed, T=posed.T[rows], frame=None if frame is None else np.array(frame), t=t)
+    exposed, placed = _placed(exposed, once, commanded)
+    assert placed.frame is not None
+    return exposed, replace(posed, frame=placed.frame[back], said=placed.said)
 
 
 def _placed(
@@ -335,7 +357,8 @@ def write_recording(imported: ImportedRecording, folder: Path) -> None:
             [",".join([_text(t), *(_figure(v) for v in values)]) for t, values in zip(c.t, c.values)],
         )
     if posed is not None and posed.frame is not None:
-        write_poses(folder / "poses.csv", Poses(posed.frame, posed.T, None))
+        found = Poses(posed.frame.astype(int), posed.T, None, hand=posed.hand)
+        write_poses(folder / "poses.csv", found, hand_names(imported.design.mechanism))
     if imported.logged is not None:
         names, columns_of = zip(*imported.logged.channels)
         write_table(

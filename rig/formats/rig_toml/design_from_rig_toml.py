@@ -15,6 +15,7 @@ from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries, Required
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import camera_instrument_and_cube_entries
+from rig.formats.rig_toml.arm_branch_and_hand_entries import bodies_by_word, refuse_tables_unsuited_to_several_hands
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table, user_program_text
 from rig.formats.rig_toml.mechanism_entries import mechanism_of_table
 from rig.model.base_and_link_tilts import ANGLE_UNITS, BaseTilt, TiltSensor
@@ -34,13 +35,7 @@ from rig.model.design import (
     Target,
 )
 from rig.model.mechanisms.hexapod import home_values
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
-    Mechanism,
-    has_links,
-    has_struts,
-    is_hexapod,
-    target_bodies,
-)
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, has_struts, is_hexapod
 from rig.model.protocol_and_port_names import is_motor_record, is_user_program, port_problem
 
 SCHEMA = "rig/1"
@@ -110,10 +105,11 @@ def design_of_entries(root: Entries) -> Design:
             f"gravity is {root.units.shown(9.80665, 'm/s^2')}",
             "gravity",
         )
+    refuse_tables_unsuited_to_several_hands(root)
     mechanism, actuator = mechanism_of_table(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
     cameras, targets = (
         camera_instrument_and_cube_entries.cameras_of_tables(root.tables("camera")),
-        _targets(root.tables("target"), target_bodies(mechanism)),
+        _targets(root.tables("target"), bodies_by_word(mechanism)),
     )
     targets = camera_instrument_and_cube_entries.turned_targets(root.table("turned", optional=True), targets)
     camera_instrument_and_cube_entries.check_hand_mounted_cameras(root, cameras, targets, mechanism)
@@ -320,7 +316,7 @@ def _sensor(table: Entries) -> Sensor:
     return sensor
 
 
-def _targets(tables: list[Entries], bodies: tuple[str, ...]) -> tuple[Target, ...]:
+def _targets(tables: list[Entries], bodies: dict[str, str]) -> tuple[Target, ...]:
     targets, owners = list[Target](), dict[int, str]()
     for table in tables:
         listed, board = isinstance(table.tree.get("marker"), list), "board" in table.tree
@@ -330,7 +326,7 @@ def _targets(tables: list[Entries], bodies: tuple[str, ...]) -> tuple[Target, ..
         name = table.identifier("name")
         if name in [target.name for target in targets]:
             table.fail(f"target {name!r} is listed twice", "name", value=name)
-        body = table.text("body", bodies)
+        body = bodies[table.text("body", tuple(bodies))]
         target = _board(table, name, body) if board else (_listed if listed else _cube)(table, name, body)
         dictionary, keys = target.dictionary, list[tuple[str | int, ...]]()
         if board:

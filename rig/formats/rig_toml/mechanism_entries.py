@@ -14,6 +14,8 @@ from rig.errors import FileError
 from rig.formats.checked_entries import LARGEST_RIG, Entries, nearest_known_word
 from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.output_files import write_text
+from rig.formats.rig_toml.arm_branch_and_hand_entries import branches_of_tables, hands_of_tables
+from rig.model.arm_branches_and_hands import hand_names
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2, Stage
 from rig.model.mechanisms.file_mechanism import nominal_mechanism
 from rig.model.mechanisms.hexapod_singularity_and_cardan_twist import singular_geometry_problem
@@ -232,6 +234,9 @@ def _free(table: Entries) -> Free:
 
 def _chain(table: Entries) -> Chain:
     stages = [STAGES[one.text("kind", tuple(STAGES))](one) for one in table.tables("stage")]
+    for stage, one in zip(stages, table.tables("stage")):
+        if hand_names(stage):
+            one.fail("a stage of a chain has one hand, and [[mechanism.hand]] states several", "hand")
     if len(stages) < 2:
         table.fail(
             f"{table.name('stage')}: a chain has two stages or more, [[mechanism.stage]] each, got {len(stages)}",
@@ -242,10 +247,12 @@ def _chain(table: Entries) -> Chain:
 
 
 def _arm(table: Entries) -> Arm:
-    table.refuse_misspelt(("kind", "joints", "limits", "base", "tool"))
+    table.refuse_misspelt(("kind", "joints", "limits", "base", "tool", "branch", "hand"))
     joints, slides = joint_rows_and_kinds(table)
     stands = {key: table.pose(key) for key in Arm.placements if key in table.tree}
-    return Arm(joints, joint_limits(table, slides), slides=slides, **stands)
+    branches = branches_of_tables(table, len(joints))
+    hands = hands_of_tables(table, len(joints), branches)
+    return Arm(joints, joint_limits(table, slides), slides=slides, branches=branches, hands=hands, **stands)
 
 
 def _planar(table: Entries) -> Planar2:

@@ -8,14 +8,15 @@ Joint values q are rad, of slides m.
 Sources: Denavit and Hartenberg 1955; Hayati, Robot arm geometric link parameter estimation, CDC 1983.
 """
 
-from dataclasses import replace
-from typing import cast
+from collections.abc import Callable
+from typing import NamedTuple, cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.array_and_json_types import Booleans, Floats
-from rig.errors import Unreachable
+from rig.array_and_json_types import Booleans, Floats, Integers
+from rig.errors import RigError, Unreachable
+from rig.model.arm_branches_and_hands import carried_joints
 from rig.model.mechanism_geometry_classes import Arm
 
 AXIS, UNIT = "joint", "rad"
@@ -31,23 +32,75 @@ def link_frames(q: Floats, arm: Arm) -> Floats:
 
     Frames 0..n and the platform's.
     q : (..., n) rad, of slides m. Frame i - 1 carries axis i (its z). Raises ValueError for another number of joints or
-        values not finite
+        values not finite, RigError for an arm with several hands
     """
+    if arm.hands or arm.branches:
+        raise RigError(f"this requires an arm with one hand; this one has {len(arm.hands)}")
+    links = _links(q, arm)
+    out = np.empty((*links.shape[:-3], len(arm.joints) + 2, 4, 4))
+    out[..., 0, :, :] = arm.base.as_matrix()
+    for i in range(len(arm.joints)):
+        np.matmul(out[..., i, :, :], links[..., i, :, :], out=out[..., i + 1, :, :])
+    out[..., -1, :, :] = out[..., -2, :, :] @ arm.tool.as_matrix()
+    return out
+
+
+def _links(q: Floats, arm: Arm) -> Floats:
+    """Transforms (..., n, 4, 4) of the links at joint values q (..., n) rad or m. Raises ValueError as `link_frames`"""
     q = np.asarray(q, float)
     if q.shape[-1:] != (len(arm.joints),) or not np.isfinite(q).all():
         raise ValueError(
             f"expected finite joint angles (..., {len(arm.joints)}) "
             f"{'rad or m' if arm.slides.any() else 'rad'}, got shape {q.shape}"
         )
-    out = np.empty((*q.shape[:-1], len(arm.joints) + 2, 4, 4))
-    out[..., 0, :, :] = arm.base.as_matrix()
     links = link_transform(joint_values_with_zero_for_slides(q, arm), arm.rows.T)
     if arm.slides.any():
         links[..., 2, 3] += np.where(arm.slides, q, 0.0)
-    for i in range(q.shape[-1]):
-        np.matmul(out[..., i, :, :], links[..., i, :, :], out=out[..., i + 1, :, :])
-    out[..., -1, :, :] = out[..., -2, :, :] @ arm.tool.as_matrix()
+    return links
+
+
+class JointFrames(NamedTuple):
+    """before : (..., n, 4, 4) frames that carry the joints' axes, their z; after : (..., n, 4, 4) of the links that the
+    joints move; tip : (..., 4, 4) of the hand
+    """
+
+    before: Floats
+    after: Floats
+    tip: Floats
+
+
+def joint_frames(q: Floats, arm: Arm) -> JointFrames:
+    """JointFrames of an arm of one hand or several at joint values q (..., n) rad or m."""
+    if not (arm.branches or arm.hands):
+        chain = link_frames(q, arm)
+        return JointFrames(chain[..., :-2, :, :], chain[..., 1:-1, :, :], chain[..., -1, :, :])
+    links = _links(q, arm)
+    before, after = np.empty_like(links), np.empty_like(links)
+    mounts = {branch.joint: branch.mount.as_matrix() for branch in arm.branches}
+    for i, parent in enumerate(arm.parents.tolist()):
+        start = arm.base.as_matrix() if parent < 0 else after[..., parent, :, :]
+        before[..., i, :, :] = start @ mounts[i] if i in mounts else start
+        np.matmul(before[..., i, :, :], links[..., i, :, :], out=after[..., i, :, :])
+    last = arm.hands[arm.hand].joint if arm.hands else len(arm.joints) - 1
+    return JointFrames(before, after, after[..., last, :, :] @ arm.tool.as_matrix())
+
+
+def of_each_hand(function: Callable[[Floats, Arm], Floats], q: Floats, arm: Arm, hand: Integers | None) -> Floats:
+    """Values (m, ..) of a function (q (k, n), arm) -> (k, ..) with the hand (m,) of each row of q (m, n); the arm as it
+    is where None.
+    """
+    if hand is None or not len(hand):
+        return function(q, arm)
+    parts = [(hand == k, function(q[hand == k], arm.of_hand(int(k)))) for k in np.unique(hand)]
+    out = np.empty((len(hand), *parts[0][1].shape[1:]))
+    for rows, part in parts:
+        out[rows] = part
     return out
+
+
+def poses_of_hands(q: Floats, arm: Arm, hand: Integers | None) -> RigidTransform:
+    """Poses (m,) of the hand (m,) of each row of joint values q (m, n); of the arm as it is where None."""
+    return RigidTransform.from_matrix(of_each_hand(lambda own, one: joint_frames(own, one).tip, q, arm, hand))
 
 
 def joint_values_with_zero_for_slides(q: Floats, arm: Arm) -> Floats:
@@ -87,12 +140,8 @@ def link_transform(q: Floats, dh_row: Floats) -> Floats:
 
 
 def forward(q: Floats, arm: Arm, guess: RigidTransform | None = None) -> RigidTransform:
-    """Forward kinematics.
-
-    T_base_platform (...) of joint values q (..., n) rad or m.
-    guess : unused.
-    """
-    return RigidTransform.from_matrix(link_frames(q, arm)[..., -1, :, :])
+    """Forward kinematics: T_base_platform (...) of joint values q (..., n) rad or m. guess : unused."""
+    return RigidTransform.from_matrix(joint_frames(q, arm).tip)
 
 
 def jacobian(q: Floats, arm: Arm, output_axes: str = "platform") -> Floats:
@@ -105,20 +154,19 @@ def jacobian(q: Floats, arm: Arm, output_axes: str = "platform") -> Floats:
     """
     if output_axes not in ("platform", "base"):
         raise ValueError(f"axes must be 'platform' or 'base', not {output_axes!r}")
-    return geometric_jacobian(link_frames(q, arm), output_axes, arm.slides)
+    return geometric_jacobian(joint_frames(q, arm), arm, output_axes)
 
 
-def geometric_jacobian(matrices: Floats, output_axes: str = "platform", slides: Booleans | None = None) -> Floats:
-    """Geometric Jacobian (..., 6, n) of link frames (..., n + 2, 4, 4).
-
-    slides : (n,) bool, none by default
-    """
-    z, o = matrices[..., :-2, :3, 2], matrices[..., :-2, :3, 3]
-    J = np.concatenate([np.cross(z, matrices[..., -1:, :3, 3] - o), z], axis=-1)
-    if slides is not None and slides.any():
-        J[..., slides, :3], J[..., slides, 3:] = z[..., slides, :], 0.0
+def geometric_jacobian(frames: JointFrames, arm: Arm, output_axes: str = "platform") -> Floats:
+    """Geometric Jacobian (..., 6, n) of an arm whose joint frames these are; 0 of joints that do not move the hand."""
+    z, o = frames.before[..., :3, 2], frames.before[..., :3, 3]
+    J = np.concatenate([np.cross(z, frames.tip[..., None, :3, 3] - o), z], axis=-1)
+    if arm.slides.any():
+        J[..., arm.slides, :3], J[..., arm.slides, 3:] = z[..., arm.slides, :], 0.0
+    if arm.hands:
+        J[..., ~arm.moving, :] = 0.0
     if output_axes == "platform":
-        R = matrices[..., -1, :3, :3]
+        R = frames.tip[..., :3, :3]
         J = np.concatenate([J[..., :3] @ R, J[..., 3:] @ R], axis=-1)
     return np.swapaxes(J, -1, -2)
 
@@ -149,10 +197,7 @@ def home_values(arm: Arm) -> Floats:
 
 
 def axis_loads(T: RigidTransform, q: Floats, arm: Arm, wrench: Floats) -> Floats:
-    """Axis loads (m, n) N m (slides: N) of the joints that hold a wrench.
-
-    A wrench (m, 6) on the platform.
-    """
+    """Loads (m, n) N m (slides: N) of the joints that hold a wrench (m, 6) on the platform, the hand."""
     return -np.einsum("mij,mi->mj", jacobian(q, arm), wrench)
 
 
@@ -163,18 +208,20 @@ def link_weight_loads(T: RigidTransform, q: Floats, arm: Arm, gravity: Floats) -
     gravity : (3,), or (m, 3) of each posture, m/s^2 in the frame of poses
     Source: Luh, Walker and Paul's recursion at rest, as a regressor: Gautier and Khalil 1990
     """
-    chain, n = link_frames(q, arm), len(arm.joints)
-    z, o, R = chain[:, :n, :3, 2], chain[:, : n + 1, :3, 3], chain[:, 1 : n + 1, :3, :3]
-    out = np.zeros((len(chain), n, n, 4))
-    down = np.broadcast_to(gravity, (len(chain), 3))
-    tipped = np.cross(np.swapaxes(R, 2, 3), down[:, None, None])  # (m, link, axis of its frame, 3)
+    frames, n, carries = joint_frames(q, arm), len(arm.joints), carried_joints(arm.parents)
+    z, start, o = frames.before[..., :3, 2], frames.before[..., :3, 3], frames.after[..., :3, 3]
+    out = np.zeros((len(z), n, n, 4))
+    down = np.broadcast_to(gravity, (len(z), 3))
+    tipped = np.cross(np.swapaxes(frames.after[..., :3, :3], 2, 3), down[:, None, None])  # (m, link, its axis, 3)
     for j in range(n):
+        links = carries[j]
         if arm.slides[j]:
-            out[:, j, j:, 0] = -(z[:, j] * down).sum(axis=1)[:, None]
+            out[:, j, links, 0] = -(z[:, j] * down).sum(axis=1)[:, None]
             continue
-        out[:, j, j:, 0] = -np.einsum("mki,mi->mk", np.cross(o[:, j + 1 :] - o[:, [j]], down[:, None]), z[:, j])
-        out[:, j, j:, 1:] = -np.einsum("mkai,mi->mka", tipped[:, j:], z[:, j])
-    return out.reshape(len(chain), n, 4 * n)
+        lever = o[:, links] - start[:, [j]]
+        out[:, j, links, 0] = -np.einsum("mki,mi->mk", np.cross(lever, down[:, None]), z[:, j])
+        out[:, j, links, 1:] = -np.einsum("mkai,mi->mka", tipped[:, links], z[:, j])
+    return out.reshape(len(z), n, 4 * n)
 
 
 def link_weight_base_moments(q: Floats, arm: Arm, gravity: Floats) -> Floats:
@@ -183,11 +230,11 @@ def link_weight_base_moments(q: Floats, arm: Arm, gravity: Floats) -> Floats:
     Per kg and kg m of each link.
     gravity : (m, 3) m/s^2 of each posture; both in the frame of poses
     """
-    chain, n = link_frames(q, arm), len(arm.joints)
-    out = np.empty((len(chain), n, 4, 3))
-    out[:, :, 0] = np.cross(chain[:, 1 : n + 1, :3, 3] - chain[:, :1, :3, 3], gravity[:, None])
-    out[:, :, 1:] = np.cross(np.swapaxes(chain[:, 1 : n + 1, :3, :3], 2, 3), gravity[:, None, None])
-    return np.moveaxis(out.reshape(len(chain), 4 * n, 3), 2, 1)
+    after, n = joint_frames(q, arm).after, len(arm.joints)
+    out = np.empty((len(after), n, 4, 3))
+    out[:, :, 0] = np.cross(after[..., :3, 3] - arm.base.translation, gravity[:, None])
+    out[:, :, 1:] = np.cross(np.swapaxes(after[..., :3, :3], 2, 3), gravity[:, None, None])
+    return np.moveaxis(out.reshape(len(after), 4 * n, 3), 2, 1)
 
 
 def axis_deviation_and_sway_by_member_growth(
@@ -196,12 +243,12 @@ def axis_deviation_and_sway_by_member_growth(
     """Deviation (m, n) and sway (m, 6) by the growth of links, lengths d and a by shares (m, n).
     A slide's scale is its travel with it.
     """
-    chain, rows = link_frames(q, arm), arm.rows
-    before, turn = chain[:, : len(rows), :3], (joint_values_with_zero_for_slides(q, arm) + rows[:, 0])[..., None]
+    frames, rows = joint_frames(q, arm), arm.rows
+    before, turn = frames.before[..., :3, :], (joint_values_with_zero_for_slides(q, arm) + rows[:, 0])[..., None]
     along = np.cos(turn) * before[..., 0] + np.sin(turn) * before[..., 1]  # the common normal
     offset = rows[:, 1] + np.where(arm.slides, q, 0.0)
-    moved = np.einsum("mn,mni->mi", share, offset[..., None] * before[..., 2] + rows[:, 2, None] * along)
-    return np.zeros(share.shape), np.pad((moved[:, None] @ chain[:, -1, :3, :3])[:, 0], ((0, 0), (0, 3)))
+    moved = np.einsum("mn,mni->mi", share * arm.moving, offset[..., None] * before[..., 2] + rows[:, 2, None] * along)
+    return np.zeros(share.shape), np.pad((moved[:, None] @ frames.tip[:, :3, :3])[:, 0], ((0, 0), (0, 3)))
 
 
 def inverse_kinematics_jacobian(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
@@ -222,11 +269,21 @@ def jacobian_rows_by_axis(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
 
 
 def link_points(q: Floats, arm: Arm) -> Floats:
-    """Points (..., n + 2, 3) m of the line along the links at joint values q (..., n).
+    """Points (..., n + 2, 3) m of the line along the links at joint values q (..., n), in the frame of poses.
 
-    In the frame of poses.
+    Of several hands the line goes from the base to each in turn, and back
     """
-    return link_frames(q, arm)[..., :3, 3]
+    if not arm.hands:
+        return link_frames(q, arm)[..., :3, 3]
+    ways = []
+    for number in range(len(arm.hands)):
+        seen = arm.of_hand(number)
+        frames, moving = joint_frames(q, seen), seen.moving
+        along = np.stack([part[..., :3, 3][..., moving, :] for part in (frames.before, frames.after)], axis=-2)
+        base = np.broadcast_to(arm.base.translation, (*along.shape[:-3], 1, 3))
+        way = [base, along.reshape(*along.shape[:-3], -1, 3), frames.tip[..., None, :3, 3]]
+        ways += [*way, *(part[..., ::-1, :] for part in way[1::-1])]
+    return np.concatenate(ways, axis=-2)
 
 
 def strut_ends(T: RigidTransform, arm: Arm) -> None:
@@ -279,25 +336,23 @@ def solve_inverse(
         solved, had = error <= GOOD, left[todo] <= GOOD
         better = np.where(solved & had, outside[todo] & ~out, np.where(solved | had, solved, error < left[todo]))
         best[todo[better]], left[todo[better]], outside[todo[better]] = q[better], error[better], out[better]
-        trying = rng.uniform(arm.limits[:, 0], arm.limits[:, 1], best.shape)
+        trying = np.where(arm.moving, rng.uniform(arm.limits[:, 0], arm.limits[:, 1], best.shape), guess)
     return best.reshape(*shape, n), left.reshape(shape)
 
 
 def nearest_equivalent_angles(q: Floats, arm: Arm, reference: Floats) -> Floats:
-    """Equivalent angles (..., n), by whole turns within the limits, nearest to a reference.
-
-    Slides unchanged.
-    """
-    low, high = arm.limits.T
+    """Equivalent angles (..., n), by whole turns within the limits, nearest to a reference; slides unchanged."""
     if arm.slides.any():
         out, turning = np.array(q, float), ~arm.slides
-        only = replace(
-            arm, joints=arm.joints[turning], limits=arm.limits[turning], slides=np.zeros(int(turning.sum()), bool)
-        )
-        out[..., turning] = nearest_equivalent_angles(
-            out[..., turning], only, np.broadcast_to(reference, out.shape)[..., turning]
-        )
+        near = np.broadcast_to(reference, out.shape)[..., turning]
+        out[..., turning] = _equivalent_angles(out[..., turning], arm.limits[turning], near)
         return out
+    return _equivalent_angles(q, arm.limits, reference)
+
+
+def _equivalent_angles(q: Floats, limits: Floats, reference: Floats) -> Floats:
+    """The same of joints that all turn. limits : (n, 2) rad"""
+    low, high = limits.T
     turn = 2 * np.pi
     q = q - turn * np.round((q - reference) / turn)
     q = np.where(q > high, q - turn * np.ceil((q - high) / turn), q)
@@ -317,14 +372,14 @@ def _descend(q: Floats, target: Floats, arm: Arm) -> tuple[Floats, Floats]:
     error = np.full(len(q), np.inf)
     going = np.arange(len(q))
     for _ in range(MAX_ITERATIONS):
-        chain = link_frames(q[going], arm)
-        e = _twist(chain[:, -1], target[going])
+        frames = joint_frames(q[going], arm)
+        e = _twist(frames.tip, target[going])
         error[going] = np.maximum(np.linalg.norm(e[:, :3], axis=1), np.linalg.norm(e[:, 3:], axis=1))
         rest = error[going] > TOLERANCE
         if not rest.any():
             break
-        going, chain, e = going[rest], chain[rest], e[rest]
-        J = geometric_jacobian(chain, slides=arm.slides)
+        going, frames, e = going[rest], JointFrames(*(part[rest] for part in frames)), e[rest]
+        J = geometric_jacobian(frames, arm)
         damping = 0.5 * (e**2).sum(axis=1) + 1e-15  # vanishes with the error's square, so the end is Newton's
         if J.shape[-1] <= 6:
             step = np.linalg.solve(

@@ -22,8 +22,8 @@ from calib.certification.extended_correction_certification import (
 from calib.certification.held_out_errors import HeldErrors
 from calib.correction.correction import Correction, solvable_commands_and_poses
 from calib.models.arm import error_model_and_observations
-from calib.models.arm.certification import arm_workspace_claim as promised_arm
 from calib.models.arm.certification import certify_arm as certify_arm
+from calib.models.arm.workspace_claim import arm_workspace_claim as promised_arm
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import sobol_configurations
 from tests.calib import secret_arms as worlds

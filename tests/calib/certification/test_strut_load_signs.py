@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.certification.strut_deviation_covariance_functions import strut_load_signs
-from calib.samples.pose_samples import Conditions, Weight
+from calib.samples.exposure_conditions import Conditions, Weight
 from rig.model.mechanisms import hexapod
 from tests.calib.certification.test_left_out import calibrated, driven
 from tests.calib.noisy_samples import rms, sampled

@@ -17,7 +17,7 @@ from rig.driving.numbered_frames_with_checksum import encode_frame, last_valid_f
 from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, FileError, LinkLost, MissingLibrary, PositionLost, Stopped
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.cli import run
 from tests.conftest import ROOT
@@ -78,14 +78,14 @@ def ioc():
 def path(ioc, tmp_path):
     text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3)
     (tmp_path / "rig.toml").write_text(text)
-    zero = home_lengths(design_file.load_design(tmp_path / "rig.toml").mechanism).tolist()
+    zero = home_lengths(design_from_rig_toml.load_design(tmp_path / "rig.toml").mechanism).tolist()
     (tmp_path / "rig.toml").write_text(text + CONTROLLER.format(port=ioc.port, motors=MOTORS, zero=zero))
     return tmp_path / "rig.toml"
 
 
 @pytest.fixture
 def driver(path):
-    with Driver(design_file.load_design(path)) as made:
+    with Driver(design_from_rig_toml.load_design(path)) as made:
         made.home()
         yield made
 
@@ -169,7 +169,7 @@ def test_an_ioc_that_dies_in_a_move_ends_it_and_nothing_is_believed_after(ioc, d
     assert any("could not be stopped" in note for note in error.value.__notes__)
     ioc.kill()
     ioc.start(at=4.0)
-    with Driver(design_file.load_design(path)) as later:
+    with Driver(design_from_rig_toml.load_design(path)) as later:
         with pytest.raises(PositionLost):
             later.move(home(later))
         later.home()
@@ -179,14 +179,14 @@ def test_an_ioc_that_dies_in_a_move_ends_it_and_nothing_is_believed_after(ioc, d
 def test_a_controller_without_names_of_records_is_refused(path):
     path.write_text(re.sub("^axes = .*$", "", path.read_text(), flags=re.MULTILINE))
     with pytest.raises(FileError, match="protocol epics takes .*axes: the names of 6 motor records"):
-        design_file.load_design(path)
+        design_from_rig_toml.load_design(path)
 
 
 def test_what_is_no_motor_record_or_not_there_is_named(ioc, path):
     for name, why in (("RIG:stall", "the server has no RIG:stall.EGU"), ("RIG:m7", "the server has no RIG:m7.EGU")):
         text = path.read_text().replace("'RIG:m6'", f"'{name}'")
         path.write_text(text)
-        made = Driver(design_file.load_design(path))
+        made = Driver(design_from_rig_toml.load_design(path))
         with pytest.raises(ControllerFault, match=why):
             made.open()
         made.close()

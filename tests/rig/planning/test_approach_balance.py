@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.samples.confounded_conditions import Confounds, confounds_of_configurations, confounds_of_design
-from calib.samples.pose_samples import approach_direction
+from calib.samples.exposure_conditions import approach_direction
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.planning import configuration_generators, plan

@@ -65,7 +65,6 @@ from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_rep
     Suggestion,
     axis_speeds,
     repeatability_of_pairs,
-    repeated_pairs,
     smooth_temperatures,
     time_cosines,
 )
@@ -316,7 +315,7 @@ def arm_evidence(
         raise RigError(
             "--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording"
         )
-    known = sample_recording(recording, progress=progress) if sampled is None else sampled
+    known = sample_recording(recording, progress=progress, several_hands=True) if sampled is None else sampled
     fresh = known.samples.known is None and known.samples.tilts is not None
     beside = fit_of_measured_effects(recording, known) if fresh else None
     if beside is not None:
@@ -345,7 +344,7 @@ def pose_repeatability(fit: Fit) -> Repeats | None:
     Residuals under one command differ as the poses do.
     """
     used = np.flatnonzero(fit.used & ~fit.aside)
-    pairs = repeated_pairs(fit.arms.q[used], fit.arms.context.moved().units)
+    pairs = fit.arms.repeated(used)
     one, two = (fit.left[used[pairs[:, which]]] for which in (0, 1))
     return repeatability_of_pairs(pairs, (one, two), (one[:, :3], two[:, :3]), fit.arms.unit)
 
@@ -363,7 +362,7 @@ def _pose_residuals(fit: Fit) -> PoseResiduals:
         noise,
         np.moveaxis(W @ arms.joints[used], 2, 0),
         arms.q[used],
-        repeated_pairs(arms.q[used], arms.context.moved().units),
+        arms.repeated(used),
     )
 
 

@@ -39,6 +39,7 @@ SIMPLICITY = {
 }  # of what depends on the axis alone, as effects state it
 MOST = 200  # nodes of a candidate whose weights are kept
 POSES_ALONE = "for an arm or a chain, the measured poses are searched, not the corners behind them"
+MOVES_A_HAND = "what moves a hand beyond its joints is not searched for with several hands"
 NO_CORNERS = "there are no corners"
 SPAN = "span"  # in a profile's node: (low, high) rad
 
@@ -112,6 +113,8 @@ def joint_candidates(arms: Arms, requested_effects: RequestedEffects) -> tuple[l
         if kind.discrete or kind.stage in ("targets", "view"):
             raise RigError(POSES_ALONE if arms.context.design.cameras else NO_CORNERS)
         found = kind.sites(arms.context)
+        if arms.hand is not None and kind.sway is not Effect.sway and found:
+            return EffectSites(None, (), [NotAsked(kind.name, MOVES_A_HAND)])
         lacking = _lacking(kind, found, arms)
         if found and any(p.role == "frequency" for p in kind.parameters):
             reason = f"{kind.name}: the poses of an arm are not searched for a frequency"

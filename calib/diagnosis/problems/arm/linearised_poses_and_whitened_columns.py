@@ -16,6 +16,7 @@ from scipy.sparse.linalg import LinearOperator
 from scipy.spatial.transform import RigidTransform
 
 from calib.diagnosis.engine.cross_validation_and_chance import FOLDS, STRETCHES, time_stretch_folds
+from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import repeated_pairs
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import calibrate_arm
 from calib.models.arm.error_model_and_observations import KINDS, observation_jacobian, sample_observations
@@ -52,7 +53,7 @@ class Arms:
     look at
     assumed : whether nobody states that covariance, so that a usual one stands for it
     sight : of poses that cameras measure, T_base_platform (m,) -> Foreseen of others that they have yet to see; None of
-        an instrument's"""
+        an instrument's; hand : (n,) number of the hand that each is of, None of arms with one"""
 
     frame: Integers
     t: Floats
@@ -65,6 +66,7 @@ class Arms:
     context: Context
     sight: Callable[[RigidTransform], PredictedUncertainty] | None = None
     assumed: bool = False
+    hand: Integers | None = None
 
     def __len__(self) -> int:
         return len(self.t)
@@ -73,6 +75,13 @@ class Arms:
     def unit(self) -> str:
         """Unit of the first numbers measured of each: "rad" of directions, else "m"."""
         return "rad" if self.left.shape[1] == KINDS["direction"] else "m"
+
+    def repeated(self, rows: Integers | Booleans) -> Integers:
+        """Pairs (p, 2) of some of the poses, an index or mask (n,), that repeat a command, of one hand each."""
+        pairs = repeated_pairs(self.q[rows], self.context.moved().units)
+        if self.hand is None:
+            return pairs
+        return pairs[self.hand[rows][pairs[:, 0]] == self.hand[rows][pairs[:, 1]]]
 
     def directions(self, joint: int | None) -> Floats:
         """(n, k, a) change of what is measured with a joint's angle (index, a = 1), or with the measured tangents
@@ -128,10 +137,7 @@ def most_numbers(poses: int, k: int, freedoms: int, whole: bool) -> int:
 
 
 def least_poses(k: int, freedoms: int, numbers: int = 1, whole: bool = False, start: int = LEAST) -> int:
-    """Least count of poses that a candidate needs.
-
-    For so many numbers, counted up from start.
-    """
+    """Least count of poses that a candidate needs: for so many numbers, counted up from start."""
     count = start
     while most_numbers(count, k, freedoms, whole) < numbers:
         count += 1
@@ -171,7 +177,8 @@ def linearise_poses(
     motion = motion_simulation.motion_of_commands(design, commands, samples.t, (), sensors, samples.T_base_platform)
     context = Context(design, samples.t, sensors, motion)
     freedoms = np.concatenate([freedoms, samples.common[:, : left.shape[1]]], axis=2)
-    return Arms(samples.frame, samples.t, samples.commanded, left, freedoms, joints, own, commands, context), geometry
+    seen = (samples.frame, samples.t, samples.commanded, left, freedoms, joints, own, commands, context)
+    return Arms(*seen, hand=samples.hand), geometry
 
 
 def _require_enough_poses(samples: Samples, design: Design) -> None:
@@ -201,8 +208,8 @@ def linearise_planned_poses(
     frame : of cameras those exposures alone that they will see, numbers among the n
     Raises RigError for a chain, where commands leave the arm's limits, or where cameras see none of it
     """
-    if not isinstance(geometry.mechanism, Arm):
-        raise RigError("future poses can be predicted for an arm only")
+    if not isinstance(geometry.mechanism, Arm) or geometry.mechanism.hands:
+        raise RigError("future poses can be predicted for an arm with one hand only")
     frame, view = np.arange(len(t)), None
     if arms.sight is not None:
         view = arms.sight(error_model_and_observations.predicted_target_poses(commands.at(t), geometry.mechanism))

@@ -13,6 +13,7 @@ from calib.files import calibration_file
 from calib.models.arm import certification as certifying
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import calibrate_arm, certify_arm
+from calib.models.arm.workspace_claim import arm_workspace_claim
 from rig.cli import command_line
 from rig.errors import NotEnoughData, Unreachable
 from rig.model.pose import exp, pose_difference, pose_to_vector
@@ -242,7 +243,7 @@ def test_few_poses_are_fitted_or_say_what_it_takes(count):
         assert done.rank.free.sum() == 30
         return
     done = certify_arm(samples, UR10, worlds.TRACKER, rng)
-    claim = certifying.arm_workspace_claim(samples, done, rng)
+    claim = arm_workspace_claim(samples, done, rng)
     assert claim.distinct == count and (claim.ratio is None) == (done.held_out is None) == (count < 8)
 
 
@@ -254,7 +255,7 @@ def test_an_arms_claims_cover_what_is_found_elsewhere():
         true = worlds.secret(UR10, rng)
         samples = worlds.tracked(true, UR10, 36 + 4 * seed, rng, again=4 * seed)
         done = certify_arm(samples, UR10, worlds.TRACKER, rng)
-        claim = certifying.arm_workspace_claim(samples, done, rng)
+        claim = arm_workspace_claim(samples, done, rng)
         seen = np.stack([samples.commanded.min(axis=0), samples.commanded.max(axis=0)], axis=1)
         q = sobol_configurations(seen, 200, seed=seed)
         real = error_model_and_observations.predicted_target_poses(q, true)

@@ -26,7 +26,7 @@ def written(tmp_path, text, name="arm.urdf"):
 
 def read(tmp_path, text, tip=None, root=None):
     """(ReadArm, its arm as rig.toml has it)."""
-    found = read_arm_file(ArmFileOptions(written(tmp_path, text), tip, root))
+    found = read_arm_file(ArmFileOptions(written(tmp_path, text), () if tip is None else (tip,), root))
     (tmp_path / "rig.toml").write_text(found.rig_toml())
     return found, design_from_rig_toml.load_design(tmp_path / "rig.toml").mechanism
 
@@ -133,16 +133,16 @@ FORKED = robot(
 @pytest.mark.parametrize(
     "text, options, said",
     [
-        (SIX, {"tip": "l33"}, "--tip 'l33' is no link; is 'l3' meant?"),
+        (SIX, {"tips": ("l33",)}, "--tip 'l33' is no link; is 'l3' meant?"),
         (SIX, {"root": "elsewhere"}, "--root 'elsewhere' is no link; there are l0, l1, l2, l3"),
-        (SIX, {"tip": "l1", "root": "l2"}, "--root 'l2' is not above --tip 'l1'"),
+        (SIX, {"tips": ("l1",), "root": "l2"}, "--root 'l2' is not above --tip 'l1'"),
         (FORKED, {}, r"--tip LINK .*: camera \(1 moving joints\), hand \(2 moving joints\)"),
         (SIX[: len(SIX) // 2], {}, r"arm.urdf:\d+:\d+: is not XML: .*the file is cut off"),
         (SIX.replace('type="revolute"', 'type="floating"', 1), {}, r"arm.urdf:7: joint 'j0': is floating"),
         (SIX.replace('type="revolute"', 'type="planar"', 1), {}, "is planar, which an arm cannot state"),
         (SIX.replace('type="revolute"', 'type="revolut"', 1), {}, "is 'revolute' meant"),
         (SIX.replace('parent link="l1"', 'parent link="l01"'), {}, "its parent 'l01' is no link; is 'l1' meant?"),
-        (SIX.replace('child link="l3"', 'child link="l0"'), {"tip": "l1"}, "the links above 'l1' make a loop"),
+        (SIX.replace('child link="l3"', 'child link="l0"'), {"tips": ("l1",)}, "the links above 'l1' make a loop"),
         (SIX.replace('child link="l3"', 'child link="l1"'), {}, "is the child of joint 'j0' already"),
         (SIX.replace('lower="-3.0"', 'lower="3.0"', 1), {}, "limits must run from small to large, not 3 .. 2"),
         (SIX.replace('lower="-3.0"', 'lower="abc"', 1), {}, "lower of <limit>, line 12: not a number"),
@@ -228,7 +228,7 @@ def test_options_that_do_not_belong_together(tmp_path):
     with pytest.raises(RigError, match="give only one"):
         ArmFileOptions(path, dh=path)
     with pytest.raises(RigError, match="give --urdf"):
-        ArmFileOptions(tip="l3")
+        ArmFileOptions(tips=("l3",))
     with pytest.raises(RigError, match="give --dh"):
         ArmFileOptions(path, modified=True)
     assert "omit --arm" in run("new", "design", "--urdf", path, "--arm", "ur10", ok=False).stderr

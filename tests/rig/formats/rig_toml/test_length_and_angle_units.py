@@ -53,7 +53,8 @@ def in_mm(tree, path=()):
     """A table of rig.toml in mm and deg, by the units that the docstrings state."""
     kind = tree.get("kind", "")
     if path[:1] == ("mechanism",) and kind != "free":
-        heading = "[[mechanism.joints]]" if path[-1] == "joints" else f'[mechanism] kind = "{kind}"'
+        of_rows = path[-1] in ("joints", "branch", "hand")
+        heading = f"[[mechanism.{path[-1]}]]" if of_rows else f'[mechanism] kind = "{kind}"'
     else:
         heading = next((h for h in (f"[{'.'.join(path)}]", f"[[{'.'.join(path)}]]") if h in rig_toml.TABLES), None)
     heading = "name and [environment]" if path == ("environment",) else heading

@@ -1,0 +1,57 @@
+"""Cubes on both hands before cameras: each hand's poses, all in one recording or one hand's alone."""
+
+import numpy as np
+import pytest
+
+import synthetic
+from calib.samples.pose_samples import sample_recording
+from rig.errors import RigError
+from rig.model.pose import pose_difference
+from rig.recording.frame_selection_and_content_hashes import select_hand
+from rig.recording.recording_folder import load_recording
+from tests.cli import run
+from tests.two_armed import seen_by_cameras
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    """(folder of a recording, {hand: T (n,)})."""
+    folder = tmp_path_factory.mktemp("seen")
+    (folder / "rig.toml").write_text(seen_by_cameras())
+    made = synthetic.simulate(folder / "rig.toml", synthetic.SimulateOptions(plan="sobol:16", seed=3))
+    made.write(folder / "REC")
+    return folder / "REC", made.simulation.poses_of_hands()
+
+
+def test_cameras_see_the_poses_of_both_hands(simulated):
+    folder, T = simulated
+    samples = sample_recording(load_recording(folder), several_hands=True).samples
+    assert samples.frame.tolist() == np.repeat(range(16), 2).tolist() and samples.hand.tolist() == [0, 1] * 16
+    for number, own, alone in samples.by_hand():
+        off = pose_difference(T[("left", "right")[number]], alone.T_base_platform)
+        squares = np.einsum("ni,nij,nj->n", off, np.linalg.inv(samples.total_covariance()[own]), off)
+        assert 2 < np.median(squares) < 15  # six numbers of each, errors that cameras share among them
+
+
+def test_one_hand_is_measured_alone_and_several_must_be_chosen_from(simulated, tmp_path):
+    folder, _ = simulated
+    recording = load_recording(folder)
+    right = sample_recording(select_hand(recording, "right")).samples
+    both = sample_recording(recording, several_hands=True).samples
+    np.testing.assert_array_equal(right.T_base_platform.as_matrix(), both.by_hand()[1][2].T_base_platform.as_matrix())
+    with pytest.raises(RigError, match=r"is of several hands \(left, right\)"):
+        sample_recording(recording)
+    assert "choose it with --hand" in run("measure", folder, "--out", tmp_path / "OUT", ok=False).stderr
+    run("measure", folder, "--hand", "right", "--out", tmp_path / "OUT")
+    found = load_recording(tmp_path / "OUT").poses
+    assert set(found.hand.tolist()) == {1} and len(found.frame) == 16
+
+
+def test_a_target_is_on_a_hand_or_on_the_base_and_cameras_stand_still(tmp_path):
+    text = seen_by_cameras()
+    (tmp_path / "rig.toml").write_text(text.replace('body = "right"', 'body = "platform"', 1))
+    said = run("simulate", tmp_path / "rig.toml", "--plan", "sobol:3", "--out", tmp_path / "NO", ok=False).stderr
+    assert "body must be one of 'base', 'left', 'right', not 'platform'" in said
+    (tmp_path / "rig.toml").write_text(text.replace('name = "cam1"', 'name = "cam1"\nmount = "hand"', 1))
+    said = run("simulate", tmp_path / "rig.toml", "--plan", "sobol:3", "--out", tmp_path / "NO", ok=False).stderr
+    assert "cameras that see several hands stand still" in said
