@@ -1,7 +1,4 @@
-"""Example of a user's protocol with its emulator.
-
-A six-axis controller that answers numbered lines, as over TCP, and a small emulator to try it with.
-"""
+"""A six-axis controller that answers numbered lines, as over TCP: its protocol, and a small emulator to try it with."""
 
 import numpy as np
 

@@ -59,7 +59,8 @@ class ScaleWithCurvature(Effect):
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         scale, straight = cls.parameters_at(place)[0], cls.straight_candidates(place, context)
-        curved = [Linear(scale.name, k, derivative_step(scale)) for k in range(2)]
+        step = derivative_step(scale)  # of the scale; what the curvature adds is a share of it
+        curved = [Linear(scale.name, 0, step), Linear(scale.name, 1, 0.1 * step)]
         return straight + [
             replace(c, grid=[{**node, COUNT: 2} for node in c.grid], linear=curved, label="curved") for c in straight
         ]
