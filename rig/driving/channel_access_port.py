@@ -3,9 +3,10 @@
     >17 GET RIG:m1.RBV RIG:m1.DMOV*94A1       read them all            <17 OK 12.5 1.0*8E0B
     >18 PUT RIG:m1.VELO=2.5*41D7              write, then read back    <18 OK 2.5*3D52
 
-An answer of ERR and the reason stands for any of them that failed. Texts are percent-encoded. A write asks for no
-callback: a motor record would call back at the end of its move. What is read after it on the same circuit is
-read after it by the server too. No search by broadcast: the IOC, or its gateway, is named by its address.
+An answer of ERR and the reason stands for any of them that failed; then none is written, but for STOP, which is written
+to every record that is there, as soon as it is found. Texts are percent-encoded. A write asks for no callback: a motor
+record would call back at the end of its move. What is read after it on the same circuit is read after it by the server
+too. No search by broadcast: the IOC, or its gateway, is named by its address.
 """
 
 import getpass
@@ -13,6 +14,7 @@ import select
 import socket
 import threading
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 from urllib.parse import quote, urlsplit
 
@@ -83,24 +85,24 @@ class ChannelAccessPort:
 
     def _ask(self, number: int, words: list[str]) -> None:
         verb, *rest = words
-        names = [word.rpartition("=")[0] or word for word in rest]
-        try:
-            self._connect(names)
-        except _Refused as error:
-            self._out += encode_frame("<", number, f"ERR {quote(str(error))}")
+        names = [word.rpartition("=")[0] if verb == "PUT" else word for word in rest]
+        values = {name: word.rpartition("=")[2] for name, word in zip(names, rest)}
+        is_stop = verb == "PUT" and all(name.endswith(".STOP") for name in names)
+        refused = self._connect(names, (lambda name: self._send(self._put(name, values[name]))) if is_stop else None)
+        if refused:
+            self._out += encode_frame("<", number, f"ERR {quote('; '.join(refused))}")
             return
-        kinds, channels = self._ca.ChannelType, [self._channels[name] for name in names]
-        writes = [
-            channel.write((float(word.rpartition("=")[2]),), data_type=kinds.DOUBLE, notify=False)
-            for channel, word in zip(channels, rest)
-            if verb == "PUT"
-        ]
+        writes = [self._put(name, values[name]) for name in names if verb == "PUT" and not is_stop]
+        kinds = self._ca.ChannelType
         reads = [
-            channel.read(data_type=kinds.STRING if _is_text(name) else kinds.DOUBLE)
-            for channel, name in zip(channels, names)
+            self._channels[name].read(data_type=kinds.STRING if _is_text(name) else kinds.DOUBLE) for name in names
         ]
         self._waiting.append((number, [request.ioid for request in reads]))
         self._send(*writes, *reads)
+
+    def _put(self, name: str, value: str) -> object:
+        """Request to write a value, which asks for no callback."""
+        return self._channels[name].write((float(value),), data_type=self._ca.ChannelType.DOUBLE, notify=False)
 
     def _answer(self) -> None:
         """Make lines of the requests whose values have all come, in the order of the requests."""
@@ -115,30 +117,34 @@ class ChannelAccessPort:
                 words = " ".join(_shown(reply.data[0]) for reply in replies)
                 self._out += encode_frame("<", number, f"OK {words}")
 
-    def _connect(self, names: list[str]) -> None:
-        """Make channels of names where they are not yet. Raises _Refused for one that the server does not have."""
+    def _connect(self, names: list[str], connected: Callable[[str], None] | None) -> list[str]:
+        """Make channels of names where they are not yet. Returns why there is none, a line for each without one.
+
+        connected : takes each name as soon as its channel is there, before the others are waited for
+        """
         fresh = [name for name in dict.fromkeys(names) if name not in self._channels]
         for name in fresh:
             self._channels[name] = self._ca.ClientChannel(name, self._circuit)
         if fresh:
             self._send(*(self._channels[name].create() for name in fresh))
-        end = self._clock.now() + PATIENCE
-        for name in fresh:
-            while not self._is_made(name):
-                self._await(end, f"no channel {name}")
-
-    def _is_made(self, name: str) -> bool:
-        state = self._channels[name].states[self._ca.CLIENT]
-        if state is self._ca.FAILED:
-            del self._channels[name]
-            raise _Refused(f"the server has no {name}")
-        return bool(state is self._ca.CONNECTED)
-
-    def _await(self, end: float, what: str) -> None:
-        left = end - self._clock.now()
-        if left <= 0 or not select.select([self._socket], [], [], left)[0]:
-            raise _Refused(f"{what} within {PATIENCE:g} s")
-        self._receive()
+        refused, left, end = [], list(dict.fromkeys(names)), self._clock.now() + PATIENCE
+        while left:
+            for name in tuple(left):
+                state = self._channels[name].states[self._ca.CLIENT]
+                if state is self._ca.FAILED:
+                    del self._channels[name]
+                    refused.append(f"the server has no {name}")
+                elif state is not self._ca.CONNECTED:
+                    continue
+                elif connected is not None:
+                    connected(name)
+                left.remove(name)
+            patience = max(end - self._clock.now(), 0.0)
+            if left and not select.select([self._socket], [], [], patience)[0]:
+                return refused + [f"no channel {name} within {PATIENCE:g} s" for name in left]
+            if left:
+                self._receive()
+        return refused
 
     def _send(self, *commands: object) -> None:
         try:
@@ -166,10 +172,6 @@ class ChannelAccessPort:
                 request = command.original_request
                 if getattr(request, "ioid", None) is not None:
                     self._replies[request.ioid] = command
-
-
-class _Refused(Exception):
-    """A record that the server does not have, or does not answer for."""
 
 
 def _is_text(name: str) -> bool:

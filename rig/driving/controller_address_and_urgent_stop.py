@@ -32,7 +32,9 @@ STOPS = {
 
 
 def stop_of_motor_records(motors: Iterable[str]) -> bytes:
-    """Bytes that stop EPICS motor records, as rig.driving.channel_access_port takes them."""
+    """Bytes that stop EPICS motor records, as rig.driving.channel_access_port takes them: all of those that are there.
+    What is not there is named when the protocol's own stop follows.
+    """
     return encode_frame(">", 0, f"PUT {' '.join(f'{motor}.STOP=1' for motor in motors)}")
 
 

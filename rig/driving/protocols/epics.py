@@ -112,7 +112,9 @@ class Epics:
 
     def stop(self) -> Dialogue[Verdict]:
         everyone = np.ones(len(self.motors), bool)
-        yield from self._put("STOP", 1.0 * everyone, everyone, tries=4, read_back=False)
+        sent = yield from self._put("STOP", 1.0 * everyone, everyone, tries=4, read_back=False)
+        if sent.accepted is False:  # of some motors, while the others were stopped
+            return Verdict(None, f"STOP: {sent.reason}")
         return (yield from await_stopped(self.state, "STOP"))
 
     def unlock(self) -> Dialogue[Verdict]:

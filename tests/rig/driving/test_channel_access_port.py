@@ -193,6 +193,39 @@ def test_what_is_no_motor_record_or_not_there_is_named(ioc, path):
         path.write_text(text.replace(f"'{name}'", "'RIG:m6'"))
 
 
+def test_motors_are_stopped_though_the_record_of_another_is_missing(ioc, driver, path):
+    path.write_text(path.read_text().replace("'RIG:m4'", "'RIG:gone'"))
+    ioc.ask("PUT " + " ".join(f"{motor}.VELO=5" for motor in MOTORS))
+    ioc.ask("PUT " + " ".join(f"{motor}.VAL=30" for motor in MOTORS))
+    refused = run("stop", path, ok=False).stderr
+    assert "the struts may still move: STOP: the server has no RIG:gone.STOP" in refused
+    stopped = [motor for motor in MOTORS if motor != "RIG:m4"]
+    time.sleep(0.3)  # their ramp
+    stood = ioc.ask("GET " + " ".join(f"{motor}.RBV" for motor in stopped))
+    time.sleep(0.1)
+    assert ioc.ask("GET " + " ".join(f"{motor}.RBV" for motor in stopped)) == stood
+    assert ioc.ask("GET RIG:m4.DMOV")[1] == "0.0", "the one that nobody named moves on"
+
+
+def test_a_record_for_which_the_server_is_silent_does_not_keep_the_others_from_their_stop(ioc, monkeypatch):
+    port = ChannelAccessPort(f"ca://127.0.0.1:{ioc.port}", SystemClock())
+    send = port._send  # without the request to make that channel, for which nobody answers then
+    monkeypatch.setattr(
+        port, "_send", lambda *commands: send(*(c for c in commands if "RIG:x" not in str(getattr(c, "name", ""))))
+    )
+    ioc.ask("PUT RIG:m1.VELO=1 RIG:m2.VELO=1")
+    ioc.ask("PUT RIG:m1.VAL=-30 RIG:m2.VAL=-30")
+    writing = threading.Thread(target=port.write, args=(encode_frame(">", 1, "PUT RIG:x.STOP=1 RIG:m1.STOP=1"),))
+    writing.start()
+    time.sleep(0.5)
+    assert writing.is_alive() and ioc.ask("GET RIG:m1.DMOV RIG:m2.DMOV")[1:] == ["1.0", "0.0"]
+    writing.join()
+    answer = last_valid_frame_in_line("<", port.read(SystemClock().now()).decode()).text
+    port.close()
+    assert answer == "ERR no%20channel%20RIG%3Ax.STOP%20within%202%20s"
+    ioc.ask("PUT RIG:m2.STOP=1")
+
+
 def test_without_the_package_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "caproto", None)
     with pytest.raises(MissingLibrary, match=r"pip install 'rig\[epics\]'"):
