@@ -1,7 +1,9 @@
 """Frames taken during one move, each kept once the controller has reported positions until after its exposure."""
 
 import threading
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from types import TracebackType
 
 import numpy as np
@@ -11,6 +13,7 @@ from rig.driving.cameras.camera_interface_and_synchronised_grabbing import Camer
 from rig.driving.clock import Clock
 from rig.driving.controller_status_and_limits import PositionReport
 from rig.driving.run_journal import PositionReports
+from rig.errors import RigError
 from rig.recording.exposure_table import ONE_FRAME
 
 ACCIDENTS = 4  # frames in a row
@@ -53,8 +56,13 @@ class FramesDuringMove:
         self._failed = error is not None
         self._over.set()
         self._thread.join()
-        if self._error is not None:
+        if self._error is not None and self._error is not error:
             raise self._error from error
+
+    def require_no_failure(self) -> None:
+        """Raise what taking or keeping a frame raised."""
+        if self._error is not None:
+            raise self._error
 
     def report(self, report: PositionReport) -> None:
         """Take a position that the controller reported."""
@@ -79,7 +87,8 @@ class FramesDuringMove:
                     self._keep(frames, self.unwritten())
         except BaseException as error:  # whatever it is ends the move, and the run with it
             self._error = error
-            self._halt()
+            with suppress(RigError):  # the run stops them again as it ends, and says where that fails
+                self._halt()
 
     def _are_one_frame(self, frames: dict[str, Frame]) -> bool:
         """Whether cameras exposed within the time that a frame may take. Raises CameraError where they did not so often
@@ -109,11 +118,16 @@ class FramesDuringMove:
 
 
 def lengths_reported_at(reports: Sequence[PositionReport], t: float, start: Floats) -> Floats:
-    """(n,) m between the reports about t (s); start : (n,) m, before the first."""
-    if not reports:
+    """(n,) m between the reports about t (s); start : (n,) m, where there is none.
+
+    reports : in the order of their times; another thread may append to them meanwhile
+    """
+    after = bisect_left(reports, t, hi=len(reports), key=lambda report: report.t)
+    near = tuple(reports[max(after - 1, 0) : after + 1])
+    if not near:
         return start
-    times = np.array([report.t for report in reports])
-    return np.array([np.interp(t, times, column) for column in np.array([report.lengths for report in reports]).T])
+    times = [report.t for report in near]
+    return np.array([np.interp(t, times, column) for column in np.array([report.lengths for report in near]).T])
 
 
 def row_of_reports(t: float, reports: Sequence[PositionReport], origin: float) -> PositionReports:

@@ -54,8 +54,11 @@ class Machine(Protocol):
         share: float = 1.0,
         speed: float | None = None,
         report: Callable[[PositionReport], None] | None = None,
+        permit: Callable[[], None] | None = None,
     ) -> object:
-        """Move there; returns once the axes rest and read back within tolerance. Raises MotionError otherwise."""
+        """Move there; returns once the axes rest and read back within tolerance. Raises MotionError otherwise, and what
+        `permit` raises, which is called just before the move begins.
+        """
 
     def stop(self) -> object:
         """Stop the axes now."""
@@ -118,7 +121,9 @@ class RunOperator:
     ) -> None:
         self.bench, self.planned, self.watcher = bench, planned, watcher
         self._journal, self._origin, self._folder = journal, origin, journal.path.parent
-        self._growing, self._writing = GrowingRecording(self._folder, axes, journal.rows), threading.RLock()
+        in_motion = any(step.speed is not None for step in planned)
+        self._growing = GrowingRecording(self._folder, axes, journal.rows, in_motion)
+        self._writing = threading.RLock()
 
     def now(self) -> float:
         """s on the recording's clock."""
@@ -202,7 +207,7 @@ class RunOperator:
     def _move(self, index: int, start: Floats, goal: Floats) -> None:
         self.write(Departure(self.now(), index, tuple(start.tolist()), tuple(goal.tolist())))
         begun = self.now()
-        self.bench.machine.move(goal)
+        self.bench.machine.move(goal, permit=self._wanted)
         ended = self.now()
         self.write(
             Arrival(ended, index, tuple(goal.tolist()), True, self.bench.time_profile(start, goal, begun, ended))
@@ -214,6 +219,7 @@ class RunOperator:
         if bench.shutter is None:
             raise RigError("exposures in motion take cameras")
         self._look()
+        self._wanted()
         self.write(Departure(self.now(), index, tuple(start.tolist()), tuple(goal.tolist())))
 
         def keep(frames: dict[str, Frame], reports: list[PositionReport]) -> None:
@@ -227,10 +233,14 @@ class RunOperator:
             self.watcher.seen(RecordedFrame(number, index, times[0], at, frames))
             number += 1
 
+        def permit() -> None:
+            self._wanted()
+            exposing.require_no_failure()
+
         exposing = FramesDuringMove(bench.shutter, bench.clock, bench.interval, keep, bench.machine.stop, self.remark)
         try:
             with exposing:
-                bench.machine.move(goal, speed=speed, report=exposing.report)
+                bench.machine.move(goal, speed=speed, report=exposing.report, permit=permit)
                 ended = self.now()
         finally:
             self._write_reports(exposing.unwritten())
@@ -312,7 +322,8 @@ class RunOperator:
             if pending is not None and self.bench.machine.position_known:
                 position = self._read()
                 near = bool(np.abs(np.array(position) - np.array(pending.goal)).max() <= self.bench.tolerance)
-                self.write(Arrival(self.now(), pending.step, pending.goal if near else position, near))
+                done = near and self.planned[pending.step].speed is None  # in motion some frames are missing
+                self.write(Arrival(self.now(), pending.step, pending.goal if near else position, done))
         except RigError as further:  # the first reason stands; this one is told beside it
             reason += f"; and stopping: {further}"
         if not self.bench.machine.position_known:

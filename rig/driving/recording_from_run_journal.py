@@ -7,7 +7,9 @@ the middle of their exposures: the struts stand meanwhile, and the journal keeps
 
 Of exposures in motion frames.csv has each camera's own time. The way of a move is then fitted to the positions that the
 controller reported; where these follow no trapezoid, or the move did not arrive, the reports themselves are the way.
-position_reports.csv has them all.
+position_reports.csv has them all. frames.csv has the frames of a move once its way is known: those of a move without an
+end, of a run that was killed and not resumed, are in the journal alone. A camera's clock may be behind: commands.csv
+of such a run begins so much earlier, with the struts where they stood.
 """
 
 import os
@@ -17,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.driving.cameras.user_camera_class_and_image_program import ELSEWHERE
 from rig.driving.run_journal import (
     Arrival,
     Began,
@@ -25,6 +28,7 @@ from rig.driving.run_journal import (
     Exposed,
     Lengths,
     PositionReports,
+    PositionUnknown,
     Readings,
     Resumed,
     Row,
@@ -40,14 +44,17 @@ APART = 1e-6  # s; rows of commands.csv lie at least so far apart
 class GrowingRecording:
     """The files of a recording, kept up with its journal."""
 
-    def __init__(self, folder: Path, axes: tuple[str, ...], rows: list[Row]) -> None:
-        """Write the files anew from the journal's rows so far. axes : names of commands.csv's columns"""
-        self.folder, self._axes = Path(folder), axes
+    def __init__(self, folder: Path, axes: tuple[str, ...], rows: list[Row], in_motion: bool = False) -> None:
+        """Write the files anew from the journal's rows so far. axes : names of commands.csv's columns; in_motion :
+        whether cameras expose during moves
+        """
+        self.folder, self._axes, self._in_motion = Path(folder), axes, in_motion
         self._last_t = -np.inf
         self._at: tuple[float, ...] = ()  # before the first row: a journal begins with where the axes stand
         self._channels: tuple[str, ...] | None = None
         self._reported: list[tuple[float, Lengths]] = []  # (s, m) during the move under way
         self._reports_begun = False
+        self._frames_in_motion: list[tuple[str, str]] = []  # (file, text) of those of the move under way
         self._arrived, self._wall = 0.0, 0.0  # s, on the run's clock; s since 1970 at its t = 0
         texts = {"commands.csv": ",".join(("t", *axes)) + "\n", "frames.csv": "frame,t,camera,image\n"}
         for row in rows:
@@ -75,7 +82,8 @@ class GrowingRecording:
             self._wall = row.wall
         if isinstance(row, Began | Resumed):
             self._arrived = row.t
-            return [*self._reports_as_way(), *self._stand(row.t, row.position)]
+            early = [row.t - ELSEWHERE] if isinstance(row, Began) and self._in_motion else []
+            return [*self._end_of_move(), *(line for t in (*early, row.t) for line in self._stand(t, row.position))]
         if isinstance(row, Departure):
             return self._stand(row.t, row.start)
         if isinstance(row, Arrival):
@@ -86,19 +94,12 @@ class GrowingRecording:
         if isinstance(row, Exposed) and not row.cameras:
             return self._visit(row)
         if isinstance(row, Exposed):
-            return [
-                *([] if row.times else self._command(row.t, self._at)),
-                (
-                    "frames.csv",
-                    "".join(
-                        f"{row.frame},{t:.6f},{camera},{image}\n"
-                        for t, camera, image in zip(row.times or (row.t,) * len(row.cameras), row.cameras, row.images)
-                    ),
-                ),
-            ]
+            return self._frame(row)
         if isinstance(row, Readings):
             return self._readings(row)
-        return self._command(row.t, self._at) if isinstance(row, Ended) else []
+        if isinstance(row, PositionUnknown):
+            return self._end_of_move()
+        return [*self._end_of_move(), *self._command(row.t, self._at)] if isinstance(row, Ended) else []
 
     def _stand(self, t: float, position: tuple[float, ...]) -> list[tuple[str, str]]:
         """The struts stand at a position (m); where they were left elsewhere, they went there since."""
@@ -107,14 +108,22 @@ class GrowingRecording:
 
     def _way(self, row: Arrival) -> list[tuple[str, str]]:
         """Where a move went. row.position : m, the goal where it was reached"""
-        if not row.way and self._reported:
-            lines, self._at = self._reports_as_way(), row.position
-            return lines + self._command(row.t, row.position)
-        self._reported.clear()
+        if row.way:
+            self._reported.clear()
         start, goal = np.array(self._at), np.array(row.position)
         lines = [line for t, share in row.way for line in self._command(t, start + share * (goal - start))]
+        lines += self._end_of_move()
         self._at = row.position
         return lines + self._command(row.t, row.position)
+
+    def _frame(self, row: Exposed) -> list[tuple[str, str]]:
+        """A frame of cameras: at rest with the command, in motion held back until the way of the move is known."""
+        times = row.times or (row.t,) * len(row.cameras)
+        lines = [f"{row.frame},{t:.6f},{name},{image}\n" for t, name, image in zip(times, row.cameras, row.images)]
+        if row.times:
+            self._frames_in_motion.append(("frames.csv", "".join(lines)))
+            return []
+        return [*self._command(row.t, self._at), ("frames.csv", "".join(lines))]
 
     def _reports(self, row: PositionReports) -> list[tuple[str, str]]:
         """Reports of the move under way, which become its way where no better one is known."""
@@ -128,9 +137,14 @@ class GrowingRecording:
         ]
         return [("position_reports.csv", "".join(lines))]
 
-    def _reports_as_way(self) -> list[tuple[str, str]]:
+    def _end_of_move(self) -> list[tuple[str, str]]:
+        """Reports that no better way is known for as the way, the last as the place; then the frames of the move."""
         lines = [line for t, position in self._reported for line in self._command(t, position)]
+        if self._reported:
+            self._at = self._reported[-1][1]
+        lines += self._frames_in_motion
         self._reported.clear()
+        self._frames_in_motion.clear()
         return lines
 
     def _visit(self, row: Exposed) -> list[tuple[str, str]]:

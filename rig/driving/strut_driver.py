@@ -198,11 +198,13 @@ class Driver:
         share: float = 1.0,
         speed: float | None = None,
         report: Callable[[PositionReport], None] | None = None,
+        permit: Callable[[], None] | None = None,
     ) -> FinishedMove:
         """Move all struts to lengths (n,) m, together, at a share of their greatest speeds, and wait until the
         read-back agrees.
 
         speed : m/s of the strut that moves most, in place of a share; report : takes every read-back on the way
+        permit : called just before the move begins, when a `stop` that follows ends the move; raises what forbids it
         Raises ValueError for a speed that a strut may not have, Unreachable before anything moves; PositionLost,
         ControllerFault, Stalled, LinkLost, NoAnswer, Stopped with the struts stopped. Nothing is clipped.
         """
@@ -214,6 +216,8 @@ class Driver:
             self.check(target, start)
             if speed is not None:
                 share = speed_share_of_move(start, target, speed, self.controller)
+            if permit is not None:
+                permit()
             begun = self.clock.now()
             with self._guarded():
                 note = self._go(

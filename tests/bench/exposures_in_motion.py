@@ -20,6 +20,7 @@ from scipy.spatial.transform import RigidTransform
 
 import calib
 import vision
+from rig.driving.cameras.user_camera_class_and_image_program import ELSEWHERE
 from rig.recording.recording_folder import Recording, load_recording
 from tests.moving_run import (
     CAMERA,
@@ -177,8 +178,8 @@ def true_times(case: Case, folder: Path, logged: np.ndarray, wall: float) -> np.
 
 def true_offset(recording: Recording, lengths_at, true: np.ndarray, logged: np.ndarray) -> float:
     """s by which logged times must be moved so that commands.csv is where the struts truly were, over all frames."""
-    commands = recording.commands
-    at, rate = commands.at(logged[:, 0]), (commands.at(logged[:, 0] + 0.01) - commands.at(logged[:, 0] - 0.01)) / 0.02
+    commands, t = recording.commands, logged[:, 0] + ELSEWHERE  # from the first command, so long before the run
+    at, rate = commands.at(t), (commands.at(t + 0.01) - commands.at(t - 0.01)) / 0.02
     steady = np.abs(rate).max(axis=1) > 0.9e-3 * SPEED
     off = lengths_at(true[:, 0]) - at
     return float((off * rate)[steady].sum() / (rate**2)[steady].sum())

@@ -100,7 +100,7 @@ def _run(folder):
     shutter = SynchronisedCameras(tuple(_Source(name, own, clock, taken) for name, own in images.items()), clock)
     planned = steps_of_plan(build_plan(design, plan))
     start = planned[0].goal
-    machine = SimpleNamespace(lengths=lambda: start, move=lambda goal: None, stop=lambda: None)
+    machine = SimpleNamespace(lengths=lambda: start, move=lambda goal, permit: None, stop=lambda: None)
     bench = RunEquipment(machine, shutter, clock, parse_settling(f"time:{TIME}"), 1e-5, lambda *_: (), save_image)
     looking = RunObserver(
         design, planned, start, clock, Live(design), Learner(design.mechanism), RunStop(frozenset(), lambda: None)

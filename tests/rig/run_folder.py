@@ -54,8 +54,9 @@ class Struts:
         self.instants.pass_()
         return self.at + 1e-7 * np.sin(self.clock.now())
 
-    def move(self, goal):
+    def move(self, goal, permit):
         self.instants.pass_()
+        permit()
         self.visits.append(goal.copy())
         start, self.at = self.at, goal.copy()
         try:

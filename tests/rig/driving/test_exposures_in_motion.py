@@ -1,13 +1,30 @@
 """Runs that expose during the moves: what commands.csv and frames.csv say, what is kept, stopped and resumed."""
 
 import csv
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from rig.driving.run_journal import Departure, Ended, Exposed, PositionReports, Remark, Resumed, read_journal
-from rig.errors import RigError, Stopped
+from rig.driving import move_and_record_loop
+from rig.driving.cameras.camera_interface_and_synchronised_grabbing import CameraError, SynchronisedCameras
+from rig.driving.cameras.user_camera_class_and_image_program import ELSEWHERE
+from rig.driving.controller_status_and_limits import PositionReport
+from rig.driving.exposures_in_motion import FramesDuringMove, lengths_reported_at
+from rig.driving.run_journal import (
+    Arrival,
+    Departure,
+    Ended,
+    Exposed,
+    PositionReports,
+    PositionUnknown,
+    Remark,
+    Resumed,
+    read_journal,
+)
+from rig.driving.strut_driver import Driver
+from rig.errors import LinkLost, PositionLost, RigError, Stopped
 from rig.recording import recording_folder
 from tests.emulated_run import RigInThread
 
@@ -25,8 +42,8 @@ def rows(out):
     return read_journal(out / "journal.jsonl")[0]
 
 
-def moving(rig, out, **options):
-    return rig.run(out, "sobol:1", **{"in_motion": SPEED, "interval": 0.03} | options)
+def moving(rig, out, plan="sobol:1", **options):
+    return rig.run(out, plan, **{"in_motion": SPEED, "interval": 0.03} | options)
 
 
 def test_commands_are_where_the_struts_truly_were_at_the_exposures(made, tmp_path):
@@ -36,8 +53,9 @@ def test_commands_are_where_the_struts_truly_were_at_the_exposures(made, tmp_pat
     frames, t, commanded = recording.commanded()
     assert count == len(frames) > 5
     began = rows(out)[0].wall
-    true = made.emulator.lengths_at(began + t)
-    speed = np.abs(made.emulator.lengths_at(began + t + 1e-3) - true).max(axis=1) / 1e-3
+    t = t + began - ELSEWHERE  # commands.csv begins so much before the run
+    true = made.emulator.lengths_at(t)
+    speed = np.abs(made.emulator.lengths_at(t + 1e-3) - true).max(axis=1) / 1e-3
     assert (speed > 0.9 * SPEED).sum() > 3
     assert np.median(np.abs(commanded - true).max(axis=1)) < 1e-3 * SPEED  # a millisecond at that speed
     with open(out / "position_reports.csv", encoding="utf-8") as file:
@@ -61,8 +79,6 @@ def test_a_frame_is_written_after_a_report_that_follows_it(made, tmp_path):
 
 
 def test_a_camera_that_fails_stops_the_struts_in_the_move(made, tmp_path, monkeypatch):
-    from rig.driving.cameras.camera_interface_and_synchronised_grabbing import CameraError, SynchronisedCameras
-
     grab, count = SynchronisedCameras.grab, 0
 
     def fail(self):
@@ -89,8 +105,6 @@ def test_a_camera_that_fails_stops_the_struts_in_the_move(made, tmp_path, monkey
 
 
 def test_cameras_that_expose_too_far_apart_make_no_frame(made, tmp_path, monkeypatch):
-    from rig.driving.cameras.camera_interface_and_synchronised_grabbing import CameraError, SynchronisedCameras
-
     grab, apart = SynchronisedCameras.grab, [0.0, 0.2, 0.0]
 
     def two(self):
@@ -108,8 +122,6 @@ def test_cameras_that_expose_too_far_apart_make_no_frame(made, tmp_path, monkeyp
 
 
 def test_it_can_be_stopped_in_the_move(made, tmp_path):
-    from rig.driving import move_and_record_loop
-
     write = move_and_record_loop.RunOperator.write
     stopped = []
 
@@ -126,6 +138,164 @@ def test_it_can_be_stopped_in_the_move(made, tmp_path):
     assert not made.emulator.busy and isinstance(rows(tmp_path / "rec")[-1], Ended)
     moving(made, tmp_path / "rec", resume=True)
     assert rows(tmp_path / "rec")[-1].reason == ""
+
+
+def last_move(out):
+    """(step, whether it was reached) of a run's last move."""
+    (*_, arrival) = [row for row in rows(out) if isinstance(row, Arrival)]
+    return arrival.step, arrival.reached
+
+
+def moves_to(out, step):
+    """Whether each move of a step reached its goal."""
+    return [row.reached for row in rows(out) if isinstance(row, Arrival) and row.step == step]
+
+
+def require_commands_as_moved(made, folder, out, count):
+    """The commands of a folder's first `count` frames at least are where the struts truly were, within 2 mm."""
+    frames, t, commanded = recording_folder.load_recording(folder).commanded()
+    true = made.emulator.lengths_at(rows(out)[0].wall + t - ELSEWHERE)
+    assert len(frames) >= count and np.abs(commanded - true).max() < 2e-3
+    return frames, true
+
+
+@pytest.mark.parametrize("moment", ["sensors", "departure"])
+def test_a_stop_just_before_a_move_keeps_it_from_being_made(made, tmp_path, monkeypatch, moment):
+    run, calls = move_and_record_loop.RunOperator, []
+    look, write = run._look, run.write
+
+    def look_and_stop(self):
+        look(self)
+        calls.append("sensors")
+        if len(calls) == 3:  # before and after the first move, before the second
+            self.watcher.ask_stop("button")
+
+    def write_and_stop(self, row):
+        write(self, row)
+        if isinstance(row, Departure) and row.step == 1:
+            self.watcher.ask_stop("button")
+
+    monkeypatch.setattr(run, "_look", look_and_stop if moment == "sensors" else look)
+    monkeypatch.setattr(run, "write", write_and_stop if moment == "departure" else write)
+    with pytest.raises(Stopped, match="button"):
+        moving(made, tmp_path / "rec", plan="sobol:2")
+    assert len(made.emulator.machine.executed) == 1
+    assert last_move(tmp_path / "rec") == ((0, True) if moment == "sensors" else (1, False))
+
+
+def test_a_camera_that_fails_before_the_move_keeps_it_from_being_made(made, tmp_path, monkeypatch):
+    enter, moves = FramesDuringMove.__enter__, []
+
+    def fail(self):
+        raise CameraError("cam0 is gone")
+
+    def enter_and_fail(self):
+        moves.append(self)
+        if len(moves) < 2:
+            return enter(self)
+        with monkeypatch.context() as patched:
+            patched.setattr(SynchronisedCameras, "grab", fail)
+            enter(self)
+            self._thread.join()
+        return self
+
+    monkeypatch.setattr(FramesDuringMove, "__enter__", enter_and_fail)
+    with pytest.raises(CameraError, match="cam0 is gone"):
+        moving(made, tmp_path / "rec", plan="sobol:2")
+    assert len(made.emulator.machine.executed) == 1 and last_move(tmp_path / "rec") == (1, False)
+    monkeypatch.setattr(FramesDuringMove, "__enter__", enter)
+    moving(made, tmp_path / "rec", plan="sobol:2", resume=True)
+    assert moves_to(tmp_path / "rec", 1) == [False, True]
+
+
+def test_a_step_that_failed_with_the_struts_at_its_goal_is_not_done(made, tmp_path, monkeypatch):
+    profile, moves = move_and_record_loop.profile_of_reports, []
+
+    def fail(*arguments):
+        moves.append(arguments)
+        if len(moves) == 2:
+            raise RigError("a failure of the frames")
+        return profile(*arguments)
+
+    monkeypatch.setattr(move_and_record_loop, "profile_of_reports", fail)
+    with pytest.raises(RigError, match="a failure of the frames"):
+        moving(made, tmp_path / "rec", plan="sobol:2")
+    assert last_move(tmp_path / "rec") == (1, False)
+    moving(made, tmp_path / "rec", plan="sobol:2", resume=True)
+    assert moves_to(tmp_path / "rec", 1) == [False, True]
+    require_commands_as_moved(made, tmp_path / "rec", tmp_path / "rec", 3)
+
+
+@pytest.mark.parametrize("kind", ["position lost", "stop fails"])
+def test_frames_of_a_move_after_which_nothing_is_known_are_where_the_struts_were(made, tmp_path, monkeypatch, kind):
+    watch, stop = Driver._watch, Driver.stop
+
+    def lose(self, start, target, verdict, report):
+        def report_and_lose(found):
+            report(found)
+            if np.abs(found.lengths - start).max() > 0.02:
+                self._known = kind != "position lost"
+                raise PositionLost("the controller has restarted")
+
+        return watch(self, start, target, verdict, report_and_lose)
+
+    def fail(self):
+        stop(self)
+        raise LinkLost("no answer to the stop")
+
+    monkeypatch.setattr(Driver, "_watch", lose)
+    if kind == "stop fails":
+        monkeypatch.setattr(Driver, "stop", fail)
+    with pytest.raises(PositionLost):
+        moving(made, tmp_path / "rec")
+    assert isinstance(rows(tmp_path / "rec")[-1], Ended)
+    assert any(isinstance(row, PositionUnknown) for row in rows(tmp_path / "rec")) == (kind == "position lost")
+    _, true = require_commands_as_moved(made, tmp_path / "rec", tmp_path / "rec", 2)
+    assert np.ptp(true, axis=0).max() > 0.01
+
+
+def test_a_run_that_was_killed_in_a_move_has_the_frames_whose_commands_are_known(made, tmp_path, monkeypatch):
+    write, exposed = move_and_record_loop.RunOperator.write, []
+
+    def write_and_copy(self, row):
+        write(self, row)
+        if isinstance(row, Exposed):
+            exposed.append(row.step)
+            if row.step == 2 and exposed.count(2) == 2:  # what is on disk where the process is killed now
+                shutil.copytree(tmp_path / "rec", tmp_path / "killed", dirs_exist_ok=True)
+
+    monkeypatch.setattr(move_and_record_loop.RunOperator, "write", write_and_copy)
+    moving(made, tmp_path / "rec", plan="sobol:3")
+    frames, _ = require_commands_as_moved(made, tmp_path / "killed", tmp_path / "rec", 3)
+    assert len(frames) == exposed.count(0) + exposed.count(1)
+    assert len(recording_folder.load_recording(tmp_path / "rec").commanded()[0]) == len(exposed)
+
+
+@pytest.mark.parametrize("behind", [0.2, 4.9])
+def test_a_camera_whose_clock_is_behind_makes_a_recording_that_loads(made, tmp_path, monkeypatch, behind):
+    grab = SynchronisedCameras.grab
+    monkeypatch.setattr(
+        SynchronisedCameras, "grab", lambda self: {k: replace(f, t=f.t - behind) for k, f in grab(self).items()}
+    )
+    count = moving(made, tmp_path / "rec")
+    recording = recording_folder.load_recording(tmp_path / "rec")
+    assert len(recording.commanded()[0]) == count > 3
+    assert np.ptp(recording.commands.values[:2], axis=0).max() == 0, "before the run the struts stood"
+
+
+def test_lengths_are_read_off_reports_that_another_thread_adds_to():
+    class Growing(list):
+        def __iter__(self):
+            yield from super().__iter__()
+            self.append(self[-1])
+
+    t = np.arange(20) * 0.01 + np.sin(np.arange(20)) * 0.002
+    lengths = np.cumsum(np.ones((20, 6)) * [1, 2, 3, 4, 5, 6], axis=0) ** 1.2
+    reports = Growing(PositionReport(a - 1e-3, a + 1e-3, row) for a, row in zip(t, lengths))
+    for at in (-1.0, t[0], 0.031, t[7], 0.1234, t[-1], 1.0):
+        wanted = [np.interp(at, t, column) for column in lengths.T]
+        np.testing.assert_allclose(lengths_reported_at(reports, at, np.zeros(6)), wanted, rtol=1e-12)
+    assert (lengths_reported_at([], 0.0, np.full(6, 0.5)) == 0.5).all()
 
 
 def test_another_speed_is_another_plan(made, tmp_path):
