@@ -1,6 +1,6 @@
-"""Physics not listed in the catalogue.
+"""Physics not listed in the catalogue, and irregular corner noise.
 
-And irregular corner noise, both of which blind cases may hide as unknown.
+Blind cases may hide both as unknown.
 
 An effect out of the catalogue is one like any other, only that no diagnosis knows it; `draw_unlisted_effect` makes one
 of a plausible size. A disturbance

@@ -1,10 +1,6 @@
-"""Prediction of marker corners in images.
+"""Prediction of marker corners in images: the one forward model of the cameras.
 
-From poses and cameras, and the map of all markers on their bodies.
-
-The one forward model of the cameras.
-
-And the map of all markers of a rig on their bodies.
+It takes poses, cameras and the map of all markers of a rig on their bodies.
 """
 
 from __future__ import annotations

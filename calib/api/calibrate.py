@@ -223,9 +223,8 @@ def calibrate(
     progress: Progress | None = None,
     notice: Notice = ignore_notice,
 ) -> CalibrationResult:
-    """CalibrationResult of a recording.
+    """CalibrationResult of a recording, or of several of one rig jointly, as `rig calibrate` makes it.
 
-    Or of several of one rig jointly, as `rig calibrate` makes it.
     progress : called with (label, done, of), or None; notice : called with lines on what is unlikely in the recording
     Raises RigError without commands and for a recording whose results would mean nothing, NotEnoughData without poses,
         NotConverged where no geometry agrees with them

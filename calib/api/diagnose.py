@@ -137,9 +137,8 @@ def diagnose(
     progress: Progress | None = None,
     notice: Notice = ignore_notice,
 ) -> DiagnosisResult:
-    """DiagnosisResult of a recording.
+    """DiagnosisResult of a recording, or of several of one rig jointly, as `rig diagnose` makes it.
 
-    Or of several of one rig jointly, as `rig diagnose` makes it.
     progress : called with (label, done, of), or None; notice : called with lines on what is unlikely in the recording
     Raises RigError for a name that there is not and for a recording whose results would mean nothing, NotEnoughData
         where the recording determines nothing

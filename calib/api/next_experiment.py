@@ -161,8 +161,7 @@ def evaluate_experiment(
 ) -> Experiment:
     """Experiment of one plan, evaluated.
 
-    chosen_configurations : {apart:N: (N, axes)} of `_plan_configurations`. Raises RigError for one that the rig cannot
-        follow.
+    chosen_configurations : {apart:N: (N, axes)} of `_plan_configurations`
     Raises RigError for a plan that the rig cannot follow.
     """
     plan, stands = (

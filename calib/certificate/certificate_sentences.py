@@ -31,10 +31,7 @@ def _percentage_text(value: float) -> str:
 
 
 def length_scale_line(certificate: Contents) -> str:
-    """Line on the length scale that the certificate rests on.
-
-    Whose it is.
-    """
+    """Line on the length scale that the certificate rests on: whose it is."""
     holder = certificate.conditions.frame
     if certificate.asked.scale is None:
         return (

@@ -199,7 +199,7 @@ def fitted_or_nominal_geometry(
 ) -> Identified:
     """Geometry fitted to samples, or the nominal one with nothing fitted (Identified).
 
-    That an extension starts from.
+    An extension starts from it.
     without_fit : the owner's own, with nothing sought. prior : (p,) m, or None: as poses have it.
     """
     if not without_fit:

@@ -29,9 +29,7 @@ def linuxcnc_kinematics_source(
 ) -> CSource:
     """LinuxCNC kinematics source (CSource) of a hexapod's correction.
 
-    LinuxCNC's kinematics module "rigkins", of the Correction and the Physics besides.
-
-    Or None.
+    It is LinuxCNC's kinematics module "rigkins", of the Correction and the Physics besides, where there is any.
     origin : of which file and by which version it is made; units : "mm" or "m", LinuxCNC's LINEAR_UNITS
     Raises RigError for what no C file states, and for play together with a cyclic error
     """

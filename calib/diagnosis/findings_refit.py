@@ -216,9 +216,7 @@ def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -
 def refit_platform_with_findings(
     recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None
 ) -> PlatformRefit:
-    """Refit a platform with findings (PlatformRefit).
-
-    To a recording's samples.
+    """Refit a platform with findings to a recording's samples (PlatformRefit).
 
     Cameras, geometry and the findings' parameters fitted together.
     Raises RigError for a machine without struts, and what refining raises
@@ -327,9 +325,7 @@ class ArmRefit:
 def refit_arm_with_findings(
     recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None
 ) -> ArmRefit:
-    """Refit an arm with findings (ArmRefit).
-
-    To a recording's samples.
+    """Refit an arm with findings to a recording's samples (ArmRefit).
 
     The arm's geometry and the findings' parameters fitted together.
     Raises RigError where neither poses nor positions were measured, and what identifying raises

@@ -60,10 +60,7 @@ def require_text(tree: Entries, key: str, known_texts: Sequence[str]) -> None:
 
 
 def require_schema_contents(tree: Entries, needed: Sequence[str], refused: Sequence[str]) -> None:
-    """Raise FileError where a file lacks what its schema requires.
-
-    Or holds what only another has.
-    """
+    """Raise FileError where a file lacks what its schema requires, or holds what only another has."""
     schema = tree.text("schema")
     for key in needed:
         if tree.get(key, None) is None:

@@ -140,9 +140,8 @@ def learn_by_simple_learner(
 def resume_or_start_learner(
     name: str, setting: float | None, state: Path | None, mechanism: Hexapod, calibration: Calibration | None
 ) -> Learner:
-    """Learner of a name, resumed or started anew.
+    """Learner of a name, resumed from a state that is there, or started anew.
 
-    That of a state that is there, else a new one.
     Raises RigError where the two differ.
     """
     kind = LEARNERS[name]

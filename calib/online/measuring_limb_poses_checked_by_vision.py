@@ -174,9 +174,7 @@ def check_limb_poses_by_redundancy_and_vision(
     check_interval: int,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Checked:
-    """Check of limb poses by redundant limbs at each, and by vision at intervals.
-
-    To the first disagreement.
+    """Check of limb poses by redundant limbs at each, and by vision at intervals, to the first disagreement.
     Raises what measuring raises
     """
     open_ = redundant_limb_checks.first_unclosed_limb(accepted.limbs, poses.lengths)

@@ -123,10 +123,7 @@ def commands_disagree_with_poses(moves: CommandsAndPoses) -> bool:
 
 
 def command_pose_mistakes(moves: CommandsAndPoses) -> Iterator[Mistake]:
-    """Mistakes that best explain why commands disagree with poses.
-
-    Or the size of what none explains.
-    """
+    """Mistakes that best explain why commands disagree with poses, or the size of what none explains."""
     if not commands_disagree_with_poses(moves):
         return
     before = moves.miss()

@@ -1,6 +1,6 @@
-"""rig simulate: simulate a recording under a plan.
+"""rig simulate: simulate a recording under a plan or from a diagnosis.
 
-Or from a diagnosis; its truth is written separately.
+Its truth is written separately.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""rig simulate blind: diagnose blind cases on simulated rigs.
-
-And score the answers.
-"""
+"""rig simulate blind: diagnose blind cases on simulated rigs, and score the answers."""
 
 from __future__ import annotations
 

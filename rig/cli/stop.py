@@ -1,6 +1,4 @@
-"""rig stop: stop the struts immediately.
-
-And any process that moves them.
+"""rig stop: stop the struts, and any process that moves them, immediately.
 
 Nothing that takes time is imported before the controller was sent its urgent stop.
 """
@@ -20,9 +18,7 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Run `rig stop`.
 
-    Stop the struts, and any process that moves them.
-
-    Its run can be resumed.
+    Stop the struts, and any process that moves them; its run can be resumed.
     """
     from rig.driving.clock import SystemClock
     from rig.driving.controller_address_and_urgent_stop import (

@@ -1,8 +1,6 @@
-"""Controller status, and limits of a controller.
+"""What a controller reports: its status with advice to the operator, and its own limits.
 
-With advice to the operator; limits are travel, speed and acceleration that a controller itself has.
-
-Moves are checked against the limits; a warning says where they are tighter than the rig.toml's.
+Limits are of travel, speed and acceleration; a warning names those that are tighter than the rig.toml's.
 """
 
 from dataclasses import dataclass

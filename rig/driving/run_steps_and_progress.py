@@ -106,10 +106,7 @@ def check_steps(steps: tuple[Step, ...], start: Floats, check_move: Callable[[Fl
 
 
 def step_distances(steps: tuple[Step, ...], start: Floats) -> Floats:
-    """Distance (steps,) m of each step.
-
-    That of the strut that moves most.
-    """
+    """Distance (steps,) m of each step: that of the strut that moves most."""
     goals = np.array([start, *(step.goal for step in steps)])
     return np.abs(np.diff(goals, axis=0)).max(axis=1)
 
@@ -139,7 +136,6 @@ class Progress:
 def progress_from_journal(journal_rows: list[Row], steps: tuple[Step, ...]) -> Progress:
     """Progress of a run from its journal rows.
 
-    Raises RigError for rows that do not match the planned steps.
     Raises RigError for rows that no run of this plan leaves.
     """
     if not journal_rows or not isinstance(journal_rows[0], Began):
@@ -183,11 +179,8 @@ def progress_from_journal(journal_rows: list[Row], steps: tuple[Step, ...]) -> P
 def lost_position_reason(
     progress: Progress, position: Floats, tolerance: float, started_anew: bool, can_home: bool
 ) -> str:
-    """Reason why a position (axes,) m counts as lost.
+    """Reason why a position (axes,) m that is read when a run is resumed counts as lost; "" where it does not.
 
-    Where it is read when a run is resumed and cannot be believed.
-
-    "" where it can.
     tolerance : m, of a read-back; started_anew : whether the controller says that it has started since it was homed or
     confirmed; can_home : whether it can home. One that cannot shows lost zeros only by struts that read elsewhere.
     """

@@ -1,7 +1,4 @@
-"""Trapezoidal move profile, and path check.
-
-Moves of all axes are straight: segment at a share of full speed.
-"""
+"""Straight moves of all axes: their segment, their profile of speed over time, and the check of their path."""
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -53,10 +50,9 @@ def trapezoidal_profile(start_time: float, end_time: float, cruise_time: float, 
 def straight_move_segment(
     start: Floats, target: Floats, speed_share: float, controller: Controller, mechanism: Hexapod | Planar2
 ) -> Segment:
-    """Segment of a straight move of all axes.
+    """Segment of a straight move of all axes, which begin and arrive simultaneously.
 
-    Which begin and arrive simultaneously, at a share of full speed.
-    start, target : (n,) m, lengths; speed_share : of the greatest speeds, above 0 and at most 1.
+    start, target : (n,) m, lengths; speed_share : of the greatest speeds, above 0 and at most 1
     """
     way = np.abs(target - start)
     duration = max(float((way / (speed_share * controller.max_speed)).max()), 1e-6)
@@ -89,8 +85,8 @@ FEWEST, MOST = 3, 200  # of them, beside the start
 def require_lengths_in_range(lengths: Floats, mechanism: Hexapod | Planar2) -> Floats:
     """Require lengths (n,) m within the strut ranges, and return them.
 
-    Raises Unreachable for those out of range
-    Raises ValueError, Unreachable naming each strut beyond its range.
+    Raises ValueError for another number of lengths or for what is not finite, Unreachable naming each strut beyond
+    its range.
     """
     lengths = np.array(lengths, float)
     if lengths.shape != (len(mechanism.axes),) or not np.isfinite(lengths).all():

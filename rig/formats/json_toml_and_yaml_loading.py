@@ -202,7 +202,6 @@ def first_repeated_key(text: str) -> tuple[str, Place] | None:
 def dict_without_repeated_keys(key_value_pairs: list[tuple[str, object]]) -> Json:
     """Dict of JSON key-value pairs (json's object_pairs_hook).
 
-    Raises RepeatedKey for repeated keys.
     Raises RepeatedKey for a key that occurs twice.
     """
     tree = dict(key_value_pairs)

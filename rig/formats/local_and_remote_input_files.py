@@ -51,7 +51,6 @@ def absolute_path(path: Path) -> Path:
 def exists(path: Path) -> bool:
     """Whether a file or a non-empty folder exists at a path.
 
-    Raises FileError where that is unknown.
     Raises FileError where that cannot be asked.
     """
     return (
@@ -64,7 +63,6 @@ def exists(path: Path) -> bool:
 def is_folder(path: Path) -> bool:
     """Whether a path is a folder.
 
-    Raises FileError where that is unknown.
     Raises FileError where that cannot be asked.
     """
     return path.is_dir() if not is_remote(path) else bool(_entries(remote_url(path)))

@@ -23,7 +23,6 @@ def parse_number(text: str) -> float:
     """Parse a finite number.
 
     Raises NotFinite, or ValueError for anything else, surrounding spaces included.
-    Raises NotFinite, ValueError for anything else, spaces around it included.
     """
     if text.lower().lstrip("+-") in UNBOUNDED:
         raise NotFinite(f"not finite: {text!r}")
@@ -39,7 +38,6 @@ def parse_whole_number(text: str) -> int:
     """Parse a whole number.
 
     Raises ValueError for anything else, surrounding spaces included.
-    Raises ValueError for anything else, spaces around it included.
     """
     if len(text) > LONGEST_NUMBER or not _WHOLE.fullmatch(text):
         raise ValueError(f"not a whole number: {text[:LONGEST_NUMBER]!r}")
@@ -49,7 +47,6 @@ def parse_whole_number(text: str) -> int:
 def parse_numbers(texts: Iterable[str]) -> list[float]:
     """Parse many finite numbers.
 
-    Raises ValueError where one is none.
     Raises ValueError where one is no finite number.
     """
     return [parse_number(text) for text in texts]

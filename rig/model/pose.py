@@ -95,11 +95,9 @@ def poses_pointing_along(directions: Floats) -> RigidTransform:
 
 
 def direction_difference(T_from: RigidTransform, T_to: RigidTransform) -> Floats:
-    """Difference of directions, a small turn (n, 2) rad.
+    """Difference of directions, a small turn (n, 2) rad about x and y of the poses T_from (n,).
 
-    About x and y of the poses T_from (n,).
-
-    That takes their z axes to those of T_to (n,).
+    It takes their z axes to those of T_to (n,).
 
     On the tangent plane of the unit sphere, so that no direction is special: near the zenith an azimuth counts by the
     cosine of the elevation.

@@ -1,6 +1,6 @@
-"""Names of controller protocols and of ports.
+"""Names of controller protocols, ports and user programs, and their checks.
 
-And of user programs, and their checks; imports nothing that takes time.
+It imports nothing that takes time.
 """
 
 import re

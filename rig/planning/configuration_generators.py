@@ -85,7 +85,6 @@ def parse_grid_division(axes: int, text: str) -> tuple[list[int], float]:
     """Grid division parsed.
 
     Returns (parts of each axis, share of the strokes)
-    Raises RigError.
     Raises RigError where it is none.
     """
     numbers, _, share = text.partition("@")
@@ -150,8 +149,9 @@ def simplex_configurations(strokes: Floats, shells: int = 2, fill: float = FILL)
 
 def single_axis_pose_moves(design: Design, per_axis: int = 9) -> Floats:
     """Commands (6 per_axis, 6) of pose moves along and about single axes X, Y, Z through home.
-    Raises RigError for a mechanism that is not a hexapod. (on-line learning patent, [0011]-[0015]). Raises RigError
-    for a mechanism that is not a hexapod.
+
+    Raises RigError for a mechanism that is not a hexapod.
+    Source: on-line learning patent, [0011]-[0015]
     """
     mechanism = _hexapod(design, "axes plans are for hexapods")
     return _through_home(mechanism, np.eye(6), per_axis)

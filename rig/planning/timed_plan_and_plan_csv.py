@@ -189,7 +189,6 @@ def require_commands_in_range(table: csv_and_parquet_tables_and_time_origin.Tabl
     """Commands (n, axes) m or rad of a table, required in range.
 
     Raises FileError with the line of one that is not.
-    Raises FileError with the line of what is out of the axes' range.
     """
     values = table.matrix(design.mechanism.axes)
     if len(table) > MOST * ROWS:

@@ -1,6 +1,6 @@
-"""Best posture of a redundant arm at a fixed hand pose.
+"""Best posture of a redundant arm at a fixed hand pose, and the motion into it.
 
-And the motion into it: searched for, or of those visited.
+It is searched for, or is the best of those visited.
 """
 
 from dataclasses import dataclass, field

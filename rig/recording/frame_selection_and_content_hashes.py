@@ -43,7 +43,6 @@ FRAME = re.compile(r"\s*([0-9]{1,18})(?:\s*-\s*([0-9]{1,18}))?\s*")
 def parse_frame_ranges(text: str) -> tuple[tuple[int, int], ...]:
     """Frame ranges ((first, last), ..) parsed from text like 3,7-9.
 
-    Raises RigError.
     Raises RigError for anything else.
     """
     parts = [FRAME.fullmatch(part) for part in text.split(",")]
@@ -148,7 +147,6 @@ Marks = dict[int, frozenset[str]]  # of each frame that has any
 def content_hashes_of_frames(recording: Recording) -> Marks:
     """Content hashes of a recording's frames, and of the data they were measured from.
 
-    Raises FileError.
     Raises FileError for an image that cannot be read.
     """
     if recording.parts:

@@ -1,6 +1,6 @@
-"""Displacements of markers from their stated places.
+"""Displacements of markers and targets from their stated places.
 
-And of targets, and their effect on the residuals.
+Their effect on the residuals is stated too.
 """
 
 from dataclasses import dataclass, replace
@@ -89,9 +89,7 @@ class Places:
 
 
 def compare_stated_and_adjusted_places(measurement: Measured, t: Floats) -> Places:
-    """Comparison (Places) of stated and adjusted marker places.
-
-    And of the residuals with each.
+    """Comparison (Places) of stated and adjusted marker places, and of the residuals with each.
     measurement : Measurement whose markers were free; t : (F,) s of all frames of the recording
     """
     m, a = measurement, measurement.adjustment

@@ -153,9 +153,7 @@ def _scatter(observations: Observations, inliers: Booleans, state: State) -> Flo
 def inflate_repeated_corner_covariance(
     observations: Observations, inliers: Booleans, state: State
 ) -> tuple[Floats, float]:
-    """Inflated covariances (n, 2, 2) of repeated base corners.
-
-    And their systematic error in px.
+    """Inflated covariances (n, 2, 2) of repeated base corners, and their systematic error in px.
 
     A base marker seen by a fixed camera stands on the same pixels in every frame, and what the pixel grid does to it
     comes back every time: n repeats are not n observations. Their scatter about their own mean is the noise; what their

@@ -40,10 +40,7 @@ OFF = 0.3  # px by which corners.csv may differ from what is read in the images,
 
 
 def image_sample_corners_and_mistakes(recording: Recording) -> tuple[Corners | None, list[Mistake]]:
-    """Corners read from a sample of a recording's images, None without images.
-
-    And the images' Mistakes.
-    """
+    """Corners read from a sample of a recording's images, None without images; and the images' Mistakes."""
     markers = marker_map(recording.design)
     sights, found = _sights(recording, markers, FRAMES)
     numbers = Counter(int(number) for *_, seen in sights for number in seen.marker)

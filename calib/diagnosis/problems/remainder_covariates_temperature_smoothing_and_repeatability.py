@@ -36,9 +36,7 @@ FAR = 8.0  # times its middle size that noise may reach
 
 
 def smooth_temperatures(sensors: Sensors | None) -> tuple[Sensors | None, dict[str, Floats]]:
-    """Sensors with smoothed temperatures.
-
-    And the error {channel: (n, q) K} of each smoothing coefficient.
+    """Sensors with smoothed temperatures, and the error {channel: (n, q) K} of each smoothing coefficient.
 
     A log that is not smooth with white noise on it stays as it is, and so do all other channels. sensors : Sensors or
     None, for which (None, {}) is returned. Source of the criterion: Schwarz, Annals of Statistics 6, 1978, 461-464; for

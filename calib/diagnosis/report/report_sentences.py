@@ -196,10 +196,7 @@ def unexplained_sentence(unknown: Sequence[FindingEntry]) -> str:
 
 
 def formula_suggestion_sentences(entry: SuggestionEntry) -> str:
-    """Sentences on a suggested formula in place of a name.
-
-    And on its error on data that did not choose it.
-    """
+    """Sentences on a suggested formula in place of a name, and on its error on data that did not choose it."""
     before, after, floor = (
         value_text(value, entry.unit) for value in (entry.heldout_before, entry.heldout_after, entry.noise)
     )

@@ -95,7 +95,7 @@ def residual_scatter_figure(
 ) -> str:
     """Scatter figure of residuals before and after (m,) against a covariate x (m,).
 
-    And of those before against what the effect explains.
+    It shows those before also against what the effect explains.
     """
     limit = 1.15 * max(float(np.quantile(np.abs(v), 0.995)) for v in residuals_before_and_after) + 1e-12
     explained = residuals_before_and_after[0] - residuals_before_and_after[1]

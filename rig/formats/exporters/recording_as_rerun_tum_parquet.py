@@ -46,7 +46,6 @@ class RecordingStream(Protocol):
 def import_rerun() -> ModuleType:
     """Import the module rerun.
 
-    Raises MissingLibrary that names its installation.
     Raises MissingLibrary that says how to install it.
     """
     try:

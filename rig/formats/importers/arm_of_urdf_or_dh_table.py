@@ -297,7 +297,6 @@ def read_arm_file(options: ArmFileOptions) -> ReadArm | None:
 def read_urdf_arm(path: Path, tips: tuple[str, ...] = (), root: str | None = None) -> ReadArm:
     """ReadArm of a URDF's joints from a root link to a tip, or to several, whose forward kinematics is the URDF's.
 
-    Whose forward kinematics is the URDF's.
     Raises FileError as rig.formats.importers.urdf_joint_chain.load_joint_chain
     """
     if len(tips) > 1:

@@ -69,8 +69,8 @@ class ImportedSensors:
 def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool]) -> ImportedSensors:
     """Read the sensor channels of a foreign table.
 
-    are_plausible : whether times (n,) s from the first can be so. Raises RigError for what cannot be used
-    Raises RigError for unusable ones.
+    are_plausible : whether times (n,) s from the first can be so
+    Raises RigError for what cannot be used.
     """
     cells = read_foreign_table_header_and_cells(table, "sensors")
     stated = {header: ours for ours, header in table.columns if ours != "t"}
@@ -137,7 +137,6 @@ class ImportedCommands:
 def read_commands(table: ForeignTable, design: Design) -> ImportedCommands:
     """Read the commands of a foreign table.
 
-    Raises RigError for unusable or ambiguous ones.
     Raises RigError for what cannot be used and for what reads well in two ways.
     """
     axes = design.mechanism.axes

@@ -111,10 +111,10 @@ class Recipe:
 
 
 def load_recipe(path: Path, settings: tuple[str, ...] = ()) -> Recipe:
-    """Load the Recipe of a TOML file, with settings "KEY=VALUE" that override it.
+    """Load the Recipe of a TOML file.
 
-    settings : "KEY=VALUE" that replace what it says. Raises FileError.
-    Raises FileError.
+    settings : "KEY=VALUE" that replace what it says
+    Raises FileError for what is no recipe or no setting.
     """
     root = toml_entries(read_text(path, LARGEST), path)
     root.schema("recipe of an import", SCHEMA)

@@ -83,9 +83,6 @@ def read_poses(
 ) -> ImportedPoses:
     """Read the poses of a foreign table.
 
-    Raises RigError where it is ambiguous.
-    Raises RigError for what reads well in two ways.
-
     commands_of_rows : of n rows' (times, frame numbers, n) what was commanded, (n, 6) m, or None where that is not
         known
     are_plausible : whether times (n,) s from the first can be so; of_commands : headers of columns that are commands

@@ -272,7 +272,6 @@ def load_manifest(folder: Path) -> FolderManifest:
     """Load the FolderManifest of a folder, empty where there is none.
 
     Raises FileError for an invalid manifest.
-    Raises FileError for a manifest that is none.
     """
     path = folder / MANIFEST
     try:
@@ -309,9 +308,7 @@ def load_manifest(folder: Path) -> FolderManifest:
 
 
 def require_complete_folder(folder: Path) -> None:
-    """Raise FileError unless a folder is complete.
-
-    That is, no command was interrupted while writing it.
+    """Raise FileError unless a folder is complete: no command was interrupted while writing it.
 
     A folder that nobody has marked is taken as it is.
     """

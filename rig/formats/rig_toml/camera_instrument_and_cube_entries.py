@@ -207,7 +207,6 @@ ROTATIONS_ALONE = ("orientation", "direction")
 def instrument_of_table(table: Entries) -> Instrument:
     """Instrument of the table [instrument].
 
-    Raises FileError for missing or implausible figures.
     Raises FileError for figures that are missing, implausible or of what its kind does not see.
     """
     table.refuse_misspelt([field.name for field in fields(Instrument)])

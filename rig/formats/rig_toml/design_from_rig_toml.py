@@ -67,8 +67,7 @@ def load_entries(path: str | Path) -> Entries:
 def design_of_entries(root: Entries) -> Design:
     """Design of the Entries of a rig.toml, lengths in m, angles in rad.
 
-    Raises FileError.
-    Raises FileError as `load` does.
+    Raises FileError as `load_design` does.
     """
     root.schema("rig.toml", SCHEMA)
     root = root.in_stated_units()

@@ -134,10 +134,8 @@ def _slides(table: Entries, i: int, row: list[object]) -> bool:
 def joint_limits(table: Entries, is_prismatic: Booleans) -> Floats:
     """Joint limits (n, 2) rad, m for prismatic joints.
 
-    is_prismatic : (n,) bool. Raises FileError where they do not run from small to large, or a slide's are beyond any
-        rig.
-    to large, or a slide's are beyond any rig.
-    Raises FileError where they are invalid.
+    is_prismatic : (n,) bool
+    Raises FileError where they do not run from small to large, or a slide's are beyond any rig.
     """
     rows = table.get("joints")
     if not isinstance(rows, list):

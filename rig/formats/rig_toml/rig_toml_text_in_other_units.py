@@ -27,9 +27,7 @@ REMARK = re.compile(r"(#\s+|\()(m|rad)(?=(/s(\^2)?)?( per revolution|,|\)|\s*$))
 
 
 def rig_toml_in_units(text: str, units: LengthAndAngleUnits) -> str:
-    """The text of a rig.toml in m and rad with its lengths and angles in other units.
-
-    Which it states.
+    """The text of a rig.toml in m and rad with its lengths and angles in other units, which it states.
 
     Figures are converted by the units that the reader of rig.toml asks for; layout and remarks remain.
     text : whose boards, if any, are listed markers

@@ -104,12 +104,7 @@ def poses_of_hands(q: Floats, arm: Arm, hand: Integers | None) -> RigidTransform
 
 
 def joint_values_with_zero_for_slides(q: Floats, arm: Arm) -> Floats:
-    """Joint values (..., n) rad with zero for slides.
-
-    Turn angles of the joints at joint values q (..., n).
-
-    0 for slides.
-    """
+    """Turn angles (..., n) rad of the joints at joint values q (..., n): the values themselves, 0 for slides."""
     return np.where(arm.slides, 0.0, q) if arm.slides.any() else np.asarray(q, float)
 
 

@@ -65,7 +65,6 @@ def shipped_arm_names() -> list[str]:
 def shipped_arm_path(path_or_name: str) -> Path:
     """Path of the rig.toml of a shipped arm by its name, or the path itself.
 
-    Raises RigError.
     Raises RigError for what is neither.
     """
     if Path(path_or_name).exists() or Path(path_or_name).suffix:
@@ -89,7 +88,6 @@ def shipped_arm_rig_toml(name: str) -> str:
     """rig.toml text of a shipped arm measured by an instrument.
 
     Raises RigError for an unknown name.
-    Raises RigError for a name that there is not.
     """
     if name not in shipped_arm_names():
         raise RigError(f"there is no arm {name!r}; there are {', '.join(shipped_arm_names())}")

@@ -95,10 +95,7 @@ ArmSelection = Selection[Fit, JointCandidate]
 
 
 def outlier_poses(arms: Arms, residuals: Floats, gate: float) -> Outliers:
-    """Poses that are outliers.
-
-    Whose residuals (n, k), m and rad, lie beyond a gate.
-    """
+    """Poses that are outliers: their residuals (n, k), m and rad, lie beyond a gate."""
     W = np.linalg.inv(np.linalg.cholesky(arms.own))
     columns = np.concatenate([arms.freedoms, _smooth(arms)], axis=2)[..., : residuals.size // ROWS]
     found = robust_fit([((W @ residuals[..., None])[..., 0], W @ columns)])

@@ -1,7 +1,4 @@
-"""Sensitivities of axes and corners to effects.
-
-And to the parameters of effects: the columns of the linear model.
-"""
+"""Sensitivities of axes and corners to effects and their parameters: the columns of the linear model."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

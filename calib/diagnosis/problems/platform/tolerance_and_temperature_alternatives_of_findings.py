@@ -372,9 +372,7 @@ def parameter_errors_by_temperature_logs(refinement: Refinement) -> Floats | Non
 
 
 def parameter_errors_by_tolerances(refinement: Refinement, sensitivities: Sensitivities) -> Floats | None:
-    """Errors (c, q) of fitted coordinates per standard deviation of manufacturing tolerances.
-
-    Or None.
+    """Errors (c, q) of fitted coordinates per standard deviation of manufacturing tolerances, or None.
 
     What an effect is the size of is nothing that it
     is off by.

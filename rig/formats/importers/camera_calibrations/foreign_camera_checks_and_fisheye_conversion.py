@@ -50,7 +50,6 @@ def checked_image_size(entries: Entries, key: str) -> tuple[int, int]:
 def checked_camera_matrix(entries: Entries, key: str, matrix: Floats) -> Floats:
     """Camera matrix (3, 3) px, checked.
 
-    Raises FileError for a skew or an invalid matrix.
     Raises FileError for a skew, and for what is no camera's matrix.
     """
     off = matrix.copy()
@@ -75,7 +74,6 @@ def checked_distortion(entries: Entries, key: str, values: Floats) -> Floats:
 
     None means four zeros.
     Raises FileError for a count that OpenCV lacks.
-    Raises FileError for a number of them that OpenCV has not.
     """
     if not len(values):
         return np.zeros(4)
