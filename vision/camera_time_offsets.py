@@ -55,8 +55,10 @@ def camera_time_offsets(
         J[..., k] = (predict_corners(seen, displaced)[0] - shown) / STEP
     own_camera = seen.camera[:, None, None] == np.arange(count)
     rows_late = seen.uv[:, 1] / np.array([camera.height for camera in state.cameras])[seen.camera] - 0.5
-    G = speed[..., None] * np.concatenate([own_camera[..., 1:], rows_late[:, None, None] * own_camera], axis=2)
-    width = 2 * count - 1
+    unstated = [camera.shutter != "rolling" for camera in state.cameras]
+    late = rows_late[:, None, None] * own_camera[..., unstated]
+    G = speed[..., None] * np.concatenate([own_camera[..., 1:], late], axis=2)
+    width = G.shape[2]
     normal, right, squares, free = np.zeros((width, width)), np.zeros(width), 0.0, 0
     for frame in np.unique(seen.frame):
         own = seen.frame == frame
