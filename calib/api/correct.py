@@ -31,8 +31,9 @@ from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.model.arm_branches_and_hands import hand_names
 from rig.model.pose import pose_difference, pose_to_vector
-from rig.recording.recording_folder import Sensors, WantedPoses
+from rig.recording.recording_folder import Sensors
 from rig.recording.recording_table_loading_and_writing import POSE_COLUMNS, POSE_UNITS, Poses
+from rig.recording.wanted_poses import WantedPoses
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 
 APPROACHES = ("auto", "always", "never")
