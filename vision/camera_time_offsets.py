@@ -2,7 +2,8 @@
 
 Cameras that expose at other moments than their stamps say see the platform at different places. A delay that all of
 them share moves the measured pose alone; what differs from the first camera remains in the corners' residuals, along
-the direction in which each corner moves. The pose of every frame is eliminated.
+the direction in which each corner moves. The pose of every frame is eliminated, and so is a delay that grows from row
+to row: a rolling shutter that nobody stated is no difference of stamps.
 """
 
 from dataclasses import dataclass, replace
@@ -52,21 +53,27 @@ def camera_time_offsets(
     for k in range(6):
         displaced = replace(state, platform=state.platform * exp(STEP * np.eye(6)[k]))
         J[..., k] = (predict_corners(seen, displaced)[0] - shown) / STEP
-    G = speed[..., None] * (seen.camera[:, None, None] == np.arange(1, count))
-    normal, right, squares, free = np.zeros((count - 1, count - 1)), np.zeros(count - 1), 0.0, 0
+    own_camera = seen.camera[:, None, None] == np.arange(count)
+    rows_late = seen.uv[:, 1] / np.array([camera.height for camera in state.cameras])[seen.camera] - 0.5
+    unstated = [camera.shutter != "rolling" for camera in state.cameras]
+    late = rows_late[:, None, None] * own_camera[..., unstated]
+    G = speed[..., None] * np.concatenate([own_camera[..., 1:], late], axis=2)
+    width = G.shape[2]
+    normal, right, squares, free = np.zeros((width, width)), np.zeros(width), 0.0, 0
     for frame in np.unique(seen.frame):
         own = seen.frame == frame
         if len(np.unique(seen.camera[own])) < 2:
             continue
         Q, _ = np.linalg.qr(J[own].reshape(-1, 6))
-        left = np.column_stack([G[own].reshape(-1, count - 1), residuals[rows[own]].ravel()])
+        left = np.column_stack([G[own].reshape(-1, width), residuals[rows[own]].ravel()])
         left -= Q @ (Q.T @ left)
         normal += left[:, :-1].T @ left[:, :-1]
         right += left[:, :-1].T @ left[:, -1]
         squares += float(left[:, -1] @ left[:, -1])
         free += len(left) - 6
-    if free <= count or np.linalg.matrix_rank(normal) < count - 1:
+    if free <= width or np.linalg.matrix_rank(normal) < width:
         return None
     found = np.linalg.solve(normal, right)
-    scale = max(squares - float(found @ right), 0.0) / (free - count)
-    return CameraTimeOffsets(np.r_[0.0, found], np.r_[0.0, np.sqrt(scale * np.diag(np.linalg.inv(normal)))])
+    scale = max(squares - float(found @ right), 0.0) / (free - width)
+    sigma = np.sqrt(scale * np.diag(np.linalg.inv(normal)))
+    return CameraTimeOffsets(np.r_[0.0, found[: count - 1]], np.r_[0.0, sigma[: count - 1]])

@@ -68,6 +68,13 @@ def test_cameras_whose_stamps_are_late_by_different_times(moving):
     assert abs(clocks(replace(recording, exposures=told), found)[0].offset - OFFSET) < 2e-4
 
 
+def test_a_rolling_shutter_that_nobody_stated_is_no_difference_of_stamps(moving):
+    recording, _, _ = moving
+    cameras = tuple(replace(camera, shutter="global", row_time=0.0) for camera in recording.design.cameras)
+    found, _ = measure_recording(replace(recording, design=replace(recording.design, cameras=cameras)))
+    assert found.camera_offsets == ()
+
+
 def test_an_offset_and_a_lag_are_told_apart_by_reversals(tmp_path):
     from rig.planning.layout import hexapod_layout_and_camera_placement
 

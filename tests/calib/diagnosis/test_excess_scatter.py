@@ -24,6 +24,7 @@ from rig.report.verdict_and_refutations import State
 from tests.calib import secret_arms
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.recordings_with_effects import recorded
+from tests.truth import draw, record
 
 MOUNT = Arm(
     np.array([[0, 0.3, 0, np.pi / 2], [0, 0, 1.0, 0]]), np.array([[-2.8, 2.8], [0.2, 1.4]])
@@ -118,3 +119,11 @@ def test_chance_alone_is_never_beyond_the_noise():
     assert detect_excess_scatter(
         Place("rig"), "m", 1.0, 0.99 * MATERIAL**2 * 5000, 5000
     ) is None and detect_excess_scatter(Place("rig"), "m", 1.0, 1.1 * MATERIAL**2 * 5000, 5000)
+
+
+@pytest.mark.parametrize("seed", [940392, pytest.param(940436, marks=pytest.mark.slow)])
+def test_a_strut_that_scatters_more_by_chance_makes_no_vibration(tmp_path, seed):
+    """The struts' noise is correlated: a scatter of one strut's own that is less likely than none is none."""
+    quiet = draw(seed, "none", "none", "sobol", "hexapod", count=100)
+    found = diagnosis_of(recording_folder.load_recording(record(quiet, tmp_path / "rec")))
+    assert not found.findings and not found.left

@@ -315,6 +315,9 @@ def _weighed(
         half = orthonormal_combinations(gram[1:, 1:])
         z = half.T @ gram[1:, 0]
         basis = rows[:, 1:] @ half
+        weighed, cost = (scatter, W, rows, half, z, basis), gram[0, 0] - z @ z - 2 * np.linalg.slogdet(W)[1].sum()
+        if turn == 0:
+            plain, least = weighed, cost
         if not axes or turn == ROUNDS - 1:
             break
         beyond = np.linalg.solve(W, (rows[: F * axes, 0] - basis[: F * axes] @ z).reshape(F, axes, 1))[..., 0]
@@ -322,6 +325,8 @@ def _weighed(
         if np.abs(new - scatter).max() < 1e-8:
             break
         scatter = new
+    if cost > least:  # struts are correlated: what one scatters beyond its share by chance is no scatter of its own
+        scatter, W, rows, half, z, basis = plain
     onto = half[:seen] / frames.sigma
     Q = Column((FactoredColumns(table, onto), basis))
     blocks = (
