@@ -18,6 +18,8 @@ from rig.errors import NotEnoughData
 from rig.model.arm_branches_and_hands import Branch, Hand
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.pose import exp, pose, pose_difference
+from rig.recording.frame_selection_and_content_hashes import select_hand
+from rig.recording.recording_table_loading_and_writing import write_poses
 from tests.cli import run
 from tests.two_armed import HUMANOID, NOISE, drawn, humanoid, observed
 
@@ -146,6 +148,10 @@ def test_poses_of_one_hand_are_calibrated_and_what_the_other_would_show_is_named
     assert "40 of them agree with one geometry" in said
     assert f"{other} tool x has no effect on what was measured and remains as stated" in said
     assert f"{seen} tool x has no effect" not in said
+    command = ("correct", tmp_path / "c.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "commands.csv")
+    write_poses(tmp_path / "wanted.csv", select_hand(rig.load(tmp_path / "REC"), seen).poses.take(np.arange(1)))
+    assert f"the hand {other!r} was not measured" in run(*command, "--hand", other, ok=False).stderr
+    assert "1 of 1 poses written" in run(*command, "--hand", seen).stdout
 
 
 def test_a_wild_pose_of_one_hand_leaves_the_other_in_the_fit(arm):
