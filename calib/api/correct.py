@@ -14,6 +14,7 @@ from calib.correction.command_timing_and_pose_error_map import HOLDING
 from calib.correction.correction import require_reachable
 from calib.correction.physics_compensation import require_sensor_coverage
 from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.error_model_and_observations import tool_parameters
 from calib.models.machine_models import corrected_pose_covariance
 from calib.models.wanted_pose_commands import (
     RouteCommands,
@@ -31,8 +32,9 @@ from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.model.arm_branches_and_hands import hand_names
 from rig.model.pose import pose_difference, pose_to_vector
-from rig.recording.recording_folder import Sensors, WantedPoses
+from rig.recording.recording_folder import Sensors
 from rig.recording.recording_table_loading_and_writing import POSE_COLUMNS, POSE_UNITS, Poses
+from rig.recording.wanted_poses import WantedPoses
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 
 APPROACHES = ("auto", "always", "never")
@@ -335,7 +337,11 @@ def _require_log(sensors: Sensors | None, wanted: WantedPoses) -> None:
 
 
 def _of_chosen_hand(calibration: Calibration, options: CorrectOptions) -> Calibration:
-    """The calibration of the hand that is chosen, other joints at the start. Raises RigError where one is missing."""
+    """The calibration of the hand that is chosen, other joints at the start.
+
+    Raises RigError where none is chosen, and for
+        one that was not measured, whose errors the calibration does not know.
+    """
     names = hand_names(calibration.correction.nominal)
     if options.hand is None:
         if names:
@@ -343,6 +349,11 @@ def _of_chosen_hand(calibration: Calibration, options: CorrectOptions) -> Calibr
         return calibration
     seen = calibration.of_hand(options.hand)
     assert isinstance(seen.correction, ArmCorrection)
+    if not options.uncorrected and not calibration.covariance[tool_parameters(seen.correction.nominal)].any():
+        raise RigError(
+            f"the hand {options.hand!r} was not measured in this calibration, so the errors of its poses are not "
+            "known; --uncorrected commands what the nominal model says"
+        )
     return replace(seen, correction=seen.correction.with_other_joints_at(_start(options.start, calibration)))
 
 

@@ -25,8 +25,9 @@ from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError, Unreachable
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.model.pose import pose, pose_to_vector
-from rig.recording.recording_folder import Sensors, WantedPoses
+from rig.recording.recording_folder import Sensors
 from rig.recording.recording_table_loading_and_writing import Poses
+from rig.recording.wanted_poses import WantedPoses
 
 LONGEST = 1 << 24  # bytes of a request's line
 CLIENTS = 64  # at a time

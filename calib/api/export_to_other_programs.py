@@ -30,8 +30,9 @@ from rig.model import mechanisms
 from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_arm, require_hexapod
-from rig.recording.recording_folder import Sensors, WantedPoses, load_recording, load_wanted_poses
+from rig.recording.recording_folder import Sensors, load_recording
 from rig.recording.recording_table_loading_and_writing import COVARIANCE_COLUMNS, POSE_COLUMNS
+from rig.recording.wanted_poses import WantedPoses, load_wanted_poses
 
 LARGEST = 100_000  # rows
 Point = tuple[float, ...]  # a value of each channel

@@ -22,7 +22,12 @@ from rig.model.arm_branches_and_hands import hand_names
 from rig.model.base_and_link_tilts import TiltReadings, gravity_at_exposures
 from rig.model.design import Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, nearest_reachable_poses
-from rig.recording.frame_selection_and_content_hashes import is_of_several_hands, require_one_hand_shown, select_hand
+from rig.recording.frame_selection_and_content_hashes import (
+    hands_with_seen_targets,
+    is_of_several_hands,
+    require_one_hand_shown,
+    select_hand,
+)
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners, Poses
 
@@ -312,17 +317,36 @@ def sample_recording(
 def _sample_hands(recording: Recording, free: tuple[str, ...], progress: Progress | None) -> Sampled:
     """Sampled of cameras that see targets of an arm's several hands: each hand's measured by themselves, all together.
 
-    What poses of one hand share, as the places of cameras, is a draw of its own for each hand
+    What poses of one hand share, as the places of cameras, is a draw of its own for each hand. A hand that is not
+    measured is named in the source, with the reason. Raises NotEnoughData where no hand is measured
     """
     names = hand_names(recording.design.mechanism)
-    parts = [sample_recording(select_hand(recording, name), free, progress) for name in names]
+    found, missing = dict[str, Sampled](), dict[str, str]()
+    for name in names:
+        if name not in hands_with_seen_targets(recording, recording.corners):
+            stated = name in hands_with_seen_targets(recording, None)
+            missing[name] = "none of its markers is seen" if stated else "it has no target"
+            continue
+        try:
+            found[name] = sample_recording(select_hand(recording, name), free, progress)
+        except NotEnoughData as error:
+            missing[name] = str(error)
+    unmeasured = "; ".join(f"{name} was not measured: {reason}" for name, reason in missing.items())
+    if not found:
+        raise NotEnoughData(f"{recording.folder}: {unmeasured}")
+    return _joined_hands(recording, found, f" of {', '.join(found)} ({unmeasured})" if missing else "")
+
+
+def _joined_hands(recording: Recording, measured: dict[str, Sampled], which: str) -> Sampled:
+    """Sampled of all hands that are measured. measured : by the hand's name; which : hands, for the source"""
+    names, parts = hand_names(recording.design.mechanism), list(measured.values())
     count = [0, *np.cumsum([part.samples.common.shape[2] for part in parts]).tolist()]
     common = [
         np.pad(part.samples.common, ((0, 0), (0, 0), (before, count[-1] - after)))
         for part, before, after in zip(parts, count, count[1:])
     ]
     frame = np.concatenate([part.samples.frame for part in parts])
-    hand = np.concatenate([np.full(len(part.samples), number) for number, part in enumerate(parts)])
+    hand = np.concatenate([np.full(len(part.samples), names.index(name)) for name, part in measured.items()])
     order = np.lexsort((hand, frame))
     found = pair_samples(
         recording,
@@ -331,7 +355,7 @@ def _sample_hands(recording: Recording, free: tuple[str, ...], progress: Progres
         np.concatenate([part.samples.covariance for part in parts])[order],
         np.concatenate(common)[order],
     )
-    return Sampled(replace(found, hand=hand[order]), parts[0].source, None, None, instrument=CAMERAS)
+    return Sampled(replace(found, hand=hand[order]), parts[0].source + which, None, None, instrument=CAMERAS)
 
 
 def _from_poses(recording: Recording, poses: Poses) -> Samples:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rig.array_and_json_types import Floats
     from rig.formats.csv_and_parquet_tables_and_time_origin import TableFormat
     from rig.formats.length_and_angle_units import LengthAndAngleUnits
-    from rig.recording.recording_folder import WantedPoses
+    from rig.recording.wanted_poses import WantedPoses
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -118,8 +118,8 @@ def run(arguments: Namespace) -> None:
     Write corrected commands for wanted poses, or corrected poses of readings.
     """
     from calib.api.correct import correct
-    from rig.recording.recording_folder import load_wanted_poses
     from rig.recording.recording_table_loading_and_writing import write_poses
+    from rig.recording.wanted_poses import load_wanted_poses
 
     if arguments.forward and (
         arguments.uncorrected
@@ -135,12 +135,12 @@ def run(arguments: Namespace) -> None:
             "commands for wanted poses, not to --forward"
         )
     calibration = input_options.calibration_of_arguments(arguments)
-    out = arguments.outputs.file(arguments.out)
+    out, chosen = arguments.outputs.file(arguments.out), calibration_of_chosen_hand(arguments, calibration)
     if arguments.forward:
-        return _write_read_poses(arguments, calibration_of_chosen_hand(arguments, calibration), out)
+        return _write_read_poses(arguments, chosen, out)
     refutation_printing_and_writing.read_and_print_refutations(arguments.calibration)
     form = _format(arguments)
-    wanted = load_wanted_poses(arguments.poses, form)
+    wanted = load_wanted_poses(arguments.poses, form, chosen.correction.nominal)
     result = correct(calibration, wanted, _options(arguments, wanted, calibration, form.units))
     result.write(out, form)
     arguments.result = result.tree()

@@ -20,6 +20,8 @@ from rig.report.verdict_and_refutations import exit_status
 
 if TYPE_CHECKING:
     from calib.api.verify_and_watch import VerificationResult
+    from rig.recording.recording_folder import Recording
+    from rig.recording.recording_table_loading_and_writing import Poses
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -44,14 +46,13 @@ def run(arguments: Namespace) -> int:
     Exit status 3 where the verdict is bad.
     """
     from calib.api.verify_and_watch import verify
-    from rig.recording.recording_table_loading_and_writing import load_poses
     from rig.report.verdict_and_refutations import refutations_of_file
 
     progress = Progress()
     progress("reading the recording", 0, 1)
     calibration = input_options.calibration_of_arguments(arguments)
-    wanted = load_poses(arguments.wanted, are_commands=True) if arguments.wanted else None
     recording, page = recording_of_chosen_hand(arguments, read_recording(arguments)), page_path(arguments)
+    wanted = _wanted_poses(arguments.wanted, recording)
     refuted = refutations_of_file(arguments.calibration)
     result = verify(calibration, recording, wanted, refuted, progress)
     progress.close()
@@ -69,6 +70,19 @@ def run(arguments: Namespace) -> int:
     if page is not None:
         print(f"written: {arguments.page}")
     return exit_status(result.verdict)
+
+
+def _wanted_poses(path: Path | None, recording: Recording) -> Poses | None:
+    """Poses that a recording's frames were intended to take. Raises RigError where it shows several hands."""
+    from rig.model.arm_branches_and_hands import hand_names, seen_hand
+    from rig.recording.frame_selection_and_content_hashes import require_one_hand_shown
+    from rig.recording.recording_table_loading_and_writing import load_poses
+
+    if path is None:
+        return None
+    require_one_hand_shown(recording)
+    mechanism = recording.design.mechanism
+    return load_poses(path, are_commands=True, hands=hand_names(mechanism), hand=seen_hand(mechanism))
 
 
 def _print_result(result: VerificationResult) -> None:

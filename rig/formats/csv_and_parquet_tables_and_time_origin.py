@@ -158,6 +158,20 @@ class Table:
             )
         return origin.seconds(cells)
 
+    def first_time_origin(self) -> TimeOrigin:
+        """The TimeOrigin that stands at 0 at the first row's t. Raises FileError as `times` does."""
+        self.times("t", TimeOrigin())
+        return TimeOrigin(parse_exact_decimal(self.text("t")[0]))
+
+    def increasing_times(self, origin: TimeOrigin) -> Floats:
+        """(n,) s of column t as `times` has them. Raises FileError at the first row that is not after the one before"""
+        t, shown = self.times("t", origin), self.text("t")
+        back = np.flatnonzero(np.diff(t) <= 0)
+        if len(back):
+            i = back[0] + 1
+            self.fail(f"time must increase: t = {shown[i]} s follows {shown[i - 1]} s", i, "t", shown[i])
+        return t
+
     def whole(self, column: str) -> Integers:
         """(n,) integers of at least 0. Raises FileError at the first cell that is none."""
         values = self.numbers(column)

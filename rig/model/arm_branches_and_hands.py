@@ -69,12 +69,13 @@ def hand_names(mechanism: object) -> tuple[str, ...]:
 
 
 def hand_number(mechanism: object, hand: str | int) -> int:
-    """Number, from 0, of a hand by its name or number. Raises RigError for a name that the mechanism does not have."""
+    """Number, from 0, of a hand by its name or number. Raises RigError for a hand that the mechanism does not have."""
     names = hand_names(mechanism)
-    if isinstance(hand, int):
+    if isinstance(hand, int) and 0 <= hand < len(names):
         return hand
-    if hand not in names:
-        raise RigError(f"the mechanism has no hand {hand!r}; there are {', '.join(names) or 'no named hands'}")
+    if isinstance(hand, int) or hand not in names:
+        what = f"number {hand}, counted from 0" if isinstance(hand, int) else repr(hand)
+        raise RigError(f"the mechanism has no hand {what}; there are {', '.join(names) or 'no named hands'}")
     return names.index(hand)
 
 

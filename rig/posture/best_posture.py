@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model import mechanisms
+from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
@@ -121,9 +122,10 @@ class PostureResult(OneLineRepr):
 def best_posture(arm: Arm, options: PostureOptions) -> PostureResult:
     """PostureResult of an arm, as `rig arm posture` makes it.
 
-    Raises RigError for a hand that is elsewhere than stated, and where nothing exceeds the measure that is wanted;
-        Unreachable for a pose that no joint values give
+    Raises RigError for an arm with several hands, for a hand that is elsewhere than stated, and where nothing exceeds
+        the measure that is wanted; Unreachable for a pose that no joint values give
     """
+    require_one_hand(arm, "postures are searched")
     return (_best_searched if options.recording is None else _best_visited)(arm, options)
 
 

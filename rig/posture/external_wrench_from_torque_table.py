@@ -11,6 +11,7 @@ import numpy as np
 from rig.array_and_json_types import Booleans, Floats, Json
 from rig.errors import RigError
 from rig.formats.rig_toml.arm_dynamics_entries import load_arm_dynamics
+from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.design import Design
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import LinkMasses
@@ -127,10 +128,12 @@ def measure_wrench(arm_path: Path, torques: Path, options: WrenchOptions = Wrenc
     """WrenchResult of a table of torques, as `rig arm wrench` makes it.
 
     arm_path : rig.toml of an arm with [dynamics]
-    Raises FileError for a table that cannot be read, RigError for dynamics that are not stated
+    Raises FileError for a table that cannot be read, RigError for dynamics that are not stated and for an arm with
+        several hands
     """
     design, dynamics = load_arm_dynamics(arm_path)
     arm = require_arm(design.mechanism)
+    require_one_hand(arm, "a wrench is estimated")
     if options.sigma is not None:
         torque, angle, speed = (np.full(len(arm.axes), value) for value in options.sigma)
         dynamics = replace(dynamics, torque_sigma=torque, angle_sigma=angle, speed_sigma=speed)

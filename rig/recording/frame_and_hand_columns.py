@@ -1,6 +1,7 @@
 """Columns of poses.csv that say of which frame a row is, and of which hand of an arm with several."""
 
-from typing import Any
+from dataclasses import replace
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -29,12 +30,34 @@ def frame_and_hand_columns(
         if known_frames is not None and number not in known_frames:
             rows.fail(f"frame {number} is not in frames.csv", i, "frame", number)
         if hands and name not in hands:
-            near = nearest_known_word(name, hands)
-            hint = f"; is {near!r} meant?" if near else f"; rig.toml has {', '.join(hands)}"
-            rows.fail(f"{name!r} is no hand{hint}", i, HAND, name)
+            _fail_unknown_hand(rows, i, name, hands)
         if (number, name) in seen:
             of = f" of hand {name!r}" if hands else ""
             first = rows.lines[seen[number, name]]
             rows.fail(f"frame {number}{of} is listed twice, first in line {first}", i, "frame", number)
         seen[number, name] = i
     return frame, np.array([hands.index(name) for name in names]) if hands else None
+
+
+def rows_of_hand(rows: Table, hands: tuple[str, ...], hand: str) -> Table:
+    """The rows of a table whose column `hand` names one of several hands; all where there is no such column.
+
+    Raises FileError for a name that no hand has, and for a table without a row of this hand
+    """
+    if HAND not in rows.columns:
+        return rows
+    names = rows.text(HAND)
+    for i, name in enumerate(names):
+        if name not in hands:
+            _fail_unknown_hand(rows, i, name, hands)
+    own = np.flatnonzero(np.array(names) == hand)
+    if not len(own):
+        rows.fail(f"no row is of hand {hand!r}, only of {', '.join(sorted(set(names)))}", 0, HAND, names[0])
+    return replace(rows, rows=[rows.rows[i] for i in own], lines=rows.lines[own])
+
+
+def _fail_unknown_hand(rows: Table, row: int, name: str, hands: tuple[str, ...]) -> NoReturn:
+    """Raise FileError for a name in the column `hand` that no hand has."""
+    near = nearest_known_word(name, hands)
+    hint = f"; is {near!r} meant?" if near else f"; rig.toml has {', '.join(hands)}"
+    rows.fail(f"{name!r} is no hand{hint}", row, HAND, name)

@@ -36,6 +36,7 @@ from rig.model.arm_branches_and_hands import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import LIMB, Recording
+from rig.recording.recording_table_loading_and_writing import Corners
 
 FRAME = re.compile(r"\s*([0-9]{1,18})(?:\s*-\s*([0-9]{1,18}))?\s*")
 
@@ -100,6 +101,22 @@ def select_hand(recording: Recording, hand: str | int) -> Recording:
         corners = corners.take(np.isin(corners.marker, [number for target in targets for number in target.ids]))
     design = replace(recording.design, mechanism=arm, targets=targets)
     return replace(recording, design=design, poses=poses, corners=corners)
+
+
+def hands_with_seen_targets(recording: Recording, corners: Corners | None) -> tuple[str, ...]:
+    """Names of the hands of an arm with several that have targets, and of these corners where corners are known."""
+    bodies = [(one.stage, one.ids) for one in recording.design.targets if one.body != "base"]
+    seen = [k for k, ids in bodies if corners is None or np.isin(corners.marker, ids).any()]
+    return tuple(name for k, name in enumerate(hand_names(recording.design.mechanism)) if k in seen)
+
+
+def first_seen_hand(recording: Recording, corners: Corners) -> tuple[Recording, Corners]:
+    """(Recording, Corners) of the first of an arm's hands whose target is seen in corners; as they are without one."""
+    names = hands_with_seen_targets(recording, corners)
+    if not names:
+        return recording, corners
+    recording = select_hand(replace(recording, corners=corners), names[0])
+    return recording, corners if recording.corners is None else recording.corners
 
 
 def is_of_several_hands(recording: Recording) -> bool:

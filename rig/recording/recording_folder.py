@@ -12,29 +12,17 @@ from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
 from rig.formats.checked_entries import name_problem
-from rig.formats.csv_and_parquet_tables_and_time_origin import (
-    PLAIN,
-    Table,
-    TableFormat,
-    TimeOrigin,
-    parse_exact_decimal,
-)
+from rig.formats.csv_and_parquet_tables_and_time_origin import Table, TimeOrigin
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import require_complete_folder, write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.arm_branches_and_hands import hand_names
 from rig.model.base_and_link_tilts import GRAVITY, BaseTilt, gravity_channels, has_gravity, times_between_small_turns
-from rig.model.design import Design, Instrument
+from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
 from rig.recording.exposure_table import ONE_FRAME, SIMULTANEOUS, Exposures, load_exposures
 from rig.recording.image_file_check_and_reading import UnreadableImage
-from rig.recording.recording_table_loading_and_writing import (
-    Corners,
-    Poses,
-    load_corners,
-    load_instrument_poses,
-    load_poses,
-)
+from rig.recording.recording_table_loading_and_writing import Corners, Poses, load_corners, load_instrument_poses
 from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
 
 LIMB = re.compile(r"m[1-9]\d*")  # a channel of a measuring limb, m, read only where there are rows about an exposure
@@ -190,7 +178,7 @@ def load_recording(folder: str | Path, skip_unreadable: bool = False) -> Recordi
     exposed = csv_and_parquet_tables_and_time_origin.read_csv_table(
         folder / "frames.csv", ("frame", "t", "camera", "image")
     )
-    origin = _origin(exposed if commanded is None else commanded)
+    origin = (exposed if commanded is None else commanded).first_time_origin()
     apart = SIMULTANEOUS if commanded is None else ONE_FRAME
     exposures, skipped = load_exposures(folder, design, exposed, origin, skip_unreadable, apart)
     commands = None if commanded is None else _commands(commanded, design, exposures, origin)
@@ -236,39 +224,6 @@ def _stages(folder: Path, design: Design, known: set[int]) -> dict[int, Poses]:
     return out
 
 
-POINTING = Instrument("rig", "rig", np.inf, None, "direction")  # as which wanted directions are read
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WantedPoses:
-    """Poses that a machine is to take. poses : Poses; t : (n,) s from the first, when each is to be held, or None where
-    nobody says
-    origin : of the owner's clock, by which times are told; directions : whether their z axes alone are wanted"""
-
-    poses: Poses
-    t: Floats | None = None
-    origin: TimeOrigin = TimeOrigin()
-    directions: bool = False
-
-
-def load_wanted_poses(path: str | Path, form: TableFormat = PLAIN) -> WantedPoses:
-    """Load WantedPoses from a table frame,x,y,z,rx,ry,rz or frame,azimuth,elevation, with or without t.
-
-    form : of the file. Raises FileError with line and column
-    """
-    rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame",), form=form)
-    directions = "azimuth" in rows.columns
-    poses = (
-        load_instrument_poses(path, None, POINTING, form)
-        if directions
-        else load_poses(path, are_commands=True, form=form)
-    )
-    if "t" not in rows.columns:
-        return WantedPoses(poses, None, TimeOrigin(), directions)
-    origin = _origin(rows)
-    return WantedPoses(poses, _increasing(rows, origin), origin, directions)
-
-
 def load_sensors(path: str | Path, origin: TimeOrigin) -> Sensors:
     """Load Sensors from a sensors.csv, times relative to an TimeOrigin. Raises FileError with line and column."""
     return _sensor_rows(csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("t",)), origin)
@@ -298,12 +253,6 @@ def sensors_with_gravity(gravity: Floats, tilts: tuple[BaseTilt, ...], sensors: 
     return replace(sensors, t=t, channels={**channels, **gravity_channels(gravity, tilts, lambda name: channels[name])})
 
 
-def _origin(rows: Table) -> TimeOrigin:
-    """The TimeOrigin that stands at 0 at the first row of a table with times."""
-    rows.times("t", TimeOrigin())  # which checks them
-    return TimeOrigin(parse_exact_decimal(rows.text("t")[0]))
-
-
 def _command_rows(path: Path, design: Design) -> Table | None:
     if not local_and_remote_input_files.exists(path):
         return None
@@ -313,7 +262,7 @@ def _command_rows(path: Path, design: Design) -> Table | None:
 
 
 def _commands(rows: Table, design: Design, exposures: Exposures, origin: TimeOrigin) -> Commands:
-    path, t = rows.path, _increasing(rows, origin)
+    path, t = rows.path, rows.increasing_times(origin)
     for column in rows.columns:
         if (
             column not in ("t", *design.mechanism.axes)
@@ -346,15 +295,6 @@ def _commands(rows: Table, design: Design, exposures: Exposures, origin: TimeOri
     return Commands(t, rows.matrix(design.mechanism.axes))
 
 
-def _increasing(rows: Table, origin: TimeOrigin) -> Floats:
-    t, shown = rows.times("t", origin), rows.text("t")
-    back = np.flatnonzero(np.diff(t) <= 0)
-    if len(back):
-        i = back[0] + 1
-        rows.fail(f"time must increase: t = {shown[i]} s follows {shown[i - 1]} s", i, "t", shown[i])
-    return t
-
-
 def _sensors(path: Path, origin: TimeOrigin, exposures: Exposures) -> Sensors | None:
     if not local_and_remote_input_files.exists(path):
         return None
@@ -366,7 +306,7 @@ def _sensors(path: Path, origin: TimeOrigin, exposures: Exposures) -> Sensors | 
 
 
 def _sensor_rows(rows: Table, origin: TimeOrigin) -> Sensors:
-    t, channels = _increasing(rows, origin), tuple(name for name in rows.columns if name != "t")
+    t, channels = rows.increasing_times(origin), tuple(name for name in rows.columns if name != "t")
     for name in channels:
         if name_problem(name):
             raise FileError(rows.path, f"column {name_problem(name)}", 1, rows.columns.index(name) + 1, name)

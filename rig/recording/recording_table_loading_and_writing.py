@@ -19,7 +19,7 @@ from rig.model.design import Design, Instrument
 from rig.model.pose import TRIANGLE, covariance_from_triangle, pose, pose_to_vector, poses_pointing_along
 from rig.recording.direction_table import read_direction_table
 from rig.recording.exposure_table import Exposures
-from rig.recording.frame_and_hand_columns import HAND, frame_and_hand_columns, frame_column
+from rig.recording.frame_and_hand_columns import HAND, frame_and_hand_columns, frame_column, rows_of_hand
 
 POSE_COLUMNS = ("x", "y", "z", "rx", "ry", "rz")
 POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
@@ -146,24 +146,30 @@ def load_poses(
     are_commands: bool = False,
     form: TableFormat = PLAIN,
     hands: tuple[str, ...] = (),
+    hand: str | None = None,
 ) -> Poses:
     """Load the Poses of a poses.csv, measured or wanted.
 
     known_frames : set of frame numbers that there are, or None; positions_only : rotations and covariances, if there
     are any, mean nothing: the poses are unrotated; are_commands : a covariance may be 0 in directions in which the
-    machine has no freedom; form : of the file; hands : names in its column `hand`, where there are several
+    machine has no freedom; form : of the file; hands : names in its column `hand`, where there are several;
+    hand : whose rows alone are taken, the column may then be absent
     Raises FileError with line and column.
     """
+    needed = [HAND] if hands and hand is None else []
+    optional = (*COVARIANCE_COLUMNS, *[HAND][: len(hands)])
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(
-        path, ("frame", *[HAND][: len(hands)], *POSE_COLUMNS[: 3 if positions_only else 6]), COVARIANCE_COLUMNS, form
+        path, ("frame", *needed, *POSE_COLUMNS[: 3 if positions_only else 6]), optional, form
     )
-    frame, hand = frame_and_hand_columns(rows, known_frames, hands)
+    if hand is not None:
+        rows, hands = rows_of_hand(rows, hands, hand), ()
+    frame, number = frame_and_hand_columns(rows, known_frames, hands)
     values, k = np.zeros((len(rows), 6)), 3 if positions_only else 6
     values[:, :k] = form.units.si(rows.matrix(POSE_COLUMNS[:k]), POSE_UNITS[:k])
     _plausible(rows, values[:, :3], POSE_COLUMNS[:3])
     covariance = None if positions_only else _pose_covariance(rows, are_commands)
-    found = Poses(frame, pose(values[:, :3], values[:, 3:]), covariance, hand=hand)
-    return found if hand is None else found.take(np.lexsort((hand, frame)))
+    found = Poses(frame, pose(values[:, :3], values[:, 3:]), covariance, hand=number)
+    return found if number is None else found.take(np.lexsort((number, frame)))
 
 
 def load_instrument_poses(

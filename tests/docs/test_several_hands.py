@@ -54,10 +54,17 @@ def test_a_shorter_way_of_the_page(tmp_path, monkeypatch):
     assert "no hand 'lefd'; there are left, right" in run("verify", "c.json", "NEW", "--hand", "lefd", ok=False).stderr
     wanted_poses(tmp_path / "wanted.csv", tmp_path / "NEW")
     wanted = ("correct", "c.json", "--poses", "wanted.csv")
-    assert "choose it with --hand NAME: left, right" in run(*wanted, "--out", "no.csv", ok=False).stderr
+    assert "choose one with --hand: left, right" in run(*wanted, "--out", "no.csv", ok=False).stderr
     run(*wanted, "--hand", "right", "--start", ",".join(["0.1"] * 15), "--out", "commands.csv")
     commanded = np.loadtxt(tmp_path / "commands.csv", delimiter=",", skiprows=1)[:, 1:]
     np.testing.assert_allclose(commanded[:, 3:9], 0.1)
+    both = ("correct", "c.json", "--poses", "NEW/poses.csv", "--hand", "right", "--start", ",".join(["0.1"] * 15))
+    run(*both, "--out", "both.csv")
+    np.testing.assert_array_equal(np.loadtxt("both.csv", delimiter=",", skiprows=1)[:5, 1:], commanded)
+    for hand in ("left", "right"):
+        said = run("verify", "c.json", "NEW", "--hand", hand, "--wanted", "NEW/poses.csv").stdout
+        assert "against the wanted poses: position 0.0000 mm RMS" in said
+    assert "NEW is of several hands" in run("verify", "c.json", "NEW", "--wanted", "NEW/poses.csv", ok=False).stderr
     for refused in (("watch", "c.json", "NEW"), ("export", "c.json", "--format", "c", "--out", "c.c")):
         assert (
             "is of an arm with several hands (left, right), for which this is not done"

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.checks import Mistake, command_and_pose_disagreements, sort_mistakes
 from rig.model.design import Camera, Design
+from rig.recording.frame_selection_and_content_hashes import first_seen_hand
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_table_loading_and_writing import Corners
 from vision.checks import camera_mistake_trials as cameras
@@ -44,24 +45,22 @@ def find_corner_mistakes(recording: Recording, corners: Corners, thorough: bool 
     """Find the mistakes of rig.toml and corners.csv that a recording's corners show, in order.
 
     corners : Corners of its images or its corners.csv; thorough : whether many frames are held against the commands,
-    not a few, and the search goes on for longer
+    not a few, and the search goes on for longer. Of an arm with several hands the first is checked whose target is seen
     """
+    recording, corners = first_seen_hand(recording, corners)
     held, recording = has_hand_cameras(recording.design), recording_seen_from_hand(recording)
-    frames, t = recording.exposures.times()
-    seen = sample_frames(recording.design, corners, frames, t)
+    seen = sample_frames(recording.design, corners, *recording.exposures.times())
     if seen is None:
         return ()
     first = measure_trial(seen)
     found, best = _seen(first, THOROUGH if thorough else SEARCH)
     if best.measured is not None and best.misfit < GROSS:  # else its cameras and poses are no evidence of anything
-        found += ([] if held else _camera_pose_mistakes(best.measured, recording.design)) + _lens(
-            best.measured, best.seen.design
-        )
-        found += (
-            []
-            if held
-            else _moved(recording, corners if not any(one.spoils for one in found) else None, best.measured, thorough)
-        )
+        if not held:
+            found += _camera_pose_mistakes(best.measured, recording.design)
+        found += _lens(best.measured, best.seen.design)
+        if not held:
+            spoilt = any(one.spoils for one in found)
+            found += _moved(recording, None if spoilt else corners, best.measured, thorough)
     return sort_mistakes(found)
 
 

@@ -20,6 +20,7 @@ from calib.models.arm import error_model_and_observations
 from calib.models.arm.error_model_and_observations import Observations, tool_parameters
 from rig.array_and_json_types import Floats
 from rig.errors import NotEnoughData, RigError
+from rig.model.arm_branches_and_hands import seen_hand
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import log
@@ -71,14 +72,15 @@ def place_arm(observations: Observations, arm: Arm, base: bool, tool: bool) -> A
     """
     if not (base or tool):
         return arm
-    if observations.hand is not None:  # the first hand's observations place the base, which then holds for the others
-        for k in range(len(arm.hands)):
-            own = replace(observations.take(observations.hand == k), hand=None)
-            arm = place_arm(own, arm.of_hand(k), base and not k, tool)
+    if observations.hand is not None:  # the first measured hand places the base, which then holds for the others
+        for k, number in enumerate(np.unique(observations.hand).tolist()):
+            own = replace(observations.take(observations.hand == number), hand=None)
+            arm = place_arm(own, arm.of_hand(number), base and not k, tool)
         return arm.of_hand(0)
     if len(observations) < LEAST[observations.kind]:
+        of_hand = f" of the hand {seen_hand(arm)!r}" if arm.hands else ""
         raise NotEnoughData(
-            f"{len(observations)} observations of a {observations.kind} cannot locate the instrument; "
+            f"{len(observations)} observations of a {observations.kind}{of_hand} cannot locate the instrument; "
             f"it takes {LEAST[observations.kind]}"
         )
     if observations.kind == "distance":

@@ -1,5 +1,8 @@
 """Cubes on both hands before cameras: each hand's poses, all in one recording or one hand's alone."""
 
+import re
+import shutil
+
 import numpy as np
 import pytest
 
@@ -45,6 +48,42 @@ def test_one_hand_is_measured_alone_and_several_must_be_chosen_from(simulated, t
     run("measure", folder, "--hand", "right", "--out", tmp_path / "OUT")
     found = load_recording(tmp_path / "OUT").poses
     assert set(found.hand.tolist()) == {1} and len(found.frame) == 16
+
+
+def without_targets_of(text, hand):
+    """Text of a rig.toml without the targets of a hand."""
+    return "".join(part for part in re.split(r"(?=\[\[target\]\])", text) if f'body = "{hand}"' not in part)
+
+
+@pytest.mark.parametrize(("seen", "other"), [("left", "right"), ("right", "left")])
+@pytest.mark.parametrize("stated", [True, False])
+def test_what_is_seen_of_one_hand_alone_is_all_of_the_samples(simulated, tmp_path, seen, other, stated):
+    """The other hand's targets are not stated, or stated and never seen; a hand of two corners has no pose."""
+    recording = load_recording(simulated[0])
+    markers = [number for target in select_hand(recording, other).design.targets for number in target.ids]
+    base = [number for target in recording.design.targets if target.body == "base" for number in target.ids]
+    gone = set(markers) - set(base)
+    shutil.copytree(simulated[0], tmp_path / "REC")
+    lines = (tmp_path / "REC" / "corners.csv").read_text().splitlines(True)
+    hidden = [line for line in lines[1:] if int(line.split(",")[2]) in gone]
+    kept = [lines[0], *(line for line in lines[1:] if int(line.split(",")[2]) not in gone)]
+    (tmp_path / "REC" / "corners.csv").write_text("".join(kept))
+    if not stated:
+        path = tmp_path / "REC" / "rig.toml"
+        path.write_text(without_targets_of(path.read_text(), other))
+    assert "nothing wrong or unlikely" in run("check", tmp_path / "REC").stdout
+    found = sample_recording(load_recording(tmp_path / "REC"), several_hands=True)
+    number = ("left", "right").index(seen)
+    assert len(found.samples) == 16 and (found.samples.hand is None or set(found.samples.hand.tolist()) == {number})
+    alone = sample_recording(select_hand(recording, seen)).samples
+    np.testing.assert_allclose(
+        found.samples.T_base_platform.as_matrix(), alone.T_base_platform.as_matrix(), rtol=0, atol=1e-9
+    )
+    if stated:
+        assert found.source == f"corners.csv of {seen} ({other} was not measured: none of its markers is seen)"
+        (tmp_path / "REC" / "corners.csv").write_text("".join([*kept, *hidden[:2]]))
+        found = sample_recording(load_recording(tmp_path / "REC"), several_hands=True)
+        assert len(found.samples) == 16 and f"{other} was not measured: none of 16 frames" in found.source
 
 
 def test_a_target_is_on_a_hand_or_on_the_base_and_cameras_stand_still(tmp_path):

@@ -318,6 +318,10 @@ def test_measure_names_markers_that_are_exchanged(tmp_path, design, rig_text):
     assert "2 markers are not as in rig.toml" in done.stdout and said in done.stdout
     assert said in (tmp_path / "out/report.html").read_text()
     assert (
-        np.abs(pose_difference(recording_folder.load_poses(tmp_path / "out/poses.csv").T_base_platform, truth)).max()
+        np.abs(
+            pose_difference(
+                recording_table_loading_and_writing.load_poses(tmp_path / "out/poses.csv").T_base_platform, truth
+            )
+        ).max()
         < 1e-3
     )

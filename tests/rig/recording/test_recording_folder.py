@@ -197,7 +197,7 @@ def test_poses_survive_writing(tmp_path):
         np.array([0, 2, 3, 9]), exp(rng.normal(size=(4, 6)) * 0.2), A @ np.swapaxes(A, 1, 2) + 1e-12 * np.eye(6)
     )
     recording_table_loading_and_writing.write_poses(tmp_path / "poses.csv", poses)
-    again = recording.load_poses(tmp_path / "poses.csv", {0, 2, 3, 9})
+    again = recording_table_loading_and_writing.load_poses(tmp_path / "poses.csv", {0, 2, 3, 9})
     assert again.frame.tolist() == [0, 2, 3, 9]
     assert np.abs(pose_difference(again.T_base_platform, poses.T_base_platform)).max() < 2e-10
     np.testing.assert_allclose(again.covariance, poses.covariance, rtol=1e-6)
@@ -216,7 +216,7 @@ def test_poses_survive_writing(tmp_path):
 def test_poses_that_are_none(tmp_path, rows, says):
     (tmp_path / "poses.csv").write_text(rows + "\n")
     with pytest.raises(FileError, match=says):
-        recording.load_poses(tmp_path / "poses.csv")
+        recording_table_loading_and_writing.load_poses(tmp_path / "poses.csv")
 
 
 def test_a_covariance_must_be_one(tmp_path):
@@ -229,7 +229,7 @@ def test_a_covariance_must_be_one(tmp_path):
     )
     (tmp_path / "poses.csv").write_text(header + "\n0" + ",0" * 6 + ",-1" + ",0" * 20 + "\n")
     with pytest.raises(FileError, match="not positive definite"):
-        recording.load_poses(tmp_path / "poses.csv")
+        recording_table_loading_and_writing.load_poses(tmp_path / "poses.csv")
 
 
 def test_corners_survive_writing(recording_folder):

@@ -14,9 +14,13 @@ from calib.certification.held_out_errors import pose_errors, predicted_poses
 from calib.models.arm import error_model_and_observations as model
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
 from calib.models.arm.instrument_placement import place_arm
+from rig.errors import NotEnoughData
 from rig.model.arm_branches_and_hands import Branch, Hand
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.pose import exp, pose, pose_difference
+from rig.recording.frame_selection_and_content_hashes import select_hand
+from rig.recording.recording_table_loading_and_writing import write_poses
+from tests.cli import run
 from tests.two_armed import HUMANOID, NOISE, drawn, humanoid, observed
 
 STEP = 1e-6
@@ -116,6 +120,38 @@ def test_what_one_hand_alone_shows_of_the_other_is_named(arm):
     unseen = [name for name, others in found.rank.dependent if not others]
     assert "right tool x" in unseen and "alpha 12" in unseen and "left tool x" not in unseen
     assert np.abs(found.residuals / NOISE).max() < 6
+
+
+@pytest.mark.parametrize("seen", [0, 1])
+def test_base_and_tool_are_placed_by_the_hand_that_was_measured(arm, seen):
+    rng, hands = np.random.default_rng(11), ("left", "right")
+    true = replace(drawn(arm, rng), base=pose([0.5, -1.0, 0.3], [0.3, 0.2, 1.0]))
+    true = true.of_hand(seen).with_ends(tool=pose(0.1 * rng.normal(size=3), rng.normal(size=3)))
+    found = place_arm(observed(true, 60, rng, (seen,)), arm, True, True)
+    elsewhere = observed(true, 20, rng, (seen,), noise=np.zeros(6))
+    assert np.abs(elsewhere.residuals(found)).max() < 0.02 and found.hand == 0
+    other = 1 - seen
+    np.testing.assert_array_equal(found.hands[other].tool.as_matrix(), arm.hands[other].tool.as_matrix())
+    few = observed(true, 2, rng, (seen,))
+    with pytest.raises(NotEnoughData, match=f"2 observations of a pose of the hand {hands[seen]!r} cannot locate"):
+        place_arm(few, arm, True, True)
+
+
+@pytest.mark.parametrize("seen", ["left", "right"])
+def test_poses_of_one_hand_are_calibrated_and_what_the_other_would_show_is_named(tmp_path, seen):
+    synthetic.simulate(HUMANOID, synthetic.SimulateOptions(plan="sobol:40", seed=4)).write(tmp_path / "REC")
+    path, other = tmp_path / "REC" / "poses.csv", {"left": "right", "right": "left"}[seen]
+    path.write_text("".join(line for line in path.read_text().splitlines(True) if f",{other}," not in line))
+    assert 'base = "free"\ntool = "free"' in (tmp_path / "REC" / "rig.toml").read_text()
+    assert "nothing wrong" in run("check", tmp_path / "REC").stdout
+    said = run("calibrate", tmp_path / "REC", "--quick", "--out", tmp_path / "c.json").stdout
+    assert "40 of them agree with one geometry" in said
+    assert f"{other} tool x has no effect on what was measured and remains as stated" in said
+    assert f"{seen} tool x has no effect" not in said
+    command = ("correct", tmp_path / "c.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "commands.csv")
+    write_poses(tmp_path / "wanted.csv", select_hand(rig.load(tmp_path / "REC"), seen).poses.take(np.arange(1)))
+    assert f"the hand {other!r} was not measured" in run(*command, "--hand", other, ok=False).stderr
+    assert "1 of 1 poses written" in run(*command, "--hand", seen).stdout
 
 
 def test_a_wild_pose_of_one_hand_leaves_the_other_in_the_fit(arm):

@@ -12,6 +12,7 @@ from rig.model.arm_branches_and_hands import Branch
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as serial
 from rig.model.pose import pose_difference
+from tests.rig.arms import UR10
 from tests.two_armed import humanoid
 
 STEP = 1e-6
@@ -84,6 +85,11 @@ def test_what_is_for_one_hand_refuses_several(arm, q):
         serial.link_frames(q, arm)
     with pytest.raises(RigError, match="no hand 'lefd'; there are left, right"):
         arm.of_hand("lefd")
+    for number in (-1, 2, 5):
+        with pytest.raises(RigError, match=f"no hand number {number}, counted from 0; there are left, right"):
+            arm.of_hand(number)
+    with pytest.raises(RigError, match="no hand number 0, counted from 0; there are no named hands"):
+        UR10.of_hand(0)
 
 
 @pytest.mark.parametrize("branches", [((3, 5),), ((0, 3),), ((3, 1), (3, 2))])
