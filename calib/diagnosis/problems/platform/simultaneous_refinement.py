@@ -191,7 +191,10 @@ def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensit
         )
         if known is None:
             continue
-        added = check_effect_place_and_parameter_bounds(score.candidate.effect(score.node, share * theta))
+        try:
+            added = check_effect_place_and_parameter_bounds(score.candidate.effect(score.node, share * theta))
+        except ValueError:  # beyond its bounds, as sums of several members may be: a smaller share of the step is not
+            continue
         found = _apply(model, step, parts, [*known, added], share)
         if not len(theta) or _cost_without_relinearisation(model, *found) <= _comparable(model):
             break
