@@ -68,11 +68,11 @@ def _files(folder, design, held):
 
     def frames(path):
         rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", "t", "camera", "image"))
-        return load_exposures(folder, design, rows, recording_folder._origin(rows))
+        return load_exposures(folder, design, rows, rows.first_time_origin())
 
     def commands(path):
         rows = recording_folder._command_rows(path, design)
-        return recording_folder._commands(rows, design, held.exposures, recording_folder._origin(rows))
+        return recording_folder._commands(rows, design, held.exposures, rows.first_time_origin())
 
     poses = ",".join(["frame", "x", "y", "z", "rx", "ry", "rz", *COVARIANCE_COLUMNS])
     row = ",".join(map(str, ["0", 0.1, 0.2, 0.3, 0.1, 0.0, 0.2, *np.eye(6)[TRIANGLE] * 1e-8]))
