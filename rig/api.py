@@ -227,9 +227,8 @@ class EffectCatalogue:
 def effect_catalogue(
     effects: "Mapping[str, type[Effect]]", folder: str = "", draw: "Callable[[type[Effect]], Sketch] | None" = None
 ) -> EffectCatalogue:
-    """EffectCatalogue of effects {name: class}.
+    """EffectCatalogue of effects {name: class}, with a sketch of each where a function draws them.
 
-    With a sketch of each where a function draws them.
     folder : where the document finds the sketches, NAME.svg; draw : raises RigError for an effect without a sketch
     """
     from rig.effects.catalogue.effect_list import catalogue_markdown

@@ -373,10 +373,7 @@ def _measured_columns(
 
 
 def truth_corners(simulation: Simulation) -> list[list[int | str | float]]:
-    """True corners as rows [frame, camera, marker, corner, u, v] of every visible marker.
-
-    For a truth file.
-    """
+    """True corners as rows [frame, camera, marker, corner, u, v] of every visible marker, for a truth file."""
     c = noisy_corners(simulation, 0.0, np.random.default_rng(0))
     return [
         [int(f), name, int(m), int(k), round(float(u), 5), round(float(v), 5)]

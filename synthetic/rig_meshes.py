@@ -129,10 +129,7 @@ def stages_standing_on_struts(mechanism: Mechanism) -> list[StrutStage]:
 
 
 def body_matrices(stage_poses: list[RigidTransform]) -> dict[str, Floats]:
-    """Matrices {body: (..., 4, 4)} to the base of bodies between struts.
-
-    From the stages' poses.
-    """
+    """Matrices {body: (..., 4, 4)} to the base of bodies between struts, from the stages' poses."""
     *below, platform = (T.as_matrix() for T in stage_poses)
     return {
         "base": np.broadcast_to(np.eye(4), platform.shape),
@@ -142,10 +139,7 @@ def body_matrices(stage_poses: list[RigidTransform]) -> dict[str, Floats]:
 
 
 def mesh_body_matrices(mechanism: Mechanism, stage_poses: list[RigidTransform]) -> dict[str, Floats]:
-    """Matrices {body: (4, 4)} to the base of all bodies that have meshes.
-
-    At one pose, struts included.
-    """
+    """Matrices {body: (4, 4)} to the base of all bodies that have meshes, at one pose, struts included."""
     poses = {"world": np.eye(4), **body_matrices(stage_poses)}
     for stands in stages_standing_on_struts(mechanism):
         T_below = RigidTransform.from_matrix(poses[stands.base])

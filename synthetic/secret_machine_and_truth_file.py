@@ -195,9 +195,8 @@ SEAT = np.repeat([1e-4, 1e-3], 3)  # m, rad, by which a cube that is put back si
 
 
 def remount_cubes(world: World, quarters: Mapping[str, int]) -> World:
-    """The World with cubes remounted at quarters {cube: quarter turns}.
+    """The World with cubes remounted at quarters {cube: quarter turns}, with the small errors of remounting.
 
-    With the small errors of remounting.
     Raises RigError for a cube that there is not
     """
     stated = design_with_turned_cubes(world.stated, quarters)

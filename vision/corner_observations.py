@@ -181,9 +181,8 @@ def whitener_of_observations(observations: Observations) -> Whitener:
 
 
 def correlations_of_whitened_marker_corners(covariance: Floats) -> Floats:
-    """Correlations (m, 4, 2, 8) of each whitened corner with its marker's corners.
+    """Correlations (m, 4, 2, 8) of each whitened corner with its marker's corners, from covariances.
 
-    From covariances.
     covariance : (m, 8, 8)
     """
     m = len(covariance)
@@ -199,9 +198,8 @@ def correlations_of_whitened_marker_corners(covariance: Floats) -> Floats:
 def observations_from_corners(
     corners: Corners, frames: Integers, design: Design, marker_map: MarkerMap, correlation: Floats | None = None
 ) -> Observations:
-    """Observations made from a recording's Corners.
+    """Observations made from a recording's Corners, of the markers and cameras that the design knows.
 
-    Of the markers and cameras that the design knows.
     frames : (F,) the frame numbers
 
     correlation : (n, 2, 8) of the corners, see Observations, or None
@@ -278,10 +276,7 @@ def find_repeated_base_corners(
 def merge_observation_groups(
     observations: Observations, rows: Integers, first_rows: Integers, uv: Floats, covariance: Floats
 ) -> Observations:
-    """Observations with each group of rows merged into its first row.
-
-    At uv (groups, 2) px with covariance.
-    """
+    """Observations with each group of rows merged into its first row, at uv (groups, 2) px with covariance."""
     places, own, left = observations.uv.copy(), observations.covariance.copy(), np.ones(len(observations), bool)
     places[first_rows], own[first_rows] = uv, covariance
     left[rows], left[first_rows] = False, True

@@ -48,9 +48,8 @@ class PredictedUncertainty:
 def predict_pose_uncertainty(
     measured: Measurement, design: Design, T_base_platform: RigidTransform
 ) -> PredictedUncertainty:
-    """PredictedUncertainty of poses (n,).
+    """PredictedUncertainty of poses (n,), by cameras, lenses and corners' noise as a recording's Measurement has them.
 
-    By cameras, lenses and corners' noise as a recording's Measurement has them.
     design : as its owner states it
 
     Raises RigError for cameras that stand elsewhere in every frame, and where places of markers were adjusted

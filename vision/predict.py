@@ -226,9 +226,8 @@ def predict_sightings(
     sensors: Sensors | None = None,
     run: MachineRun | None = None,
 ) -> Floats:
-    """Predicted corners (k, 4, 2) px of sightings.
+    """Predicted corners (k, 4, 2) px of sightings, with all effects on markers, cameras and exposure time.
 
-    With all effects on markers, cameras and exposure time.
     state : State; markers : MarkerMap as stated; t : (F,) s of the frames, for effects in time; sensors : Sensors or
         None
     run : MachineRun with rates, needed where rows of a camera are exposed one after the other
@@ -261,9 +260,7 @@ def predict_sightings(
 def visible_marker_counts_over_all_cameras(
     cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap
 ) -> Integers:
-    """Counts (F,) of the markers visible at each of poses (F,).
-
-    Whole in an image, occlusion ignored.
+    """Counts (F,) of the markers visible at each of poses (F,): whole in an image, occlusion ignored.
 
     What stands in the way is not looked at
     """

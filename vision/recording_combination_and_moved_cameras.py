@@ -133,9 +133,7 @@ def combine_recordings(recordings: Sequence[Recording], progress: Progress | Non
 
 
 def require_combinable(recordings: Sequence[Recording]) -> None:
-    """Raise RigError unless recordings can be combined.
-
-    Of one rig, and no data of one in another.
+    """Raise RigError unless recordings can be combined: of one rig, and no data of one in another.
 
     Names what differs; data in two recordings would count twice.
     """

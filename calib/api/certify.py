@@ -136,9 +136,8 @@ def certify(
     name: str = "the calibration",
     progress: Progress | None = None,
 ) -> CertificationResult:
-    """CertificationResult of a calibration by recordings that it was not made from.
+    """CertificationResult of a calibration by recordings that it was not made from, as `rig certify` states it.
 
-    As `rig certify` states it.
     options : what of, 95 % with 95 % by default; refutations : what later recordings found against the calibration;
     provenance : of the certificate, None for that of what is certified, without a file or arguments; name : of the
     calibration, in words; progress : called with (label, done, of), or None

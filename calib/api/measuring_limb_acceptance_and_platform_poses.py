@@ -141,9 +141,8 @@ class LimbAcceptance(OneLineRepr):
 def accept_limbs(
     recording: Recording, options: AcceptLimbsOptions = AcceptLimbsOptions(), progress: Progress | None = None
 ) -> LimbAcceptance:
-    """LimbAcceptance by a recording in which both limbs and vision measured.
+    """LimbAcceptance by a recording in which both limbs and vision measured, as `rig limbs test` makes it.
 
-    As `rig limbs test` makes it.
     progress : called with (label, done, of), or None
     Raises RigError for a recording without limbs' readings, and for other limbs than it has
     """
@@ -229,9 +228,8 @@ def measure_poses_by_limbs(
     progress: Progress | None = None,
     notice: Notice = ignore_notice,
 ) -> MeasuredLimbPoses:
-    """Poses of a recording measured by its accepted measuring limbs.
+    """Poses of a recording measured by its accepted measuring limbs, as `rig measure --limbs` makes them.
 
-    As `rig measure --limbs` makes them.
     Raises RigError for limbs that were not accepted, or with which vision no longer agrees
     """
     refuse_unfit_recording(recording, anyway, notice)

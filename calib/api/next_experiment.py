@@ -133,10 +133,7 @@ def ranked_experiments_and_excluded_plans(
 
 
 def rank_experiments(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """Experiments ranked, the best first.
-
-    By time to settle all questions, then by information per minute.
-    """
+    """Experiments ranked, the best first: by time to settle all questions, then by information per minute."""
     return sorted(experiments, key=lambda e: (e.minutes / e.settles if e.settles >= HOPELESS else np.inf, -e.rate))
 
 

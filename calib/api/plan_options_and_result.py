@@ -142,9 +142,7 @@ class PlanResult(OneLineRepr):
 def geometry_and_excluded_configurations(
     options: PlanOptions, mechanism: Hexapod
 ) -> tuple[Hexapod, ConfigurationExclusion | None]:
-    """Geometry for a plan, and the configurations excluded from it.
-
-    By the calibration that its options name.
+    """Geometry for a plan, and the configurations excluded from it, by the calibration that its options name.
 
     The mechanism as it is where none is named. Raises RigError for a calibration of another kind of mechanism
     """

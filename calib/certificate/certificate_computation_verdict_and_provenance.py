@@ -194,10 +194,7 @@ AGAIN = "Check periodically whether it is still valid: `rig watch calibration.js
 
 
 def certificate_verdict(certificate: Certificate) -> Verdict:
-    """Verdict of a certificate.
-
-    Against its tolerances, or what it promises where there are none.
-    """
+    """Verdict of a certificate: against its tolerances, or what it promises where there are none."""
     said = (
         certificate_sentences.conformity_lines(certificate)
         if certificate.conformity

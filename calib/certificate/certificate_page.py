@@ -103,9 +103,8 @@ def _cell_bound_figures(certificate: Certificate) -> str:
 
 
 def visible_rectangles(boxes: Floats, values: Floats) -> list[tuple[tuple[float, ...], float]]:
-    """Visible rectangles of boxes seen along an axis.
+    """Visible rectangles of boxes seen along an axis: without overlap, each with the greatest value behind it.
 
-    Without overlap, each with the greatest value behind it.
     boxes : (n, 2, 2), low and high corner; values : (n,)
     Returns [((x low, y low, x high, y high), value)]
     """

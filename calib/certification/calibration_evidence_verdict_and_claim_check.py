@@ -161,9 +161,7 @@ def verify_claim_on_samples(
 def evidence_with_confounds(
     evidence: Evidence, calibration: Calibration, confounds: Sequence[Confounds | None], recording_names: str
 ) -> Evidence:
-    """Evidence with what the designs of held-out recordings confound.
-
-    Where its own recording's is not known.
+    """Evidence with what the designs of held-out recordings confound, where its own recording's is not known.
 
     Only what that does not separate can have gone into the correction. recording_names : the recordings, in words
     """

@@ -193,9 +193,8 @@ def _counted(distinct: int) -> str:
 
 
 def draw_variance_ratio(cost: float, freedom: int, count: int, rng: np.random.Generator) -> Floats:
-    """Draws (count,) of the ratio of true to stated variances.
+    """Draws (count,) of the ratio of true to stated variances, by a cost and its degrees of freedom.
 
-    By a cost and its degrees of freedom.
     cost : whitened squares of a fit, its priors' included; freedom : how many numbers were fitted
     """
     return (TRUSTED + cost) / rng.chisquare(TRUSTED + freedom, count)

@@ -54,10 +54,7 @@ def axis_travel_limits(mechanism: Parallel | Arm | Chain) -> Floats:
 
 
 def configuration_folds(label: Integers, count: int) -> Integers:
-    """Folds of configurations (n,).
-
-    Whole stretches in time, no configuration in two folds.
-    """
+    """Folds of configurations (n,): whole stretches in time, no configuration in two folds."""
     return time_block_folds(label.max() + 1, count)[label]
 
 

@@ -128,10 +128,7 @@ def _test(
 
 
 def reversal_values(mean: Floats) -> tuple[float, float]:
-    """ISO 230-2 reversal values (B, mean B) of mean deviations (positions, 2).
-
-    From below and from above.
-    """
+    """ISO 230-2 reversal values (B, mean B) of mean deviations (positions, 2), from below and from above."""
     B = mean[:, 0] - mean[:, 1]
     return float(np.abs(B).max()), float(B.mean())
 
@@ -318,9 +315,8 @@ def speeds_and_loads_of_test(
     load: tuple[float, float] | None,
     rated_load: float | None,
 ) -> Duty:
-    """Speeds and loads (Duty) of a test.
+    """Speeds and loads (Duty) of a test: those of held-out poses, and those rated.
 
-    Those of held-out poses, and those rated.
     recordings : in the order of poses.recording; load : as logged, kg; rated_load : kg, as stated
     """
     top = design.actuator.max_speed

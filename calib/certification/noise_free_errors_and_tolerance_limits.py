@@ -112,9 +112,7 @@ def upper_tolerance_limit(values: Floats, coverage: float = 0.95, confidence: fl
 
 
 def lower_confidence_limit_of_quantile(values: Floats, coverage: float = 0.95, confidence: float = 0.95) -> float:
-    """Lower confidence limit of the `coverage` quantile of a population.
-
-    From values (n,) >= 0 drawn from it.
+    """Lower confidence limit of the `coverage` quantile of a population, from values (n,) >= 0 drawn from it.
 
     1 - coverage of the population lies beyond it, with `confidence`.
     """

@@ -256,10 +256,7 @@ def _each_configuration(samples: Samples, done: Certified) -> tuple[Samples, Ide
 
 
 def platform_workspace_claim(samples: Samples, certified: Certified, rng: np.random.Generator) -> Claim:
-    """Claim of a certified platform over its workspace.
-
-    Each configuration counts once.
-    """
+    """Claim of a certified platform over its workspace: each configuration counts once."""
     each, found = _each_configuration(samples, certified)
     return strut_machine_workspace_claim(
         found,

@@ -260,9 +260,8 @@ def tolerance_conformity(
     scale_certified: bool,
     counts_beyond: Sequence[int],
 ) -> tuple[Conformity, ...]:
-    """Conformity with each tolerance.
+    """Conformity with each tolerance, of position (m) or rotation (rad), by the bound of the scaled error.
 
-    Of position (m) or rotation (rad), by the bound of the scaled error.
     scaled_error_bound : Bound of the depth in units of the tolerances, its limits of the confidence GUARD; None where
         there are too few poses for one
     counts_beyond : of each tolerance

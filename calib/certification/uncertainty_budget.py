@@ -94,10 +94,7 @@ def _coverage_factor(covariance: Floats) -> float:
 
 
 def rms_position_and_rotation_uncertainty(covariance: Floats) -> tuple[float, float]:
-    """RMS standard uncertainty (m, rad) of the lengths of position and rotation errors.
-
-    Of covariances (n, 6, 6).
-    """
+    """RMS standard uncertainty (m, rad) of the lengths of position and rotation errors, of covariances (n, 6, 6)."""
     position, rotation = (float(np.sqrt(np.trace(covariance[:, p, p], axis1=1, axis2=2).mean())) for p in PARTS)
     return position, rotation
 

@@ -265,9 +265,7 @@ def correction_with_additional_pass(correction: AnyCorrection, field: Field | No
 
 
 def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection) -> FieldSamples:
-    """Residual pose tangents that an earlier pass leaves.
-
-    From its corrected poses to the measured ones.
+    """Residual pose tangents that an earlier pass leaves: from its corrected poses to the measured ones.
 
     Over the coordinates in which the mechanism's poses differ, see
     `command_timing_and_pose_error_map.PoseMap`. Source:
@@ -335,9 +333,7 @@ def correction_with_field(
 
 
 def single_step_command_errors(correction: AnyCorrection) -> tuple[float, float]:
-    """Errors (RMS, greatest) m of strut commands corrected in a single step.
-
-    Not to the fixed point.
+    """Errors (RMS, greatest) m of strut commands corrected in a single step, not to the fixed point.
 
     The single step is X + KSF(X).
 

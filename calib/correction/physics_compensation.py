@@ -168,9 +168,8 @@ class Physics:
 def samples_with_effects(
     design: Design, samples: Samples, commands: Commands, effects: Sequence[Effect], sensors: Sensors | None
 ) -> Samples:
-    """Samples with effects applied to their commands.
-
-    Or taken off an arm's poses beyond its joints, in place of those that were before.
+    """Samples with effects applied to their commands, or taken off an arm's poses beyond its joints, in place of those
+    that were before.
     """
     t, T = samples.t, samples.T_base_platform
     if is_parallel(design.mechanism):
@@ -274,9 +273,8 @@ class Machine:
 
 
 def compensated_commands_at_poses(machine: Machine, T: RigidTransform, route: Route, guess: Floats) -> Floats:
-    """Commands (n, axes) m or rad at the poses T (n,) of a Route.
+    """Commands (n, axes) m or rad at the poses T (n,) of a Route, with effects and their history compensated.
 
-    With effects and their history compensated.
     guess : (n, axes), near
 
     Raises NotConverged with index, commands and residual of the poses for which none is found, to 1e-10 m or rad

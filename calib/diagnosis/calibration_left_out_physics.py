@@ -149,9 +149,8 @@ def _no_better(three: tuple[float, ...], errors: Floats, covariance: Floats) -> 
 def refuted_calibrations(
     report: Report, marks: Marks, paths: Iterable[Path], samples: Samples | None
 ) -> list[Refutation]:
-    """Calibrations of a recording that are refuted.
+    """Calibrations of a recording that are refuted, since they leave out what a Report of it finds ([Refutation]).
 
-    Since they leave out what a Report of it finds ([Refutation]).
     marks : marks of the recording; paths : files that may be calibrations, all else is passed over; samples : Samples
         of
     the recording, None where nothing was commanded

@@ -48,9 +48,8 @@ def effect_separation(
     effects: list[Effect],
     sigma: tuple[float, float],
 ) -> Separation:
-    """Separation of two effects that move a machine by one plan.
+    """Separation of two effects that move a machine by one plan, each effect as large as expected.
 
-    Each effect as large as expected.
     t : (n,) s exposures; sigma : (m, rad) standard deviation of a measured pose per axis. Raises RigError for what
         nobody commands, and what the machine raises
     """

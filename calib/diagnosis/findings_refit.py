@@ -124,9 +124,8 @@ def findings_of_diagnosis(diagnosis: Diagnosis) -> Findings:
 def findings_with_missing_instrument_effects_added(
     findings: Findings | None, recording: Recording, sampled: Sampled
 ) -> Findings | None:
-    """Findings with the effects that an arm's instruments show by themselves (`measured_effects`).
-
-    Where they have none of that kind at that place already.
+    """Findings with the effects that an arm's instruments show by themselves (`measured_effects`), where they have none
+    of that kind at that place already.
     """
     known = Findings((), None, ()) if findings is None else findings
     places = {(effect.form, effect.place) for effect in known.effects}

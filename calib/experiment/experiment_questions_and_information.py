@@ -168,10 +168,7 @@ def is_ruled_out(finding: Finding[C], alternative: Alternative[C], size: int) ->
 
 
 def data_log_odds(finding: Finding[C], alternative: Alternative[C], size: int) -> float:
-    """Log odds of an alternative against its finding by the data alone.
-
-    Without complexity cost (-2 log).
-    """
+    """Log odds of an alternative against its finding by the data alone, without complexity cost (-2 log)."""
     return float(alternative.behind - alternative.score.complexity(size) + finding.score.complexity(size))
 
 

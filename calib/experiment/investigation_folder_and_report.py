@@ -102,10 +102,7 @@ def duration_of_plan_in_minutes(plan: Path) -> float:
 
 
 def read_investigation_rounds(folder: Path) -> list[InvestigationRound]:
-    """Investigation rounds (recording and diagnosis each) read from an investigation's folder.
-
-    In order.
-    """
+    """Investigation rounds (recording and diagnosis each) read from an investigation's folder, in order."""
     out: list[InvestigationRound] = []
     while (diagnosis_path(folder, len(out) + 1) / "next.json").exists():
         out.append(_look(folder, len(out) + 1))

@@ -215,9 +215,8 @@ NOT_HELD_OUT = HeldOut(
 
 
 def save(path: Path | str, calibration: Calibration) -> None:
-    """Save a Calibration as calibration.json.
+    """Save a Calibration as calibration.json, whole or not at all, and beside it the kinematics file it is of.
 
-    Whole or not at all, and beside it the kinematics file it is of.
     Raises FileError where another kinematics file of that name is there
     """
     write_kinematics_file(Path(path).parent, calibration.correction.nominal)

@@ -338,9 +338,8 @@ def tail_quantile_ratio_to_normal_within_gate(scaled_residuals: Floats, gate: fl
 
 
 def has_several_deviating_numbers(scaled_residuals: Floats, gate: float) -> Booleans:
-    """Whether a row (n,) has several numbers that deviate.
+    """Whether a row (n,) has several numbers that deviate, as a wrong pose has, or one grossly.
 
-    As a wrong pose has, or one grossly.
     scaled_residuals : (n, k) residuals over their scatter; gate : of the greatest; half of it counts as far off in the
         second
     """
@@ -381,10 +380,7 @@ def excess_scatter(residuals: Floats, instrument_covariance: Floats, share: floa
 
 
 def robust_weights(squared_lengths: Floats, count: int) -> Floats:
-    """Robust weights (m,) of poses.
-
-    By the squared length (m,) of their `count` whitened numbers.
-    """
+    """Robust weights (m,) of poses by the squared length (m,) of their `count` whitened numbers."""
     return np.minimum(1.0, float(chdtri(count, FAR)) / np.maximum(squared_lengths, 1e-300))
 
 

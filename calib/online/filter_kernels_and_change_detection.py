@@ -45,10 +45,7 @@ def jump_threshold(false_alarm: float, onsets: int = WINDOW) -> float:
 
 
 def likelihood_ratio_thresholds(false_alarm: float, onsets: int = WINDOW) -> dict[int, float]:
-    """Thresholds {k: threshold} of the likelihood ratio of hypotheses with k numbers.
-
-    For a `false_alarm` chance.
-    """
+    """Thresholds {k: threshold} of the likelihood ratio of hypotheses with k numbers, for a `false_alarm` chance."""
     looks = (STRUTS + 2) * (onsets - 1)
     return {k: float(chdtri(k, false_alarm / looks)) for k in range(1, STRUTS + 1)}
 

@@ -122,10 +122,7 @@ def confounds_of_samples(samples: Samples, mechanism: Parallel | Arm | Chain | F
 
 
 def confounds_of_configurations(values: Floats, start: Floats, mechanism: Parallel | Arm | Chain | Free) -> Confounds:
-    """Confounds of configurations (n, axes) m or rad visited in order at even times.
-
-    From start (axes,).
-    """
+    """Confounds of configurations (n, axes) m or rad visited in order at even times, from start (axes,)."""
     way = np.sign(np.diff(np.concatenate([start[None], values]), axis=0))
     latest = np.maximum.accumulate(np.where(way != 0, np.arange(len(way))[:, None], -1), axis=0)
     direction = np.where(latest < 0, 0.0, np.take_along_axis(way, np.maximum(latest, 0), axis=0))

@@ -264,9 +264,8 @@ def sample_recording(
     on_corners: Callable[[Corners], None] | None = None,
     several_hands: bool = False,
 ) -> Sampled:
-    """Samples of a recording (Sampled).
+    """Samples of a recording (Sampled): from its instrument's poses, its corners or images, or poses.csv.
 
-    From its instrument's poses, its corners or images, or poses.csv.
     progress : called with (label, done, of), or None; on_corners : called with the Corners before they are measured, or
         None; several_hands : whether poses may be of several hands
     Raises RigError without commands, and for poses of several hands that may not be, NotEnoughData without poses, and

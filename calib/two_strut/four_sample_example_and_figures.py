@@ -68,10 +68,7 @@ def compute_worked_example() -> WorkedExample:
 
 
 def reached_hinge_positions(correction: AnyCorrection | None, wanted_positions: Floats) -> Floats:
-    """Hinge positions (n, 2) m reached for wanted ones.
-
-    By the nominal model or one corrected step.
-    """
+    """Hinge positions (n, 2) m reached for wanted ones, by the nominal model or one corrected step."""
     T = RigidTransform.from_translation(np.pad(wanted_positions, ((0, 0), (0, 1))))
     commands = two_strut_plane.inverse(T, NOMINAL) if correction is None else correction.single_step(T)
     return two_strut_plane.forward(commands, REAL).translation[:, :2]

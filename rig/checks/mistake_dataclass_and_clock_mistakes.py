@@ -30,10 +30,7 @@ class Mistake:
 
 
 def sort_mistakes(mistakes: Iterable[Mistake]) -> tuple[Mistake, ...]:
-    """Mistakes sorted, each once.
-
-    Those that spoil results first, of these the likeliest first.
-    """
+    """Mistakes sorted, each once: those that spoil results first, of these the likeliest first."""
     return tuple(sorted(dict.fromkeys(mistakes), key=lambda one: (not one.spoils, -one.proof)))
 
 
@@ -234,9 +231,8 @@ def dwell_clock_shift(frames: Floats, t: Floats, values: Floats, need_distinct: 
 
 
 def dwell_clock_offset_mistake(frames: Floats, t: Floats, values: Floats) -> Iterator[Mistake]:
-    """Mistake of a clock offset.
+    """Mistake of a clock offset: frames taken in motion that another offset puts into dwells of the commands.
 
-    Frames taken in motion that another offset puts into dwells of the commands.
     frames : (m,) s; t : (n,) s of the commands; values : (n, axes) m or rad
     """
     dwells = _dwells(t, values)

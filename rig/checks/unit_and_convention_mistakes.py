@@ -128,10 +128,7 @@ def _load(load: Floats, room: Floats | None, design: Design) -> Iterator[Mistake
 
 
 def environment_mistakes(design: Design) -> Iterator[Mistake]:
-    """Mistakes in a design's environment.
-
-    Gravity of a wrong size or sign, a platform's mass in grams.
-    """
+    """Mistakes in a design's environment: gravity of a wrong size or sign, a platform's mass in grams."""
     g = np.asarray(design.gravity)
     size = float(np.linalg.norm(g))
     if not GRAVITY[0] <= size <= GRAVITY[1]:
@@ -173,10 +170,7 @@ MUCH = 0.1  # share of commands beyond the range by more than a tenth of it, tha
 
 
 def command_unit_mistakes(commands: Commands, design: Design) -> Iterator[Mistake]:
-    """Mistakes of the unit or origin of commands.
-
-    From values (n, axes) outside the design's ranges.
-    """
+    """Mistakes of the unit or origin of commands, from values (n, axes) outside the design's ranges."""
     m = design.mechanism
     if has_links(m):
         yield from _angles(commands.values[:, ~m.slides], m.limits[~m.slides])

@@ -40,10 +40,7 @@ class CompilerOptions(TypedDict, total=False):
 
 
 def set_kernel_cache_folder() -> None:
-    """Set numba's cache folder for compiled kernels.
-
-    Before numba is imported, unless the user has set one.
-    """
+    """Set numba's cache folder for compiled kernels, before numba is imported, unless the user has set one."""
     folder = kernel_cache_folder()
     if folder is not None:
         os.environ.setdefault("NUMBA_CACHE_DIR", str(folder))

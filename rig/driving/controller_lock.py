@@ -253,10 +253,7 @@ def stop_lock_holder(port: str, clock: Clock, timeout: float, usb_id: str = "") 
 
 
 def lock_names(port: str, usb_id: str = "") -> list[str]:
-    """Names of all locks of the controller at a port.
-
-    By device, path, network address and USB number.
-    """
+    """Names of all locks of the controller at a port: by device, path, network address and USB number."""
     words = set()
     if usb_id:
         from rig.driving.serial_port import find_usb_port

@@ -42,9 +42,8 @@ class Step:
 
 
 def steps_of_plan(plan: Plan) -> tuple[Step, ...]:
-    """Steps of a plan.
+    """Steps of a plan: each goal where its commands turn or dwell, and the number of frames exposed there.
 
-    Each goal where its commands turn or dwell, and the number of frames exposed there.
     Raises RigError for a plan that exposes while the struts move, or that changes the payload: a run waits until the
     struts stand, and nobody is asked to load the platform.
     """

@@ -149,10 +149,7 @@ def rig_toml_with_turns(text: str, quarters: Mapping[str, int]) -> str:
 
 
 def turning_instructions(quarters: Mapping[str, int], present_quarters: Mapping[str, int]) -> list[str]:
-    """Instructions to the operator for turning cubes to these quarters from the present ones.
-
-    In words.
-    """
+    """Instructions to the operator for turning cubes to these quarters from the present ones, in words."""
     out = []
     for name, quarter in quarters.items():
         if present_quarters.get(name) != quarter:

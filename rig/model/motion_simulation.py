@@ -136,9 +136,7 @@ def effective_commands(
     effects: Sequence[Effect] = (),
     sensors: Sensors | None = None,
 ) -> Floats:
-    """Effective commands (n, axes) under effects.
-
-    At exposures logged at t (n,) s and poses T (n,).
+    """Effective commands (n, axes) under effects, at exposures logged at t (n,) s and poses T (n,).
 
     Sway counts as struts' length. The machine stands at T where this is the inverse kinematics of T. Raises as
     `motion_of_commands`
@@ -156,9 +154,7 @@ def effective_commands_and_sway(
     sensors: Sensors | None = None,
     hand: Integers | None = None,
 ) -> tuple[Floats, Floats]:
-    """Effective commands (n, axes) under effects and the platform's sway (n, 6).
-
-    Taken at poses T (n,).
+    """Effective commands (n, axes) under effects and the platform's sway (n, 6), taken at poses T (n,).
 
     What joints hold is displaced along with them in ways that no joint may make up for. hand : (n,) number of the hand
     that each pose is of, None for that at which an arm is seen. Raises as `motion_of_commands`
@@ -237,9 +233,6 @@ def _with_rates(
 def pose_rates_and_curvatures(
     T: RigidTransform, before: RigidTransform, after: RigidTransform
 ) -> tuple[Floats, Floats]:
-    """Rates (n, 6) per s of poses T (n,), and curvatures (n, 6).
-
-    From poses shortly before and after.
-    """
+    """Rates (n, 6) per s of poses T (n,), and curvatures (n, 6), from poses shortly before and after."""
     minus, plus = pose_difference(T, before), pose_difference(T, after)
     return (plus - minus) / (2 * ABOUT), (plus + minus) / ABOUT**2

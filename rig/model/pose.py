@@ -123,9 +123,7 @@ def adjoint(T: RigidTransform) -> Floats:
 
 
 def roll_pitch_yaw(T: RigidTransform) -> Floats:
-    """Roll, pitch and yaw (..., 3) rad of a RigidTransform (...).
-
-    About fixed x, y and z in this order.
+    """Roll, pitch and yaw (..., 3) rad of a RigidTransform (...), about fixed x, y and z in this order.
 
     R = Rz(yaw) Ry(pitch) Rx(roll). At a pitch of a quarter turn roll and yaw turn alike; all of it is told as roll, yaw
     is 0

@@ -275,10 +275,7 @@ def _uphill(q: Floats, arm: Arm, wish: TransmissionObjective | ExertionObjective
 
 
 def return_hand_to_target(q: Floats, target: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
-    """Joint angles near q (m, n) that return the hand to its target (m, 4, 4).
-
-    By Newton's method.
-    """
+    """Joint angles near q (m, n) that return the hand to its target (m, 4, 4), by Newton's method."""
     for _ in range(6):
         frames = mechanism.joint_frames(q, arm)
         e = _error(frames.tip, target, fixed_hand_part)

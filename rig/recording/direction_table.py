@@ -47,10 +47,7 @@ def read_direction_table(path: str | Path, form: TableFormat = PLAIN) -> tuple[T
 
 
 def directions_of_angles(angles: Floats) -> Floats:
-    """Unit vectors (..., 3) of azimuth and elevation (..., 2) rad.
-
-    In a frame with x north, y east and z down.
-    """
+    """Unit vectors (..., 3) of azimuth and elevation (..., 2) rad, in a frame with x north, y east and z down."""
     azimuth, elevation = np.moveaxis(np.asarray(angles, float), -1, 0)
     level = np.cos(elevation)
     return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), -np.sin(elevation)], axis=-1)

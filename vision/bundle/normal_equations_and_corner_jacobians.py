@@ -151,9 +151,8 @@ def iterate_camera_jacobians(observations: Observations, state: State) -> Iterat
 
 
 def small_motion_jacobian(J_point: Floats, points: Floats) -> Floats:
-    """Jacobian (n, 2, 6) to a small motion on the right.
+    """Jacobian (n, 2, 6) to a small motion on the right, from the Jacobian to the moved points (n, 2, 3).
 
-    From the Jacobian to the moved points (n, 2, 3).
     points : (n, 3) in the moved frame
     """
     out = np.empty((len(J_point), 2, 6))

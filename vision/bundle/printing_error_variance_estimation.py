@@ -65,9 +65,8 @@ class _PrintInformation:
 def adjust_with_estimated_printing_errors(
     observations: Observations, fit: RobustAdjustment, free: tuple[str, ...]
 ) -> RobustAdjustment:
-    """The adjustment (Sorted) repeated with printing errors of estimated size.
+    """The adjustment (Sorted) repeated with printing errors of estimated size; as it was if none show.
 
-    As it was if none show.
     observations : Observations of all frames; fit : Sorted of them, places of markers as stated
     What stands still in the images may be a print or the pixel grid (see standing_error). At first all of it counts as
     the grid's, which errs corner by corner and camera by camera: prints must show beyond that. What they then explain

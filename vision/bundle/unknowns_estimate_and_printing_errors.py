@@ -206,10 +206,7 @@ def do_cameras_hold_base(unknowns: Unknowns, state: State) -> bool:
 
 
 def update_estimate(estimate: Estimate, unknowns: Unknowns, shared_step: Floats, local_step: Floats) -> Estimate:
-    """The updated Estimate after a step of the shared (s,) and the local (F, l) unknowns.
-
-    In scaled units.
-    """
+    """The updated Estimate after a step of the shared (s,) and the local (F, l) unknowns, in scaled units."""
     state, step = estimate.state, shared_step * unknowns.scale
     cameras = list(state.cameras)
     for i, columns in unknowns.poses.items():
@@ -294,9 +291,7 @@ def datum_markers(markers: MarkerMap, rows: Integers) -> Integers:
 
 
 def align_with_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> Estimate:
-    """The Estimate aligned with the datums.
-
-    Seen from the frames that the stated places define.
+    """The Estimate aligned with the datums: seen from the frames that the stated places define.
 
     Corners of all seen markers of a body whose places are stated, taken together, end where they were stated, in the
     least-squares sense; those of the first where none is.

@@ -142,10 +142,7 @@ def size_ratio_text(share: float, target: Target | None) -> str:
 def best_size_ratio(
     sample: SampledRecording, ratio: float, body: str | None, misfit: Callable[[SampledRecording], float]
 ) -> float:
-    """Size ratio near one with the least misfit (px).
-
-    At the vertex of a parabola through three trials.
-    """
+    """Size ratio near one with the least misfit (px), at the vertex of a parabola through three trials."""
     by = 0.004
     squares = [misfit(scale_marker_sides(sample, ratio * (1 + k * by), body)) ** 2 for k in (-1, 0, 1)]
     bend = squares[0] - 2 * squares[1] + squares[2]

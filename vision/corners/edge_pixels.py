@@ -85,9 +85,7 @@ class Printed(NamedTuple):
 
 
 def pixel_edge_kinds(cells: Floats) -> Floats:
-    """Kind of edge (NOWHERE + 1,) int8 that pixels of each cell see.
-
-    By cells (k, k) of a marker.
+    """Kind of edge (NOWHERE + 1,) int8 that pixels of each cell see, by cells (k, k) of a marker.
 
     NONE, MANY edges, one: 2 + 4 where it lies across (Y) + 2 where it is the right or lower side + 1 where white comes
     first, or two that meet:

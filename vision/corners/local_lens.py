@@ -163,9 +163,8 @@ def ideal_to_pixel(lens: Floats, x: float, y: float, u: float, v: float) -> Loca
 
 @kernel
 def corners_to_image(lens: Floats, centre: Floats, guess: Floats, corners: Floats, covariance: Floats) -> None:
-    """Convert corners (4, 2) and covariance (8, 8) from local ideal coordinates to image px.
+    """Convert corners (4, 2) and covariance (8, 8) from local ideal coordinates to image px, in place.
 
-    In place.
     guess : (4, 2) px
     """
     D = np.zeros((8, 8))

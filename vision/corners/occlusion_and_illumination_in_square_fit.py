@@ -71,9 +71,8 @@ def edge_segment_sums(pixels: EdgePixels, g: Floats, rows: Floats, last_step: Fl
 
 @kernel
 def covariance_inflation(sums: Floats, noise: float) -> float:
-    """Inflation factor of the corners' covariance.
+    """Inflation factor of the corners' covariance, at least 1, by edges displaced more than noise allows.
 
-    At least 1, by edges displaced more than noise allows.
     sums : of `edge_segment_sums`; noise : grey levels. White noise leaves a cell's side as far out of place as its
     pixels' slopes say; a blur of another shape, rounding or a renderer's few samples to the pixel move neighbouring
     pixels alike, and sides farther than that.

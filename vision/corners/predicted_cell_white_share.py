@@ -92,9 +92,8 @@ def _meeting(h: float, k: float, rho: float) -> float:
 def cell_white_share(
     cells: Floats, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: Floats, table_y: Floats
 ) -> Share:
-    """White share at cell coordinates X, Y in or next to cell (i, j).
+    """White share at cell coordinates X, Y in or next to cell (i, j), by the spread of its edges.
 
-    By the spread of its edges.
     cells : (n + 4, n + 4), the n x n bits with their black border and one more ring of white. Cell (0, 0) is the first
         bit.
     """

@@ -82,9 +82,7 @@ def _line(where: Floats, offsets: Floats, found: int) -> tuple[float, float]:
 
 @kernel
 def fit_quad_sides_in_place(crop: Floats, box: Floats, quad: Floats, size: int, search_distance: float) -> None:
-    """Fit the sides of a quad (4, 2) px.
-
-    In place, to the dark-to-bright steps in profiles across them.
+    """Fit the sides of a quad (4, 2) px, in place, to the dark-to-bright steps in profiles across them.
 
     A side is moved by a line through the steps found within reach (px) and within the border of black, one of `size`
     cells; it stays where fewer than half its profiles show one.

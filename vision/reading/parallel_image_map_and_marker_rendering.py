@@ -33,9 +33,8 @@ Result = TypeVar("Result")
 def map_images_in_threads(
     function: Callable[[Item], Result], items: Sequence[Item], progress: Callable[..., None] | None
 ) -> list[Result]:
-    """Map a function over images in threads, results in order.
+    """Map a function over images in threads, results in order: for few items, or shared images.
 
-    For few items, or shared images.
     progress : called with (done, of)
     """
     with _one_thread_each(), ThreadPoolExecutor(worker_count()) as pool:

@@ -281,9 +281,8 @@ def search_missed_markers(
     marker_map: MarkerMap,
     progress: Callable[[int, int], None] | None = None,
 ) -> Collected:
-    """Collected with missed markers added.
+    """Collected with missed markers added: those expected by the measured poses that were not read.
 
-    Those expected by the measured poses that were not read.
     measurement : Measurement of the collected corners. A marker is added where its bits are read and it is found within
     FALSE_ALARM of its place.
     """

@@ -303,10 +303,7 @@ def _named(function: F, axes: int) -> F:
 def n_linear_interpolation_kernel(
     x: Floats, levels: Floats, inverse: Floats, cells: Floats, strides: Floats, values: Floats, out: Floats
 ) -> None:
-    """Kernel of n-linear interpolation.
-
-    Values into out (n, outputs) at x (n, axes).
-    """
+    """Kernel of n-linear interpolation: values into out (n, outputs) at x (n, axes)."""
     axes, outputs = x.shape[1], values.shape[1]
     corner, t = np.zeros(2**axes, np.int64), np.empty(axes)
     part = np.empty((2**axes, outputs))

@@ -119,9 +119,7 @@ def best_scores_at_axes(promising: list[Score[C]], name: str, size: int) -> list
 
 
 def scores_with_best_effect_at_several_axes_first(promising: list[Score[C]], size: int) -> list[Score[C]]:
-    """Scores with those of the effect first that explains most at several axes together.
-
-    If more than the first score.
+    """Scores with those of the effect first that explains most at several axes together, if more than the first score.
 
     Axes that are built alike fail alike, and what one hypothesis explains of all is less than what each does of its
     own.

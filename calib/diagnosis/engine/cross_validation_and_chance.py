@@ -41,9 +41,7 @@ class Dispersion(NamedTuple):
 
 
 def scan_p_value(deltas: Floats, rank: float, freedom: float) -> float:
-    """p-value of the greatest delta chi-square of deltas (k,) of a scan.
-
-    With `rank` linear parameters each.
+    """p-value of the greatest delta chi-square of deltas (k,) of a scan, with `rank` linear parameters each.
 
     Scanned in order; Fisher's F stands for chi-square where the degrees of freedom of what deltas were divided by are
     few.
@@ -188,9 +186,8 @@ def frame_folds(frames: int, has_sudden_effects: bool, sides: Sequence[Booleans]
 def held_out_residuals(
     model: LinearModel, residuals: tuple[Floats, ...], fold: Integers, single_fold: int | None = None
 ) -> HeldOut:
-    """Held-out residuals (HeldOut).
+    """Held-out residuals (HeldOut): those of each fold with the nuisances fitted on the other folds.
 
-    Those of each fold with the nuisances fitted on the other folds.
     residuals : one (m,) for each block, as they are with the nuisances at the model's values
     model : with an explicit basis, else ValueError is raised; what was known beforehand is known in every fold, and is
         judged by the fit to all
@@ -241,10 +238,7 @@ def make_refit_without_columns(
 
 
 def signed_rank_gain_in_standard_errors(square_reductions: Floats) -> float:
-    """Gain of held-out stretches in standard errors.
-
-    By Wilcoxon's signed ranks of square reductions (n,).
-    """
+    """Gain of held-out stretches in standard errors, by Wilcoxon's signed ranks of square reductions (n,)."""
     by = np.bincount(time_stretch_folds(len(square_reductions), STRETCHES), weights=square_reductions)
     by = by[by != 0]
     if by.sum() <= 0:

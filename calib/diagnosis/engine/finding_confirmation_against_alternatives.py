@@ -76,9 +76,8 @@ def find_alternatives(
     progress: Callable[[int, int], None] | None,
     known: tuple[list[Score[C]], Score[C]] | None = None,
 ) -> list[Alternative[C]]:
-    """Find the alternatives to a finding ([Alternative]) on a model without it.
+    """Find the alternatives to a finding ([Alternative]) on a model without it, by weight, the best of each place.
 
-    By weight, the best of each place.
     known : as `Scans.of_same_terms` has it, taken in place of a new scan where that listed all that is asked here
     """
     policy, linear = problem.policy, problem.linear(model)

@@ -99,10 +99,7 @@ def normal_equations_by_direction_weights(products: FrameProducts, weights: Floa
 
 
 def normal_equations_by_common_weights(products: FrameProducts, frame_weights: Floats) -> Normal:
-    """Normal equations of candidates that weight all directions (a) of a frame alike.
-
-    By frame weights (k, F).
-    """
+    """Normal equations of candidates that weight all directions (a) of a frame alike, by frame weights (k, F)."""
     b = frame_weights @ products.beta
     K = products.onto(np.tensordot(frame_weights, products.kappa, 1))
     G = np.tensordot(frame_weights**2, products.gamma, 1)
@@ -126,9 +123,7 @@ def solve_normal_equations(normal: Normal) -> Solved:
 
 
 def solve_nonnegative(normal: Normal) -> Solved:
-    """Solved normal equations with no coefficient below zero.
-
-    As many numbers are determined as are above it.
+    """Solved normal equations with no coefficient below zero: as many numbers are determined as are above it.
 
     Given which are above zero, what they explain is distributed as if no others had been there (Kudo, Biometrika 50,
     1963, 403-418). Source of the solution: Lawson and Hanson, Solving Least Squares Problems, 1974, ch. 23

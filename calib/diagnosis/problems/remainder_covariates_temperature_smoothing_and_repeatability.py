@@ -271,10 +271,7 @@ class Suggestion:
 def library_of_quantities(
     motion: Motion, axis: int | None, directions: int = 1, exclude_axis_quantities: bool = False
 ) -> Library:
-    """Library of the quantities that vary.
-
-    Of one axis by its index, of all alike (None), or of the platform.
-    """
+    """Library of the quantities that vary: of one axis by its index, of all alike (None), or of the platform."""
     own = None if axis is None else f"travel of {motion.places[axis]}"
     out = []
     for q in quantities_of_motion(motion, not exclude_axis_quantities):

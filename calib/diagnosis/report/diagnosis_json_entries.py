@@ -244,10 +244,7 @@ def recording_entries(parts: tuple[RecordingPart, ...]) -> tuple[RecordingEntry,
 
 
 def json_tree(value: object) -> object:
-    """JSON tree of dicts and lists.
-
-    Of dataclasses, optional fields that are None or empty are left out.
-    """
+    """JSON tree of dicts and lists; of dataclasses, optional fields that are None or empty are left out."""
     if is_dataclass(value):
         items = {f.name: getattr(value, f.name) for f in fields(value)}
         return {name: json_tree(v) for name, v in items.items() if v is not None}

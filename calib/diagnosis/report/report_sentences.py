@@ -176,10 +176,7 @@ def evidence_sentence(finding: FindingEntry) -> str:
 
 
 def unexplained_sentence(unknown: Sequence[FindingEntry]) -> str:
-    """Sentence on what is unexplained.
-
-    Functions that fit it, or scatter that none fits.
-    """
+    """Sentence on what is unexplained: functions that fit it, or scatter that none fits."""
     fitted = [f for f in unknown if f.parameters["depends_on"].value]
     said = ["A residual remains that no catalogued effect explains."]
     said += ["A smooth function fits it; its cause is not identified."] if fitted else []
@@ -211,10 +208,7 @@ def formula_suggestion_sentences(entry: SuggestionEntry) -> str:
 
 
 def parameter_rows_of_suggested_formula(entry: SuggestionEntry) -> list[tuple[str, str, str]]:
-    """Table rows [(parameter, value, 95 % interval)] of one suggested formula's parameters.
-
-    With units.
-    """
+    """Table rows [(parameter, value, 95 % interval)] of one suggested formula's parameters, with units."""
     return [
         (name, f"{p.value:.4g} {p.unit}", f"{p.ci95[0]:.4g} to {p.ci95[1]:.4g}" if p.ci95 else "")
         for name, p in entry.parameters.items()

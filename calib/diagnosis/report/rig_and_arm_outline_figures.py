@@ -189,9 +189,8 @@ def _camera(drawn: Outline, camera: Camera, colour: int, middle: Floats) -> None
 
 
 def arm_outline_figures(arm: Arm | Chain, q: Floats, marked_joints: dict[int, dict[str, float]]) -> str:
-    """Figures of the outline of an Arm, or a Chain.
+    """Figures of the outline of an Arm, or a Chain, over its configurations q (n, joints) rad or m.
 
-    Over its configurations q (n, joints) rad or m.
     marked_joints : {joint: {effect: RMS in rad or, of what slides, m}} of what was found
     """
     at, joints = _points(q, arm)

@@ -328,9 +328,7 @@ class Rank:
 
 
 def parameter_rank(B: Floats, free: Booleans, names: tuple[str, ...], units: tuple[str, ...]) -> Rank:
-    """Rank of the parameter columns B (rows, p), whitened, of the requested parameters.
-
-    Free (p,) bool.
+    """Rank of the parameter columns B (rows, p), whitened, of the requested parameters: free (p,) bool.
 
     A column is dependent where, those before it given, the data leave its parameter less certain than PLAUSIBLE: a
     plain zero of the pivoted QR, but also a direction in which only rounding or noise would be fitted.
@@ -387,10 +385,7 @@ def generally_independent_parameters(arm: Arm, kind: str) -> Booleans:
 
 
 def is_next_axis_near_parallel(arm: Arm) -> Booleans:
-    """Whether (n,) the next axis is near parallel to each row's axis.
-
-    So that beta (Hayati) replaces d.
-    """
+    """Whether (n,) the next axis is near parallel to each row's axis, so that beta (Hayati) replaces d."""
     return np.asarray(np.abs(np.cos(arm.rows[:, 3]) * np.cos(arm.rows[:, 4])) > PARALLEL)
 
 

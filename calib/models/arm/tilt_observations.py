@@ -84,10 +84,7 @@ class TiltRows:
 
 
 def tilt_rows(readings: TiltReadings, q: Floats, arm: Arm) -> TiltRows:
-    """TiltRows of readings of an arm at joint values q (n, joints).
-
-    At the mounting that explains them best.
-    """
+    """TiltRows of readings of an arm at joint values q (n, joints), at the mounting that explains them best."""
     sensors = readings.sensors
     links = mechanism.link_frames(q, arm)[:, [sensor.link for sensor in sensors], :3, :3]
     sigma = readings.mounting_sigma

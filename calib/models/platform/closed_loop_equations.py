@@ -219,9 +219,8 @@ def whitened_pose_row(
 def whitened_pose_rows(
     commands: Floats, R: Floats, t: Floats, p: Floats, measured: Measured, scatter: Floats, right: Floats, J: Floats
 ) -> int:
-    """Whitened rows of all poses, as `whitened_pose_row` has them.
+    """Whitened rows of all poses, as `whitened_pose_row` has them: right (n, 6, 1 + k), J (n, 6, 42).
 
-    Right (n, 6, 1 + k), J (n, 6, 42).
     commands : (n, 6) m; measured : Measured, of n poses. Returns the first pose that has no solution or no covariance,
         or -1
     """
@@ -236,9 +235,8 @@ def whitened_pose_rows(
 
 
 def linearised_freedom_equations(samples: Samples, lengths: Floats, mechanism: Parallel, scatter: Floats) -> Linear:
-    """Linearised equations (Linear) of the measured poses at a geometry.
+    """Linearised equations (Linear) of the measured poses at a geometry, in the mechanism's freedoms.
 
-    In the mechanism's freedoms.
     samples : Samples, in these freedoms alone; lengths : (n, axes) m or rad, commanded; scatter : (axes,) of each axis
     beyond the poses' own
     Raises RigError naming the first pose on which the axes do not close

@@ -45,10 +45,7 @@ class Combination:
 
 
 def parameter_combinations(root: Floats, mechanism: Parallel) -> tuple[tuple[Combination, ...], Visibility]:
-    """Parameter combinations, worst determined first, and Visibility.
-
-    By the information's root (p, p) 1/m.
-    """
+    """Parameter combinations, worst determined first, and Visibility, by the information's root (p, p) 1/m."""
     seen: Visibility = parameter_visibility(root, np.full(root.shape[1], PLAUSIBLE))
     patterns = _patterns(mechanism)
     with np.errstate(divide="ignore"):

@@ -97,10 +97,7 @@ def choose_d_optimal_configurations(
 def choose_configurations_by_exchange(
     G: Floats, M0: Floats, count: int, criterion: str, progress: Callable[[int, int], None] | None = None
 ) -> list[int]:
-    """Choose `count` candidates of whitened rows G (c, m, p) by exchange.
-
-    Those that add most to information M0.
-    """
+    """Choose `count` candidates of whitened rows G (c, m, p) by exchange: those that add most to information M0."""
     picked: list[int] = []
     gain = _determinant if criterion == "determinant" else _noise
     for k in range(count):  # greedily first, by volume: from nothing only that has a meaning

@@ -183,9 +183,8 @@ def open_opencv_camera(
     size: tuple[int, int],
     settings: CaptureSettings = AS_IT_IS,
 ) -> VideoSource:
-    """Open an OpenCV camera.
+    """Open an OpenCV camera of kind "uvc" (device number or path) or "gstreamer" (pipeline ending in appsink).
 
-    Of kind "uvc" (device number or path) or "gstreamer" (pipeline ending in appsink).
     size : (width, height) px, as rig.toml has them; settings : of a UVC camera. Raises CameraError where it does not
     open or does not take a setting, and for a pipeline that may write (see rig.driving.cameras.opencv_camera).
     """

@@ -46,9 +46,8 @@ class ConformanceCheck:
 
 
 def check_conformance(design: Design, protocol: str, moves: int = 300, seed: int = 1) -> Iterator[ConformanceCheck]:
-    """Each ConformanceCheck of a protocol, as it is done.
+    """Each ConformanceCheck of a protocol, as it is done; only the first where that fails.
 
-    Only the first where that fails.
     design : a rig of struts with a controller; protocol : as rig.toml states it; moves : with all faults at 5 %
     Raises FileError or RigError for a program of the user's own that cannot be used
     """

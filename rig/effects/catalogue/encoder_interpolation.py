@@ -94,10 +94,7 @@ class EncoderInterpolation(Effect):
 
 
 def fewest_encoder_periods_distinct_from_screw_error(motion: Motion) -> float:
-    """Fewest periods per metre of an encoder.
-
-    With fewer it would be the screw's cyclic error.
-    """
+    """Fewest periods per metre of an encoder; with fewer it would be the screw's cyclic error."""
     return max(FEWEST, OF_SCREW / (motion.actuator.screw_lead or np.inf))
 
 

@@ -254,10 +254,7 @@ def travel_covariate(values: Floats, motion: Motion, label: str, unit_suffix: st
 
 
 def load_covariate(values: Floats, motion: Motion, label: str) -> Covariate:
-    """Covariate of load.
-
-    Values (n, axes) N or N m that the axes carry, with a label.
-    """
+    """Covariate of load: values (n, axes) N or N m that the axes carry, with a label."""
     kind = motion.kind
     per = {"m": ("force", "N"), "rad": ("torque", "N m")}
     names, units = (dict.fromkeys(per[unit][k] for unit in motion.units) for k in (0, 1))
@@ -273,10 +270,7 @@ def time_covariate(motion: Motion) -> Covariate:
 
 
 def temperature_covariate(values: Floats, part: str) -> Covariate:
-    """Covariate of temperature.
-
-    Values (n,) or (n, axes) of a part in degrees Celsius.
-    """
+    """Covariate of temperature: values (n,) or (n, axes) of a part in degrees Celsius."""
     return Covariate(values, f"temperature of {part}, °C")
 
 
@@ -297,10 +291,7 @@ class Linear(NamedTuple):
 def parameter_values(
     linear: Sequence[Linear], node: Node, coefficients: Floats, parameters: Sequence[Parameter]
 ) -> dict[str, object]:
-    """Values {parameter: value} of an effect.
-
-    From a grid node and coefficients (q,) of its linear columns.
-    """
+    """Values {parameter: value} of an effect, from a grid node and coefficients (q,) of its linear columns."""
     values, by = dict(node), {p.name: p for p in parameters}
     vectors = {name: np.zeros(by[name].size or node[COUNT]) for name, index, _ in linear if index is not None}
     for (name, index, _), c in zip(linear, coefficients):

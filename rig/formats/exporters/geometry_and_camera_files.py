@@ -229,9 +229,8 @@ SCALE = {"mm": 1e3, "m": 1.0}
 
 
 def linuxcnc_compensation_file(joint_positions: Floats, corrections: Floats, units: str = "mm") -> str:
-    """LinuxCNC compensation file of one joint.
+    """LinuxCNC compensation file of one joint: corrections (n,) m at joint positions (n,) m.
 
-    Corrections (n,) m at joint positions (n,) m.
     units : of the machine, "mm" or "m". Raises ValueError for more entries than it takes, or none that grow
     """
     if not 2 <= len(joint_positions) <= MOST or not (np.diff(joint_positions) > 0).all():
@@ -243,9 +242,8 @@ def linuxcnc_compensation_file(joint_positions: Floats, corrections: Floats, uni
 
 
 def correction_grid_csv(configurations: Floats, corrections: Floats, axes: tuple[str, ...], unit: str) -> str:
-    """CSV of corrections (n, axes) on a grid of configurations (n, axes).
+    """CSV of corrections (n, axes) on a grid of configurations (n, axes), with comment lines that explain them.
 
-    With comment lines that explain them.
     unit : of both, "m" or "rad".
     """
     lines = [

@@ -212,9 +212,8 @@ def _pattern(stem: str, k: int, part: str) -> str:
 def group_images_into_exposures(
     image_files: list[ImageFile], images: Images, are_plausible: Callable[[Floats], bool]
 ) -> ImportedExposures:
-    """Group image files into exposures.
+    """Group image files into exposures: by frame number, else by time.
 
-    By frame number, else by time.
     are_plausible : whether times (n,) s from the first can be so.
 
     Raises FileError for names that are not built alike.

@@ -38,9 +38,8 @@ Like = Callable[[Floats], bool]
 def exposures_with_times(
     exposed: ImportedExposures, commanded: ImportedCommands | None, recipe: Recipe, like: Like
 ) -> tuple[ImportedExposures, Recipe]:
-    """Exposures with times.
+    """Exposures with times: of their names, of a table of frames, or of the commands' rows, one for one.
 
-    Of their names, of a table of frames, or of the commands' rows, one for one.
     like : whether times (n,) s from the first can be so. Raises RigError where nothing tells the times
     """
     if recipe.frames is not None:

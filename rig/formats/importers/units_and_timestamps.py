@@ -29,9 +29,8 @@ class UnclearInput(RigError):
 
 
 def ambiguity_error(subject: str, readings: Iterable[tuple[str, str]]) -> RigError:
-    """Error about an ambiguous input that lists all readings.
+    """Error about an ambiguous input that lists all readings, each with the setting that selects it.
 
-    Each with the setting that selects it.
     readings : (what it would mean, "key=value" that decides for it)
     """
     return RigError("\n".join([f"{subject}:", *(f"  {reading}: --set '{setting}'" for reading, setting in readings)]))
@@ -138,10 +137,7 @@ def is_likely_length_unit(values: Floats, ranges: Floats, unit: str, relative: s
 
 
 def likely_angle_units(values: Floats, limits: Floats, units: Sequence[str]) -> list[str]:
-    """Likely units of angles (n, axes).
-
-    Those that keep them within their limits (axes, 2) rad.
-    """
+    """Likely units of angles (n, axes): those that keep them within their limits (axes, 2) rad."""
     return [u for u in units if fits_ranges(values / ANGLES[u], limits)]
 
 
@@ -173,9 +169,8 @@ def read_times(
     shift: float,
     are_plausible: Callable[[Floats], bool] = lambda t: True,
 ) -> Times:
-    """Times read from text cells.
+    """Times read from text cells: in s, ms, us, ns, since 1970 or a start, or as ISO 8601.
 
-    In s, ms, us, ns, since 1970 or a start, or as ISO 8601.
     section : of the section, as settings call it; subject : is read, in words; unit : stated, or None; shift : s added
 
     are_plausible : whether (n,) s from the first can be so

@@ -107,9 +107,8 @@ class JointChain:
 
 
 def load_joint_chain(path: Path, tip: str | None = None, root: str | None = None) -> JointChain:
-    """JointChain of a URDF file.
+    """JointChain of a URDF file, from its root link, or the one that is named, to the tip that is named.
 
-    From its root link, or the one that is named, to the tip that is named.
     tip : may be None where only one link is at an end
     Raises FileError, with the line, for what is no URDF, Xacro that is not expanded, links and joints that make no
         tree, a joint on the way that an arm cannot have, and an unknown or missing link

@@ -28,9 +28,8 @@ REACH = 1.0  # m; a radian counts like so much
 
 
 def link_frames(q: Floats, arm: Arm) -> Floats:
-    """Frames (..., n + 2, 4, 4) of the arm's links at joint values.
+    """Frames (..., n + 2, 4, 4) of the arm's links at joint values, frames 0..n and the platform's.
 
-    Frames 0..n and the platform's.
     q : (..., n) rad, of slides m. Frame i - 1 carries axis i (its z). Raises ValueError for another number of joints or
         values not finite, RigError for an arm with several hands
     """

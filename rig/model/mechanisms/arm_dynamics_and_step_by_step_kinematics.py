@@ -60,9 +60,8 @@ class LinkMasses:
 def joint_torques(
     q: Floats, speed: Floats, acceleration: Floats, arm: Arm, links: LinkMasses, gravity: Floats
 ) -> Floats:
-    """Joint torques (..., n) N m (slides: N) for an arm's weight and motion alone.
+    """Joint torques (..., n) N m (slides: N) for an arm's weight and motion alone, with nothing at the hand.
 
-    With nothing at the hand.
     q : (..., n) rad, of slides m; speed, acceleration : (..., n) of these per s and s^2; gravity : (3,) m/s^2 in the
         axes of poses
     """

@@ -72,9 +72,8 @@ class LegClosures:
 def combine_leg_sets(
     leg_sets: list[tuple[str, Hexapod | MeasuringLimbs, Floats, Floats]], home_pose: RigidTransform
 ) -> RedundantLegs:
-    """Combine leg sets into RedundantLegs.
+    """Combine leg sets into RedundantLegs: each set (letter, geometry, sigma, covariance), about one home pose.
 
-    Each set (letter, geometry, sigma, covariance), about one home pose.
     home_pose : T_base_platform, about which they are looked for
     """
     blocks, names, zeros = [], list[str](), []

@@ -212,10 +212,7 @@ class DirectionCounts(NamedTuple):
 
 
 def hand_motion_direction_counts(arm: Arm) -> DirectionCounts:
-    """DirectionCounts of an Arm's hand.
-
-    In how many directions of position and rotation it can move.
-    """
+    """DirectionCounts of an Arm's hand: in how many directions of position and rotation it can move."""
     low, high = arm.limits.T
     J = mechanism.jacobian(np.random.default_rng(0).uniform(low, high, (SAMPLES, len(low))), arm)
     place = int(np.linalg.matrix_rank(J[:, :3], rtol=NONE).max())
@@ -290,10 +287,7 @@ class InverseSolutions(NamedTuple):
 
 
 def numerical_inverse_solutions(T_base_platform: RigidTransform, arm: Arm, starts: int = STARTS) -> InverseSolutions:
-    """Numerical InverseSolutions of one pose () of an Arm from many starts.
-
-    Those within the limits first.
-    """
+    """Numerical InverseSolutions of one pose () of an Arm from many starts, those within the limits first."""
     n, (low, high) = len(arm.joints), arm.limits.T
     begin = np.random.default_rng(0).uniform(low, high, (starts, n))
     many = RigidTransform.from_matrix(np.tile(T_base_platform.as_matrix(), (starts, 1, 1)))

@@ -254,10 +254,7 @@ def travel_ranges(mechanism: FileMechanism) -> Floats:
 
 
 def home_values(mechanism: FileMechanism) -> Floats:
-    """Home values (axes,) m or rad.
-
-    Of the home pose.
-    """
+    """Home values (axes,) m or rad: of the home pose."""
     return inverse(mechanism.home_pose, mechanism)
 
 
@@ -280,10 +277,7 @@ def link_weight_loads(T: RigidTransform, values: Floats, mechanism: FileMechanis
 def axis_deviation_and_sway_by_member_growth(
     T: RigidTransform, values: Floats, mechanism: FileMechanism, share: Floats
 ) -> tuple[Floats, Floats]:
-    """Deviation (n, axes) and sway (n, 6) by the growth of axes by shares (n, axes).
-
-    Of slides; of joints none.
-    """
+    """Deviation (n, axes) and sway (n, 6) by the growth of axes by shares (n, axes): of slides; of joints none."""
     slides = np.array([axis.unit == "m" for axis in mechanism.stated.axes])
     return share * values * slides, np.zeros((len(share), 6))
 

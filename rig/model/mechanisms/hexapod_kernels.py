@@ -37,10 +37,7 @@ class StrutGeometry(NamedTuple):
 
 
 def run_in_threads(kernel: Callable[[slice], None], count: int, items_per_thread: int = EACH) -> None:
-    """Run kernel(slice) over `count` items in slices.
-
-    In threads on all cores (OMP_NUM_THREADS at most).
-    """
+    """Run kernel(slice) over `count` items in slices, in threads on all cores (OMP_NUM_THREADS at most)."""
     threads = min(worker_count(), count // items_per_thread)
     if threads < 2:
         kernel(slice(0, count))
@@ -161,9 +158,8 @@ def solve_poses_of_lengths(
     residual: Floats,
     crossed: Floats,
 ) -> None:
-    """Solve poses, matrices (n, 4, 4).
+    """Solve poses, matrices (n, 4, 4), for strut lengths (n, 6) m, zeros included, by Newton from a start.
 
-    For strut lengths (n, 6) m, zeros included, by Newton from a start.
     start : quaternions (n or 1, 4), real part first, and positions (n or 1, 3) m; tolerance : m, of a strut
     residual : (n,) m, filled with what is left; crossed : (n,) bool, whether the Jacobian's determinant changed its
         sign on the way

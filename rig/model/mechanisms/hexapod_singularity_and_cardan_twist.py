@@ -63,9 +63,7 @@ def _least(hexapod: Hexapod, move: Floats, size: float) -> float:
 
 
 def cardan_twist_angles_about_struts(T: RigidTransform, mechanism: Hexapod) -> Floats:
-    """Twist (..., 6) rad of each strut's platform-side cardan against its base-side one.
-
-    About the strut.
+    """Twist (..., 6) rad of each strut's platform-side cardan against its base-side one, about the strut.
 
     A cardan's first axis lies in its plate, tangential, (-y, x, 0) of the joint in the plate's frame; its second is
     perpendicular to the first and to the strut. Right-handed about u, from base to platform.

@@ -66,10 +66,7 @@ def forward(values: Floats, chain: Chain, guess: RigidTransform | None = None) -
 
 
 def stage_tangent_maps(transforms: list[RigidTransform]) -> list[Floats]:
-    """Maps (..., 6, 6) of each stage's tangent to the whole chain's tangent.
-
-    From the stages' transforms.
-    """
+    """Maps (..., 6, 6) of each stage's tangent to the whole chain's tangent, from the stages' transforms."""
     after, out = np.broadcast_to(np.eye(4), transforms[0].as_matrix().shape), []
     for T in reversed(transforms):
         R, t = after[..., :3, :3], after[..., :3, 3]

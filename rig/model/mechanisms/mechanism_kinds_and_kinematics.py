@@ -351,10 +351,7 @@ def mechanism_with_parameters(mechanism: S, p: Floats) -> S:
 
 
 def strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Parallel) -> Floats:
-    """Jacobian (..., axes, 6) of the strut lengths, or the axes, m/m and m/rad.
-
-    By the poses' tangents on the right.
-    """
+    """Jacobian (..., axes, 6) of the strut lengths, or the axes, m/m and m/rad, by the poses' tangents on the right."""
     if isinstance(mechanism, FileMechanism):
         return file_mechanism.jacobian(T_base_platform, mechanism)
     if isinstance(mechanism, Hexapod):

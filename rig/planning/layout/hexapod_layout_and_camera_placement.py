@@ -49,9 +49,8 @@ def require_possible_layout(radius: float, cameras: int, cubes: int, dictionary:
 
 
 def camera_ring_lines(centre: Floats, reach: float, count: int, width: int, height: int) -> list[str]:
-    """rig.toml lines of a ring of cameras evenly around a centre (3,) m.
+    """rig.toml lines of a ring of cameras evenly around a centre (3,) m, with a field of view of `reach` m.
 
-    With a field of view of `reach` m.
     width, height : px
     """
     distance = DISTANCE_SHARE * reach
@@ -129,10 +128,7 @@ def cube_lines(
 
 
 def cube_ring_lines(cubes: int, dictionary: str, platform_ring: CubeRing, base_ring: CubeRing) -> list[str]:
-    """rig.toml lines of rings of cubes on the platform and on the base.
-
-    Each face with its own marker id.
-    """
+    """rig.toml lines of rings of cubes on the platform and on the base, each face with its own marker id."""
     lines = []
     for k, (body, ring) in enumerate((("platform", platform_ring), ("base", base_ring))):
         for i in range(cubes):

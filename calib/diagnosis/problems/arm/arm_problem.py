@@ -222,9 +222,7 @@ class ArmProblem:
 def nested_held_out_poses(
     problem: ArmProblem, counts: tuple[int, ...], progress: Progress | None = None
 ) -> list[HeldOutPoses]:
-    """Held-out poses (HeldOutPoses) by nested selection.
-
-    Over each number of time stretches in counts.
+    """Held-out poses (HeldOutPoses) by nested selection, over each number of time stretches in counts.
 
     Effects are chosen, and all is fitted, on two thirds of the stretches at a time.
     """

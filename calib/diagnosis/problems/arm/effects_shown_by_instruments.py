@@ -58,10 +58,7 @@ def fit_of_measured_effects(recording: Recording, sampled: Sampled) -> JointFit 
 
 
 def findings_of_measured_effects(fit: JointFit) -> tuple[MeasuredFinding, ...]:
-    """Findings of effects that were fitted before the search, with 95 % intervals.
-
-    Of a lean its RMS first.
-    """
+    """Findings of effects that were fitted before the search, with 95 % intervals; of a lean its RMS first."""
     out, coordinates, sigma = list[MeasuredFinding](), coordinates_of_effects(fit.effects), np.sqrt(np.diag(fit.own))
     for number, effect in enumerate(fit.effects):
         parameters = dict[str, Value]()

@@ -236,9 +236,8 @@ def _explains(covariate: Covariate, count: int) -> bool:
 
 
 def ranked_covariates(before: Fit, after: Fit, cluster: int) -> list[Covariate]:
-    """Covariates ranked by the share of residuals that they explain.
+    """Covariates ranked by the share of residuals that they explain, without effects and with them.
 
-    Without effects and with them.
     cluster : poses in a row whose errors may be alike
     """
     return rank_covariates(_shares(before, cluster), _shares(after, cluster))

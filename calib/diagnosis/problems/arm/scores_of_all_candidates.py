@@ -62,10 +62,7 @@ def score_candidates(
 
 
 def joint_motion_inner_products(fit: Fit, joint: int | None) -> FrameProducts:
-    """Inner products (FrameProducts) of a joint's motion, or of the measured tangents (None).
-
-    For the fitted poses.
-    """
+    """Inner products (FrameProducts) of a joint's motion, or of the measured tangents (None), for the fitted poses."""
     A = _directions(fit, joint)
     turned = np.swapaxes(A, 1, 2)
     return FrameProducts((turned @ fit.y[fit.used][..., None])[..., 0], turned @ A, fit.X.along(A), fit.inverse)

@@ -135,19 +135,13 @@ def effect_context(point: OperatingPoint) -> Context:
 
 
 def lacks_temperature_log(point: OperatingPoint, needed_channels: tuple[tuple[str, ...], ...]) -> bool:
-    """Whether the recording lacks a temperature log that an effect needs.
-
-    Each served by any of several channels.
-    """
+    """Whether the recording lacks a temperature log that an effect needs, each served by any of several channels."""
     logged = set(point.sensors.channels) if point.sensors is not None else set()
     return not all(logged & set(channels) for channels in needed_channels)
 
 
 def platform_candidate(spec: EffectCandidate) -> PlatformCandidate:
-    """PlatformCandidate of what an effect states (spec).
-
-    With the usual ranges of its parameters.
-    """
+    """PlatformCandidate of what an effect states (spec), with the usual ranges of its parameters."""
     node, parameters = spec.grid[0], spec.kind.parameters_at(spec.place)
     named = {column.name for column in spec.linear} | set(node)
     usual = tuple(

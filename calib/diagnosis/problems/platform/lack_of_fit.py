@@ -272,10 +272,7 @@ def _corners(model: LinearisedModel) -> LackOfFit | None:
 
 
 def ranked_covariates(before: LinearisedModel, after: LinearisedModel) -> list[Covariate]:
-    """Covariates ranked by the share of residuals that they explain.
-
-    Without effects and with them.
-    """
+    """Covariates ranked by the share of residuals that they explain, without effects and with them."""
     return rank_covariates(*parallel_map(_shares, [before, after], items_per_process=1))
 
 

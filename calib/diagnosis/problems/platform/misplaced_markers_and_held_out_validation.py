@@ -241,10 +241,7 @@ def find_marker_swaps(point: OperatingPoint, kinds: Sequence[type[Effect]]) -> l
 
 
 def correct_marker_swaps(point: OperatingPoint, marker_swaps: Sequence[Effect]) -> OperatingPoint:
-    """OperatingPoint with marker swaps corrected.
-
-    Each marker sits where they state.
-    """
+    """OperatingPoint with marker swaps corrected: each marker sits where they state."""
     if not marker_swaps:
         return point
     seen, markers = point.observed, point.observed.markers
@@ -270,10 +267,7 @@ def _rows(ids: Integers, effect: Effect) -> Integers:
 
 
 def cross_validate_effects(refinement: Refinement, numbers: set[int], residual_block: int) -> CrossValidation:
-    """Cross-validate several admitted effects together.
-
-    In one block of residuals, CORNERS or CLOSURES.
-    """
+    """Cross-validate several admitted effects together, in one block of residuals: CORNERS or CLOSURES."""
     before, after, _ = _both(refinement, numbers)
     return _compared(refinement.model, before, after, (residual_block,))[0]
 
@@ -292,9 +286,8 @@ def cross_validate_effects_for_each_residual_block(
 def cross_validate_effect_by_regions(
     refinement: Refinement, number: int, residual_block: int, ordering_values: Floats
 ) -> CrossValidation:
-    """Cross-validate one admitted effect.
+    """Cross-validate one admitted effect, whole regions of the frames' ordering values held out in turn.
 
-    Whole regions of the frames' ordering values held out in turn.
     ordering_values : (F,) what frames are put in order by
     """
     order = np.argsort(ordering_values, kind="stable")

@@ -122,9 +122,7 @@ def _marker_pixels(k: OperatingPoint, ids: Integers) -> Floats:
 
 
 def corner_shift_pixel_derivatives(point: OperatingPoint, edges: Floats, marker: int) -> tuple[Integers, Floats]:
-    """Derivatives (h, 2, 8) of one marker's corner pixels by shifts of corners along its edges.
-
-    With rows (h,).
+    """Derivatives (h, 2, 8) of one marker's corner pixels by shifts of corners along its edges, with rows (h,).
 
     Edges as `edge_shift_pixel_derivatives` has them.
     """
