@@ -6,16 +6,15 @@ the direction in which each corner moves. The pose of every frame is eliminated,
 to row: a rolling shutter that nobody stated is no difference of stamps.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats
-from rig.model.pose import exp
+from vision.bundle.normal_equations_and_corner_jacobians import corner_jacobians
 from vision.corner_observations import Observations
 from vision.predict import State, predict_corners
 
-STEP = 1e-6  # m, rad, over which derivatives by the pose are taken
 FARTHEST = 5.0  # px of a residual, beyond which a corner says nothing of times
 FEWEST = 12  # frames in motion
 SURE, LEAST = 5.0, 1e-4  # standard deviations, s; a smaller difference counts as none
@@ -50,9 +49,8 @@ def camera_time_offsets(
     seen, shown = observations.take(rows), predict_corners(observations.take(rows), state)[0]
     speed = (predict_corners(later.take(rows), state)[0] - shown) / after  # px/s
     J = np.empty((len(rows), 2, 6))
-    for k in range(6):
-        displaced = replace(state, platform=state.platform * exp(STEP * np.eye(6)[k]))
-        J[..., k] = (predict_corners(seen, displaced)[0] - shown) / STEP
+    for _, at, J_platform, *_ in corner_jacobians(seen, state):
+        J[at] = J_platform
     own_camera = seen.camera[:, None, None] == np.arange(count)
     rows_late = seen.uv[:, 1] / np.array([camera.height for camera in state.cameras])[seen.camera] - 0.5
     unstated = [camera.shutter != "rolling" for camera in state.cameras]

@@ -14,7 +14,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats, Integers, Json
-from rig.effects.framework.machine_motion_and_play import Path, lagged_path
+from rig.effects.framework.lagged_path import lagged_path
+from rig.effects.framework.machine_motion_and_play import Path
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
@@ -37,7 +38,6 @@ LAG_AT_FIRST, STEP = 5e-3, 1e-4  # s, from which a lag is searched for; over whi
 SURE = 4.0  # standard deviations from which a lag counts as one
 GATE = 6.0  # times the typical deviation, beyond which an exposure is left out
 ROUNDS = 4
-KNOTS = np.array([0.25, 0.5, 1, 2, 4, 8])  # time constants after a change of speed at which a lagged way gets a knot
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,9 +132,9 @@ def recording_with_clocks(recording: Recording, clocks: Sequence[Clocks]) -> Rec
 
 def lagged_commands(commands: Commands, time_constant: float, t: Floats) -> Commands:
     """Commands as axes follow them that lag by a time constant (s), linear between knots, exact at times t (n,) s."""
-    path = Path(commands.t, commands.values, np.zeros(1, int), commands.starts)
-    path = path.with_knots(np.r_[(commands.t[:, None] + KNOTS * time_constant).ravel(), t])
-    return replace(commands, t=path.t, values=lagged_path(path, time_constant))
+    path = Path(commands.t, commands.values, np.zeros(1, int), commands.starts).with_knots(t)
+    path = lagged_path(path, time_constant, np.ones(commands.values.shape[1], bool))
+    return replace(commands, t=path.t, values=path.lengths)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

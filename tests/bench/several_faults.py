@@ -32,7 +32,7 @@ SEEN, TRIES = 3.0, 200  # standard deviations of a coordinate, RMS, that a fault
 WHOLE = {"time_offset": "clock", "clock_drift": "clock", "base_expansion": "rig", "vibration": "rig"}  # their places
 HEATED = ("thermal_expansion", "base_expansion")  # whose thermometers are logged
 NOT_OF_ARMS = (*HURRIED, "vibration")  # arms stand still by the time they are looked at; no frequency is searched for
-APART = (frozenset(LOADED), frozenset(SLOW), frozenset(HURRIED) - {"rolling_shutter"})  # each needs its own recording
+APART = (frozenset(LOADED), frozenset(SLOW), frozenset(HURRIED))  # each needs its own recording
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class Hidden:
         """Whether a place of the report is the fault's."""
         if self.effect in WHOLE:
             return place == WHOLE[self.effect]
-        if self.effect == "thermal_expansion" and place == "rig":  # of an arm, whose links share a thermometer
-            return True
+        if self.effect == "thermal_expansion" and (self.axis or "").startswith("joint"):
+            return place in (self.axis, "rig")  # an arm's links share a thermometer
         return self.axis is None or place == self.axis
 
     def is_named(self, findings: tuple[FindingEntry, ...]) -> bool:

@@ -321,13 +321,10 @@ def _at_likelier_node(problem: Problem[Fit, Model, C], fit: Fit, number: int, sc
     """The Fit with a term at the node of its candidate that is best beside all others, the last of the terms, where
     that is another one and likelier by what an alternative must lead by; None where it is not.
     """
-    policy = problem.policy
-    if not np.isfinite(policy.takes_over) or not isinstance(problem, UnfittedNodes):
-        return None
-    if not problem.is_at_other_node(fit, number, scanned):
+    if not isinstance(problem, UnfittedNodes) or not problem.is_at_other_node(fit, number, scanned):
         return None
     new = problem.add_term(problem.remove_term(fit, number), scanned)
-    return new if problem.likelihood_ratio(fit, new) > policy.takes_over else None
+    return new if problem.likelihood_ratio(fit, new) > problem.policy.takes_over else None
 
 
 def refit_with_other_member_of_law(
@@ -336,7 +333,8 @@ def refit_with_other_member_of_law(
     """Refit with another member of a term's law in its place that explains its residuals.
 
     None where none does. It is the last of the terms. A law is a family, and a machine need not follow its first
-    formula. model : without it but : members that are not tried
+    formula.
+    model : without it; but : members that are not tried
     """
     site, size = problem.terms(fit)[number].site, problem.linear(model).size
     for score in _scores_of_other_members(problem, model, problem.terms(fit)[number]):
@@ -367,10 +365,10 @@ def is_insignificant_beside_smooth_functions(
     unexplained: list[LackOfFit],
     asked: int,
 ) -> bool:
-    """Whether a Finding is insignificant beside smooth functions.
+    """Whether a Finding is insignificant beside smooth functions of what the unexplained residuals, or those left at
+    its own place, depend on.
 
-    after : the residuals with all findings; smooth functions of what the unexplained residuals, or what is left at its
-    own place, depend on
+    after : the residuals with all findings
     """
     assert isinstance(problem, SmoothCover)
     place, known = finding.score.candidate.site, {(u.place, u.depends_on) for u in unexplained}

@@ -8,7 +8,8 @@ from typing import ClassVar
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect_parameters_and_covariates import Parameter
-from rig.effects.framework.machine_motion_and_play import Motion, lagged_path
+from rig.effects.framework.lagged_path import lagged_lengths
+from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.sums_of_law_members import WeightedSum, shares_parameter
 
 SPREAD = 5.0  # times as long as the one before, each further time constant
@@ -42,4 +43,4 @@ class Creep(WeightedSum):
 
     def member(self, motion: Motion, scale: float, number: int, count: int) -> Floats:
         path = motion.path
-        return (lagged_path(path, scale * SPREAD**number) - path.lengths)[path.at]
+        return (lagged_lengths(path, scale * SPREAD**number) - path.lengths)[path.at]

@@ -1,15 +1,12 @@
 """Servo lag: the drive follows its command with a first-order lag."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
-
-import numpy as np
 
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter, travel_covariate
-from rig.effects.framework.machine_motion_and_play import STEADY, Motion, Path, lagged_path
-
-AFTER = np.array([0.25, 0.5, 1, 2, 4, 8])  # time constants after a change of speed at which the path gets a knot
+from rig.effects.framework.lagged_path import lagged_path
+from rig.effects.framework.machine_motion_and_play import Motion, Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,14 +27,7 @@ class ServoLag(Effect):
     action: ClassVar = "Raise the drive's gain or feed its speed forward; poses at rest are not touched."
 
     def follow(self, path: Path, places: tuple[str, ...]) -> Path:
-        if self.time_constant <= 0:
-            return path
-        own = self.axes(places) > 0
-        turned = np.abs(np.diff(path.speeds[:, own], axis=0)).max(axis=1) > STEADY * np.abs(path.speeds).max()
-        path = path.with_knots((path.t[:-1][turned, None] + AFTER * self.time_constant).ravel())
-        return replace(
-            path, lengths=np.where(self.axes(places) > 0, lagged_path(path, self.time_constant), path.lengths)
-        )
+        return path if self.time_constant <= 0 else lagged_path(path, self.time_constant, self.axes(places) > 0)
 
     def covariate(self, motion: Motion) -> Covariate:
         return travel_covariate(motion.path.speed, motion, "speed of the axis", "/s")

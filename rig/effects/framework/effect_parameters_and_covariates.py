@@ -315,9 +315,7 @@ def parameter_values(
 def quadrature_columns(travel: Floats, own: Booleans, rates: Sequence[float], phases: Sequence[float]) -> Floats:
     """Quadrature columns (k, n, axes, 2): sine and cosine of rate * travel + phase.
 
-    Travel (n, axes).
-
-    Of rates and phases (k,), at own axes (axes,).
+    travel : (n, axes) m or rad; own : (axes,) of which; rates : (k,) rad per m or rad; phases : (k,) rad
     """
     angle = np.array(rates)[:, None, None] * travel[:, own] + np.array(phases)[:, None, None]
     out = np.zeros((len(rates), *travel.shape, 2))

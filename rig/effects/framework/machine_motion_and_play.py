@@ -366,11 +366,6 @@ def _walk(lengths: Floats, half: float) -> Floats:
     return out
 
 
-def lagged_path(path: Path, time_constant: float) -> Floats:
-    """Path lagged by a first-order lag of a time constant, (m, axes) m or rad at its knots."""
-    return path.walked(lambda t, lengths: first_order_lag(t, lengths, time_constant))
-
-
 def first_order_lag(t: Floats, x: Floats, time_constant: float) -> Floats:
     """First-order lag (m, axes) of x (m, axes), linear between knots t (m,); it starts at rest, y = x."""
     return _lag(np.ascontiguousarray(t, dtype=float), np.ascontiguousarray(x, dtype=float), float(time_constant))

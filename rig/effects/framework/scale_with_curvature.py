@@ -76,15 +76,18 @@ class ScaleWithCurvature(Effect):
             return super().composed(candidate, node, coefficients)
         scale, bent = np.asarray(coefficients, float).tolist()
         curvature = float(np.clip(bent / scale, -MOST, MOST)) if scale else 0.0
-        others = {name: value for name, value in node.items() if name != COUNT}
-        return cls(candidate.place, scale=scale, curvature=curvature, **others)
+        return cls(candidate.place, scale=scale, curvature=curvature, **_values(node))
 
     @classmethod
     def columns(cls, candidate: Candidate, node: Node, motion: Motion) -> Floats:
         if COUNT not in node:
             return super().columns(candidate, node, motion)
-        others = {name: value for name, value in node.items() if name != COUNT}
-        effect = cls(candidate.place, scale=1.0, **others)
+        effect = cls(candidate.place, scale=1.0, **_values(node))
         straight = effect.deviation(motion)
         share = motion.stroke[:, effect.source(motion)] / effect.half_travel(motion)
         return np.stack([straight, straight * share], axis=-1)
+
+
+def _values(node: Node) -> Node:
+    """The parameters among a node's entries."""
+    return {name: value for name, value in node.items() if name != COUNT}

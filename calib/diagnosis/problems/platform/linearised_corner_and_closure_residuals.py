@@ -315,9 +315,9 @@ def _weighed(
         half = orthonormal_combinations(gram[1:, 1:])
         z = half.T @ gram[1:, 0]
         basis = rows[:, 1:] @ half
-        weighed, cost = (scatter, W, rows, half, z, basis), gram[0, 0] - z @ z - 2 * np.linalg.slogdet(W)[1].sum()
+        cost = gram[0, 0] - z @ z - 2 * np.linalg.slogdet(W)[1].sum()  # minus twice the log likelihood
         if turn == 0:
-            plain, least = weighed, cost
+            without_scatter, least = (scatter, W, rows, half, z, basis), cost
         if not axes or turn == ROUNDS - 1:
             break
         beyond = np.linalg.solve(W, (rows[: F * axes, 0] - basis[: F * axes] @ z).reshape(F, axes, 1))[..., 0]
@@ -326,7 +326,7 @@ def _weighed(
             break
         scatter = new
     if cost > least:  # struts are correlated: what one scatters beyond its share by chance is no scatter of its own
-        scatter, W, rows, half, z, basis = plain
+        scatter, W, rows, half, z, basis = without_scatter
     onto = half[:seen] / frames.sigma
     Q = Column((FactoredColumns(table, onto), basis))
     blocks = (

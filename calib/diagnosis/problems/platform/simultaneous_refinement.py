@@ -184,7 +184,7 @@ def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensit
         parts, step = free.column, _step(model, free)[0]
         theta = score.candidate.allowed(step[len(refinement.coordinates) :])
         step = np.r_[step[: len(refinement.coordinates)], theta]
-    found = None
+    found, beyond = None, "the other effects leave their domain"
     for share in SHARES:  # a large effect is not linear in its numbers: its whole step may lead far beyond it
         known = effects_with_coordinates(
             k.effects, refinement.coordinates, refinement.values + share * step[: len(refinement.coordinates)]
@@ -193,13 +193,14 @@ def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensit
             continue
         try:
             added = check_effect_place_and_parameter_bounds(score.candidate.effect(score.node, share * theta))
-        except ValueError:  # beyond its bounds, as sums of several members may be: a smaller share of the step is not
+        except ValueError as error:  # as sums of several members may be: a smaller share of the step is within bounds
+            beyond = str(error)
             continue
         found = _apply(model, step, parts, [*known, added], share)
         if not len(theta) or _cost_without_relinearisation(model, *found) <= _comparable(model):
             break
     if found is None:
-        raise ValueError(f"{score.candidate.name} at {score.candidate.place}: the other effects leave their domain")
+        raise ValueError(f"{score.candidate.name} at {score.candidate.place}: {beyond}")
     return refine_operating_point(found[0], sensitivities, model)
 
 
