@@ -12,7 +12,7 @@ import numpy as np
 from rig.array_and_json_types import Booleans, Floats
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import quantity_text
+from rig.formats.numbers_and_units import quantity_text
 from rig.model.design import Camera, Design
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.recording.recording_folder import Sensors
