@@ -38,11 +38,7 @@ from vision.bundle.adjustment_validation_and_determinacy import (
     crossvalidate_adjustment,
     determined_combinations,
 )
-from vision.bundle.printing_errors_and_marker_displacements import (
-    Places,
-    adjusted_markers,
-    compare_stated_and_adjusted_places,
-)
+from vision.bundle.marker_displacements import Places, adjusted_markers, compare_stated_and_adjusted_places
 from vision.bundle.priors_of_unknowns import stated_lens_prior_sigmas
 from vision.camera_and_command_clocks import Clocks, clocks_of_recording
 from vision.checks.recording_refusal_and_cube_layout_remarks import (

@@ -23,7 +23,7 @@ from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from rig.report.verdict_and_display import OneLineRepr, result_html
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
-from vision.bundle.printing_errors_and_marker_displacements import adjust_with_estimated_printing_errors
+from vision.bundle.printing_error_variance_estimation import adjust_with_estimated_printing_errors
 from vision.bundle.robust_adjustment import adjust_robustly, inflate_repeated_corner_covariance
 from vision.corner_observations import Observations, observations_of_frames
 from vision.pose.body_pose import FINEST

@@ -17,7 +17,7 @@ from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from vision import recording_adjustment, rolling_shutter_motion
 from vision.bundle.bundle_adjustment import NoOptimum
-from vision.bundle.printing_errors_and_marker_displacements import (
+from vision.bundle.marker_displacements import (
     HALVED,
     adjusted_markers,
     are_stated_places_doubtful,

@@ -30,7 +30,7 @@ from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 from vision import frame_pictures
 from vision.api import TWICE, MeasurementResult, measurement_verdict
 from vision.bundle.adjustment_validation_and_determinacy import HeldOut, NotHeldOut
-from vision.bundle.printing_errors_and_marker_displacements import Places
+from vision.bundle.marker_displacements import Places
 from vision.bundle.unknowns_estimate_and_printing_errors import UnknownName
 from vision.reading.marker_identity_and_expected_places import Suspect
 from vision.recording_adjustment import Measurement

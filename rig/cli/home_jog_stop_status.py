@@ -69,7 +69,7 @@ def arguments_of_jog(parser: ArgumentParser) -> None:
 def run_jog(arguments: Namespace) -> None:
     """Run `rig jog`.
 
-    Jog struts, checked as any move. Raises RigError for struts and lengths that there are not, PositionLost before homing.
+    Jog struts, checked as any move. Raises RigError for other struts and lengths, PositionLost before homing.
     """
     import numpy as np
 

@@ -25,7 +25,7 @@ from tests.conftest import SHARED
 from tests.vision.drawn_observations import scene
 from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_adjustment
 from vision.bundle.bundle_adjustment import adjust_bundle
-from vision.bundle.printing_errors_and_marker_displacements import compare_stated_and_adjusted_places
+from vision.bundle.marker_displacements import compare_stated_and_adjusted_places
 from vision.bundle.priors_of_unknowns import adjustment_unknowns
 from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated, update_estimate
 from vision.corner_observations import observations_from_corners, whitener_of_observations

@@ -16,7 +16,7 @@ from rig.recording.recording_tables import Corners, write_corners
 from tests.vision.tagged_block import Block, drawn_block, placed_corners
 from vision.api import focal_length_alarms, measure
 from vision.bundle.adjustment_validation_and_determinacy import determined_combinations
-from vision.bundle.printing_errors_and_marker_displacements import adjusted_markers, marker_displacements
+from vision.bundle.marker_displacements import adjusted_markers, marker_displacements
 from vision.bundle.unknowns_estimate_and_printing_errors import align_points
 from vision.corner_observations import observations_from_corners
 from vision.pose.marker_places_from_sightings import marker_places_from_sightings

@@ -6,7 +6,7 @@ The estimate is updated by a step.
 A printing error (place, height, angle, side) is a shared unknown with a prior. Of each marker: its place (x, y on its
 face), how far it stands off it (z), how it is turned, its side; and the side of all together, because one printer's
 feed and one paper stretch them alike. How much of each there is, a recording tells:
-vision/bundle/printing_errors_and_marker_displacements.py.
+vision/bundle/printing_error_variance_estimation.py.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from rig.model import mechanisms
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from vision.api import MeasurementResult, camera_offset_lines
 from vision.bundle.adjustment_validation_and_determinacy import NotHeldOut
-from vision.bundle.printing_errors_and_marker_displacements import Places
+from vision.bundle.marker_displacements import Places
 
 
 def print_measurement(result: MeasurementResult) -> None:

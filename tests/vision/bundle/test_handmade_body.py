@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from rig.model.pose import log
 from tests.vision.handmade_body import Handmade, handmade
-from vision.bundle.printing_errors_and_marker_displacements import are_stated_places_doubtful, marker_displacements
+from vision.bundle.marker_displacements import are_stated_places_doubtful, marker_displacements
 from vision.bundle.unknowns_estimate_and_printing_errors import align_points
 from vision.corner_observations import observations_from_corners
 from vision.predict import marker_map

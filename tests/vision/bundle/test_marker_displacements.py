@@ -12,7 +12,7 @@ from rig.model.pose import log, pose_difference
 from tests.vision.tumbling_block import scene
 from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_adjustment, determined_combinations
 from vision.bundle.bundle_adjustment import adjust_bundle
-from vision.bundle.printing_errors_and_marker_displacements import adjusted_markers, compare_stated_and_adjusted_places
+from vision.bundle.marker_displacements import adjusted_markers, compare_stated_and_adjusted_places
 from vision.bundle.unknowns_estimate_and_printing_errors import align_points
 from vision.predict import marker_map
 from vision.recording_adjustment import measure_observations

@@ -75,7 +75,7 @@ from rig.model.effect_places_and_part_tolerances import PLACES
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import loop_closure_parameter_jacobian, strut_length_jacobian
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording
-from vision.bundle.printing_errors_and_marker_displacements import Move, marker_displacements
+from vision.bundle.marker_displacements import Move, marker_displacements
 
 FACE_MOTION = effect_of_tolerance(PLACES)  # what a face is off by, however small
 
