@@ -1,4 +1,4 @@
-"""Live learner of a run, agreement of its limbs, and the state of the run.
+"""Live learner of a run, and the state of the run.
 
 The learner sees jumps and drift; limbs are held against vision.
 """

@@ -1,4 +1,4 @@
-"""Compilation of corner kernels, their small numerics, and the predicted white share of a cell.
+"""Numba kernels of corners, and the predicted white share of a cell.
 
 The share is from 0 to 1, in and around the cell, by edge spread functions.
 

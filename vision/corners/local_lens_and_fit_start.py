@@ -1,4 +1,4 @@
-"""Local lens near a marker, and the start of a square fit with its bit check.
+"""Local lens near a marker, and the start of a square fit.
 
 The local lens is a polynomial from pixels to ideal image coordinates, of fourth degree: a lens's fifth leaves cubic
 ones off by 0.0005 px over a marker of 120 px, the same in every image where it stands there. A fit starts with a

@@ -1,4 +1,4 @@
-"""Joint-space correction of an arm, its certification, and the claim over the workspace.
+"""Joint-space correction of an arm, and its claim over the workspace.
 
 It is certified on held-out configurations, and claimed of the workspace by draws of possible arms.
 

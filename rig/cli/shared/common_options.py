@@ -1,6 +1,7 @@
-"""Options that several commands share: outputs, controller, hand, workers with their pool.
+"""Options that several commands share.
 
-Also what they need of matplotlib, results printed as JSON, and results of workers as they come.
+Outputs, controller, hand, workers with their pool; what they need of matplotlib, results printed as JSON, and results
+of workers as they come.
 """
 
 from __future__ import annotations

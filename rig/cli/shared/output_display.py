@@ -1,4 +1,7 @@
-"""Display of what commands print: escaped text, progress, held-out errors, refutations."""
+"""Display of what commands print.
+
+Escaped text, progress, held-out errors as a table, and refutations, which are written too.
+"""
 
 from __future__ import annotations
 
