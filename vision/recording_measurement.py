@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
+from threadpoolctl import threadpool_limits
 
 from rig.array_and_json_types import Floats
 from rig.errors import NotEnoughData, RigError
@@ -47,6 +48,7 @@ FRAMES = 8  # on which other lenses are tried
 PLACES = ("auto", "stated", "free")
 
 
+@threadpool_limits.wrap(limits=1)  # small products wait for threads; and sums are rounded by how many share them
 def measure_recording(
     recording: Recording,
     free: Sequence[str] = ("poses", "lenses"),
