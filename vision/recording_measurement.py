@@ -28,8 +28,8 @@ from vision.corner_observations import Observations, observations_from_corners, 
 from vision.lenses.lens_calibration import alternative_initial_lenses, are_lenses_plausible
 from vision.pose.marker_places_from_sightings import marker_places_from_sightings
 from vision.predict import MarkerMap, marker_map
-from vision.reading.corner_refit_with_adjusted_lenses import ROUNDS, SETTLED, largest_lens_difference, refit_corners
-from vision.reading.marker_identity_mistakes import LOOKED_AT, no_marker_reason
+from vision.reading.live_measurement_and_corner_refit import ROUNDS, SETTLED, largest_lens_difference, refit_corners
+from vision.reading.marker_identity_and_expected_places import LOOKED_AT, no_marker_reason
 from vision.reading.recording_corners import Collected, collect_corners, image_reader, search_missed_markers
 from vision.recording_adjustment import (
     Measurement,
