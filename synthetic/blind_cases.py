@@ -21,7 +21,7 @@ from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design, Sensor
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.model.pose import exp
 from rig.planning.layout import hexapod_layout_and_camera_placement

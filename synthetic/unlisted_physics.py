@@ -19,7 +19,7 @@ from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.marker_table_interface import Markers, replace_marker_columns
 from rig.errors import RigError
 from rig.model.design import Camera, Design
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import exp, transform_points

@@ -56,8 +56,8 @@ from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
 from rig.errors import RigError
-from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Design
+from rig.model.hands_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_arm,
     require_chain,

@@ -26,7 +26,7 @@ from rig.model import mechanisms, motion_simulation
 from rig.model import motion_simulation as machine
 from rig.model.base_and_link_tilts import GRAVITY, BaseTilt, has_gravity
 from rig.model.design import Actuator, Design, Platform
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.model.mechanisms.arm import poses_of_hands
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, has_links, is_parallel

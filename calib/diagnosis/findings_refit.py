@@ -41,7 +41,7 @@ from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading, machine_geometry_and_effects_json_file
 from rig.formats.checked_entries import Entries
-from rig.formats.output_files.atomic_file_and_manifest import load_manifest as manifest
+from rig.formats.output_files.staged_folder_and_manifest import load_manifest as manifest
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, require_arm, require_parallel
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, frames_with_known_hashes

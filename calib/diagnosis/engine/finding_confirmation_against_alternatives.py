@@ -19,7 +19,7 @@ from calib.diagnosis.engine.problem_interface import (
     SmoothCover,
     UnfittedNodes,
 )
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 SAME = 0.02  # of a finding's evidence, by which two scans beside the same terms may differ and still be the same
 RESTARTS = 2  # times the most terms that there may be, replacements after which terms are confirmed as they stand

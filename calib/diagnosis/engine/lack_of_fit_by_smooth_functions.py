@@ -20,7 +20,7 @@ from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares impor
 )
 from calib.diagnosis.engine.linear_model import LinearModel
 from rig.array_and_json_types import Floats
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 ALPHA = 1e-4  # chance of calling anything unknown where there is nothing, over all tests
 LIKELY = 1e-3  # chance above which no dispersion is asked, since that only makes it likelier

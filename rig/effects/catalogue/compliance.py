@@ -21,7 +21,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
 )
 from rig.effects.framework.machine_motion_and_play import Motion, independent_load_columns
 from rig.errors import RigError
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 HEAVIEST, LIGHTER, OFF_CENTRE = (
     (4.0, 15.0),

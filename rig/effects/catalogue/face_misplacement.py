@@ -8,7 +8,7 @@ import numpy as np
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Parameter
 from rig.effects.framework.marker_table_interface import Markers, replace_marker_columns
-from rig.model.effect_places_and_part_tolerances import PLACES, Place
+from rig.model.hands_places_and_tolerances import PLACES, Place
 from rig.model.pose import displace_selected_poses, exp
 
 

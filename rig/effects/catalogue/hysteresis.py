@@ -18,7 +18,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
 )
 from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
 from rig.effects.framework.sums_of_law_members import WeightedSum, shares_parameter
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 PLAYS = 8  # operators that stand for the continuum
 LOST, LOST_TURN = (2e-6, 5e-5), (1e-5, 1e-3)  # m, rad: what rigs lose between the two directions

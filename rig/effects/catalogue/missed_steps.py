@@ -12,7 +12,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.effect_parameters_and_covariates import Context, Covariate, Parameter, time_covariate
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 
 @dataclass(frozen=True, slots=True)

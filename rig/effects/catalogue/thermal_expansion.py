@@ -19,7 +19,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     temperature_covariate,
 )
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 AMBIENT = "ambient_temperature_C"
 LAGS = 8  # that a search tries

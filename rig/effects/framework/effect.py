@@ -37,7 +37,7 @@ from rig.effects.framework.machine_motion_and_play import SOON, Motion, Path
 from rig.effects.framework.marker_table_interface import Markers
 from rig.errors import RigError
 from rig.model.design import Camera
-from rig.model.effect_places_and_part_tolerances import AXES, Place, Tolerance, axis_mask
+from rig.model.hands_places_and_tolerances import AXES, Place, Tolerance, axis_mask
 
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
 MOTION_STAGES, LINEAR = ("command", "struts", "structure"), ("linear", "inverse")  # stages; roles of parameters

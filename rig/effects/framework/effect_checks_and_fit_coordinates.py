@@ -13,7 +13,7 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Parameter
 from rig.formats.checked_entries import NAME
 from rig.formats.local_and_remote_input_files import short_repr
-from rig.model.effect_places_and_part_tolerances import AXES, NUMBER, Place
+from rig.model.hands_places_and_tolerances import AXES, NUMBER, Place
 
 MOST = 1000  # numbers of a parameter of any length
 

@@ -14,7 +14,7 @@ from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
 from rig.formats.numbers_and_units import quantity_text
 from rig.model.design import Camera, Design
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.recording.recording_folder import Sensors
 
 

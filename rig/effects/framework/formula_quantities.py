@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.model.effect_places_and_part_tolerances import AXES
+from rig.model.hands_places_and_tolerances import AXES
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")
 OWN = ("own travel", "own step", "own direction", "own speed", "own way", "own load")

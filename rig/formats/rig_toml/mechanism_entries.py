@@ -13,7 +13,7 @@ from rig.formats.checked_entries import LARGEST_RIG, Entries, nearest_known_word
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.output_files import write_text
-from rig.model.arm_branches_and_hands import Branch, Hand, hand_names
+from rig.model.hands_places_and_tolerances import Branch, Hand, hand_names
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2, Stage
 from rig.model.mechanisms.file_mechanism import nominal_mechanism
 from rig.model.mechanisms.hexapod import singular_geometry_problem

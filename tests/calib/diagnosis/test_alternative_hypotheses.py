@@ -20,7 +20,7 @@ from rig.cli import command_line
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Candidate, Linear
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from synthetic import unlisted_physics

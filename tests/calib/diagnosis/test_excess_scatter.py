@@ -17,7 +17,7 @@ from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report, summary_sentence
 from calib.samples.pose_samples import sample_recording
 from rig.model.design import Arm
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.recording import recording_folder
 from rig.recording.recording_tables import Poses
 from rig.report.verdict_and_display import State

@@ -22,7 +22,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import COUNT, QUADRATURE, Context
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 SIZED = ("linear", "inverse", "size")  # roles of the numbers that tell how large an effect is
 ROUNDED = 1e-12  # share by which a sinusoid stays below its amplitude's bound, so that rounding does not take it beyond

@@ -16,7 +16,7 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
 from rig.effects.framework.effect_parameters_and_covariates import COUNT, Linear
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 
 @dataclass(slots=True, eq=False)

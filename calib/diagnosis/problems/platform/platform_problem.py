@@ -44,7 +44,7 @@ from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions 
     model_with_smooth_functions,
     smooth_function_columns,
 )
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -71,7 +71,7 @@ from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect import AT_REST, Effect
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model.design import Design
-from rig.model.effect_places_and_part_tolerances import PLACES
+from rig.model.hands_places_and_tolerances import PLACES
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import loop_closure_parameter_jacobian, strut_length_jacobian
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording

@@ -27,7 +27,7 @@ from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.compute.worker_processes import Progress
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from vision.bundle.normal_equations_and_corner_jacobians import corner_jacobians
 
 CHUNK = 64  # nodes at a time

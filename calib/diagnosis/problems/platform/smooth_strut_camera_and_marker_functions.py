@@ -21,7 +21,7 @@ from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_rep
 )
 from rig.array_and_json_types import Floats, Integers
 from rig.model.design import warp_columns
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.model.pose import pose_difference
 
 SLOW, FAST = 8, 24  # cosines of a smooth function of time
