@@ -36,7 +36,7 @@ from calib.diagnosis.findings_refit import (
     findings_with_missing_instrument_effects_added,
     load_findings,
 )
-from calib.diagnosis.problems.arm.effects_shown_by_instruments import fit_of_measured_effects
+from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import fit_of_measured_effects
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_file import SEED, calibration_with_provenance
 from calib.models.arm import calibration_page_and_c_source as arm_page

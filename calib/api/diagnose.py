@@ -18,11 +18,11 @@ from calib.diagnosis.calibration_left_out_physics import (
     refuted_calibrations,
     unexplained_findings_and_refutations,
 )
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import StatedTerms
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import StatedTerms
 from calib.diagnosis.recording_diagnosis import Diagnosis, DiagnosisOptions
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from calib.diagnosis.report.diagnosis_page import figures_of_arm_or_platform, write_diagnosis_page
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
+from calib.diagnosis.report.report_verdict_and_folder import (
     Report,
     diagnosis_report,
     diagnosis_verdict,

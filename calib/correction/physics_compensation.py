@@ -19,7 +19,7 @@ from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
-from rig.effects.framework.unmodelled_curve import TIME
+from rig.effects.framework.unmodelled_curve_and_formula_quantities import TIME
 from rig.errors import NotConverged, RigError
 from rig.formats.numbers_and_units import quantity_text
 from rig.model import mechanisms, motion_simulation

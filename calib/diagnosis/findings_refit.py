@@ -16,15 +16,15 @@ from calib.correction.correction import AnyCorrection
 from calib.correction.physics_compensation import Physics, Unknown
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
-from calib.diagnosis.problems.arm.effects_shown_by_instruments import measured_effects
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import measured_effects
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     operating_point_of_recording,
     operating_point_without_distant_corners,
 )
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import correct_marker_swaps
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement, refine_operating_point
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import smooth_temperatures
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import smooth_temperatures
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
 from calib.diagnosis.unmodelled_curves import arm_fit_with_curves, refinement_with_curves

@@ -16,7 +16,7 @@ from calib.correction.physics_compensation import Physics, Unknown
 from rig.array_and_json_types import Booleans, Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
-from rig.effects.framework.unmodelled_curve import curve_classes_by_covariate
+from rig.effects.framework.unmodelled_curve_and_formula_quantities import curve_classes_by_covariate
 from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.json_toml_and_yaml_loading import json_data

@@ -11,7 +11,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import (
+from rig.effects.framework.parameters_covariates_and_markers import (
     COUNT,
     Context,
     Drawing,

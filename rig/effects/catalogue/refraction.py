@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import Context, Drawing, Parameter, draw_number
+from rig.effects.framework.parameters_covariates_and_markers import Context, Drawing, Parameter, draw_number
 from rig.model.design import Camera
 from rig.model.hands_places_and_tolerances import Place
 

@@ -10,9 +10,9 @@ import pytest
 
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.problems.platform import platform_recording_evidence as platform
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import repeatability_of_pairs
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import repeatability_of_pairs
 from calib.diagnosis.report.diagnosis_json_entries import AlternativeEntry, NotAskedEntry
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report, repeatability_entry
+from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report, repeatability_entry
 from calib.diagnosis.report.residual_figures_and_finding_contributions import (
     effect_residual_figures,
     model_residuals,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import Normal, solve_normal_equations
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit, delta_chi2_by_column_count
+from calib.diagnosis.engine.reduced_least_squares import Normal, solve_normal_equations
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.diagnosis.engine.problem_interface import Progress
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import smooth_temperatures
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import smooth_temperatures
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance

@@ -1,4 +1,4 @@
-"""Data types of selection candidates, thresholds and outliers.
+"""Candidates, thresholds and outliers of a selection, as data types.
 
 Thresholds with their reasons, excluded outliers, and stated terms.
 """

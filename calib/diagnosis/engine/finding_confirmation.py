@@ -1,4 +1,4 @@
-"""Confirmation of findings against alternatives: all candidates and smooth functions."""
+"""Confirmation of findings against alternatives."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -7,7 +7,7 @@ from typing import Generic
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import SEVERAL, Alternative, Score, score_raised_to_likelihood_ratio
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import C, SelectionPolicy
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import C, SelectionPolicy
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import column_cosine
 from calib.diagnosis.engine.problem_interface import (
