@@ -1,10 +1,8 @@
 """Open questions of an arm's diagnosis, and the predicted recording of a plan.
 
-Poses, corners with noise, sensor log.
+A recording is predicted with poses, corners with noise and a sensor log. Outcomes of a plan are predicted under each
+hypothesis, with poses linear about the fitted geometry.
 
-With predicted outcomes of a plan under each hypothesis.
-
-Poses, linear about the fitted geometry.
 Poses of an instrument are as sure as its others; of cameras, as their images will tell, with what cameras and lenses
 add to all alike.
 

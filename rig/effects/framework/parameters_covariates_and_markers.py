@@ -1,8 +1,6 @@
 """Parameters and covariates of effects, and the table of markers that effects change.
 
-With recording context and linear columns.
-
-Identities, poses on bodies, sides.
+Also the context of a recording, and linear columns. Of markers: identities, poses on bodies, sides.
 """
 
 from collections.abc import Callable, Sequence

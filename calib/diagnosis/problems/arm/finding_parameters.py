@@ -1,6 +1,6 @@
 """Parameters of findings with intervals, by nonlinear optimisation.
 
-Of findings at an arm's joints; nonlinear parameters are optimised.
+Findings are at an arm's joints.
 
 Intervals allow for how residuals scatter and for what thermometers leave open; nonlinear parameters are optimised
 between grid values.

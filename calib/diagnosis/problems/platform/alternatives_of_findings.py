@@ -1,7 +1,5 @@
 """Alternatives of findings: tolerances and temperatures.
 
-Of a platform's findings.
-
 Findings no larger than tolerances may cause are separated as remarks; temperature effects, where a temperature log is
 missing or wrong, are added to the alternatives.
 """
