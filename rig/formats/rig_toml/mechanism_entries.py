@@ -1,4 +1,4 @@
-"""Mechanism entries of rig.toml: hexapod, planar pair, arm with branches and hands, chain or free, with checks."""
+"""Mechanism entries of rig.toml."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
