@@ -124,6 +124,8 @@ def simulate_world(
         sensors,
         rates=motion_simulation.has_rolling_shutter(world.true, world.effects),
     )
+    read = motion_simulation.commands_with_followers(world.true, plan.commands, plan.t, world.effects, sensors)
+    plan = replace(plan, commands=read)
     if world.true.insitu is not None:
         log = _with_limbs(log, plan.t, run.T_base_platform, world.true.insitu, rng)
     if world.true.tilt_sensors:

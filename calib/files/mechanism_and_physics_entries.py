@@ -24,11 +24,11 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.machine_geometry_and_effects_json_file import effect_to_dict, effects_from_entries
 from rig.formats.rig_toml.arm_branch_and_hand_entries import branch_and_hand_dicts, branches_of_tables, hands_of_tables
 from rig.formats.rig_toml.design_from_rig_toml import base_tilt_of_table
-from rig.formats.rig_toml.mechanism_entries import mechanism_of_file
+from rig.formats.rig_toml.mechanism_entries import follower_numbers, mechanism_of_file
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
 from rig.model.effect_places_and_part_tolerances import Place
-from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Hexapod, Planar2
+from rig.model.mechanism_geometry_classes import STRUT_COUNTS, Arm, Chain, FileMechanism, Hexapod, Planar2
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,
     Parallel,
@@ -36,6 +36,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     has_links,
     has_stages,
     has_struts,
+    is_hexapod,
 )
 
 
@@ -172,7 +173,12 @@ def mechanism_dict(mechanism: Commanded) -> Json:
         }
     if not has_struts(mechanism):
         return file_mechanism_dict(mechanism)
-    return {"kind": mechanism.kind, **{name: json_data(getattr(mechanism, name)) for name in SHAPES[mechanism.kind]}}
+    followers = is_hexapod(mechanism) and mechanism.followers
+    return {
+        "kind": mechanism.kind,
+        **{name: json_data(getattr(mechanism, name)) for name in SHAPES[mechanism.kind]},
+        **({"followers": [one + 1 for one in followers]} if followers else {}),
+    }
 
 
 def mechanism_from_entries(table: Entries, stated: bool = False) -> Commanded:
@@ -230,10 +236,15 @@ def _stage_in(table: Entries, stated: bool) -> Struts | Arm:
 
 
 def _struts(kind: type[Hexapod] | type[Planar2], table: Entries) -> Hexapod | Planar2:
+    listed, axes = table.get("base_joints"), SHAPES[kind.kind]["base_joints"][0]
+    if kind is Hexapod and isinstance(listed, list) and len(listed) in STRUT_COUNTS:
+        axes = len(listed)
     figures: Json = {
-        name: table.pose(name) if shape == POSE else table.array(name, shape, length_limit=LARGEST_RIG)
+        name: table.pose(name) if shape == POSE else table.array(name, (axes, *shape[1:]), length_limit=LARGEST_RIG)
         for name, shape in SHAPES[kind.kind].items()
     }
+    if "followers" in table.tree:
+        figures["followers"] = follower_numbers(table, axes)
     return kind(**figures)
 
 
@@ -274,7 +285,7 @@ SHAPES: dict[str, dict[str, tuple[int, ...]]] = {
         "home": POSE,
     },
     Planar2.kind: {"base_joints": (2, 2), "strut_range": (2, 2), "strut_zeros": (2,)},
-}  # {kind: {entry: its shape}}, in a file's order
+}  # {kind: {entry: its shape}}, in a file's order; a hexapod of more struts has more rows
 READERS: dict[str, Callable[[Entries], Struts | Arm]] = {
     Hexapod.kind: partial(_struts, Hexapod),
     Planar2.kind: partial(_struts, Planar2),

@@ -16,8 +16,9 @@ from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.arm_branch_and_hand_entries import branches_of_tables, hands_of_tables
 from rig.model.arm_branches_and_hands import hand_names
-from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2, Stage
+from rig.model.mechanism_geometry_classes import STRUT_COUNTS, Arm, Chain, FileMechanism, Free, Hexapod, Planar2, Stage
 from rig.model.mechanisms.file_mechanism import nominal_mechanism
+from rig.model.mechanisms.hexapod import driven_six
 from rig.model.mechanisms.hexapod_singularity_and_cardan_twist import singular_geometry_problem
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 
@@ -235,6 +236,8 @@ def _chain(table: Entries) -> Chain:
     for stage, one in zip(stages, table.tables("stage")):
         if hand_names(stage):
             one.fail("a stage of a chain has one hand, and [[mechanism.hand]] states several", "hand")
+        if len(stage.axes) > 6 and stage.strut_joints is not None:
+            one.fail(f"a stage of a chain has six struts at most, got {len(stage.axes)}", "base_joints")
     if len(stages) < 2:
         table.fail(
             f"{table.name('stage')}: a chain has two stages or more, [[mechanism.stage]] each, got {len(stages)}",
@@ -261,10 +264,13 @@ def _planar(table: Entries) -> Planar2:
 
 
 def _hexapod(table: Entries) -> Hexapod:
-    table.refuse_misspelt(("kind", "base_joints", "platform_joints", "strut_range", "home"))
-    base = table.array("base_joints", (6, 3), length_limit=LARGEST_RIG)
-    platform = table.array("platform_joints", (6, 3), length_limit=LARGEST_RIG)
-    hexapod = Hexapod(base, platform, _ranges(table, "strut_range", 6, LARGEST_RIG), table.pose("home"))
+    table.refuse_misspelt(("kind", "base_joints", "platform_joints", "strut_range", "home", "followers"))
+    listed = table.get("base_joints")
+    count = len(listed) if isinstance(listed, list) and len(listed) in STRUT_COUNTS else STRUT_COUNTS[0]
+    base = table.array("base_joints", (count, 3), length_limit=LARGEST_RIG)
+    platform = table.array("platform_joints", (count, 3), length_limit=LARGEST_RIG)
+    ranges = _ranges(table, "strut_range", count, LARGEST_RIG)
+    hexapod = Hexapod(base, platform, ranges, table.pose("home"), followers=follower_numbers(table, count))
     per_m, unit = table.units.per_si("m"), table.units.length
     digits = 6 if unit == "m" else 3
     lengths = np.linalg.norm(hexapod.home.apply(platform) - base, axis=1)
@@ -275,9 +281,25 @@ def _hexapod(table: Entries) -> Hexapod:
                 f"strut_range {low * per_m:.10g} .. {high * per_m:.10g} {unit}",
                 "home",
             )
-    if singular_geometry_problem(hexapod):
-        table.fail(f"{table.name('home')} {singular_geometry_problem(hexapod)}", "home")
+    for which in (hexapod, driven_six(hexapod)) if hexapod.followers else (hexapod,):
+        if singular_geometry_problem(which):
+            whose = "" if which is hexapod else " with the driven struts alone"
+            table.fail(f"{table.name('home')}{whose} {singular_geometry_problem(which)}", "home")
     return hexapod
+
+
+def follower_numbers(table: Entries, count: int) -> tuple[int, ...]:
+    """Numbers, from 0, of the struts that bear no force and follow, of `count`; none where nothing is stated.
+
+    Raises FileError for other numbers than there are struts beyond six
+    """
+    stated = table.get("followers", [])
+    listed = stated if isinstance(stated, list) else [None]
+    numbers = [one - 1 for one in listed if isinstance(one, int) and not isinstance(one, bool) and 1 <= one <= count]
+    if len(numbers) < len(listed) or listed and len(set(numbers)) != count - 6:
+        least = f"the {count - 6} struts beyond six" if count > 6 else "struts beyond six, and there are six"
+        table.fail(f"{table.name('followers')} lists the numbers, from 1, of {least}, not {stated!r}", "followers")
+    return tuple(numbers)
 
 
 STAGES: dict[str, Callable[[Entries], Stage]] = {"hexapod": _hexapod, "planar2": _planar, "arm": _arm}

@@ -63,7 +63,7 @@ def _least(hexapod: Hexapod, move: Floats, size: float) -> float:
 
 
 def cardan_twist_angles_about_struts(T: RigidTransform, mechanism: Hexapod) -> Floats:
-    """Twist (..., 6) rad of each strut's platform-side cardan against its base-side one, about the strut.
+    """Twist (..., struts) rad of each strut's platform-side cardan against its base-side one, about the strut.
 
     A cardan's first axis lies in its plate, tangential, (-y, x, 0) of the joint in the plate's frame; its second is
     perpendicular to the first and to the strut. Right-handed about u, from base to platform.
@@ -80,7 +80,7 @@ def cardan_twist_angles_about_struts(T: RigidTransform, mechanism: Hexapod) -> F
 
 
 def cardan_plate_axes(joints: Floats) -> Floats:
-    """First axes (6, 3) of the cardans at joints (6, 3) m of a plate, in its frame.
+    """First axes (struts, 3) of the cardans at joints (struts, 3) m of a plate, in its frame.
 
     Tangential, as long as the joint is off its middle.
     """
