@@ -24,11 +24,11 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.machine_geometry_and_effects_json_file import effect_to_dict, effects_from_entries
 from rig.formats.rig_toml.arm_branch_and_hand_entries import branch_and_hand_dicts, branches_of_tables, hands_of_tables
 from rig.formats.rig_toml.design_from_rig_toml import base_tilt_of_table
-from rig.formats.rig_toml.mechanism_entries import follower_numbers, mechanism_of_file
+from rig.formats.rig_toml.mechanism_entries import follower_numbers, mechanism_of_file, stated_strut_count
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
 from rig.model.effect_places_and_part_tolerances import Place
-from rig.model.mechanism_geometry_classes import STRUT_COUNTS, Arm, Chain, FileMechanism, Hexapod, Planar2
+from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Hexapod, Planar2
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,
     Parallel,
@@ -236,9 +236,7 @@ def _stage_in(table: Entries, stated: bool) -> Struts | Arm:
 
 
 def _struts(kind: type[Hexapod] | type[Planar2], table: Entries) -> Hexapod | Planar2:
-    listed, axes = table.get("base_joints"), SHAPES[kind.kind]["base_joints"][0]
-    if kind is Hexapod and isinstance(listed, list) and len(listed) in STRUT_COUNTS:
-        axes = len(listed)
+    axes = stated_strut_count(table) if kind is Hexapod else SHAPES[kind.kind]["base_joints"][0]
     figures: Json = {
         name: table.pose(name) if shape == POSE else table.array(name, (axes, *shape[1:]), length_limit=LARGEST_RIG)
         for name, shape in SHAPES[kind.kind].items()

@@ -318,6 +318,8 @@ class Chain(StatedMechanism):
     def __post_init__(self) -> None:
         if len(self.stages) < 2:
             raise ValueError(f"stages: a chain has two or more, got {len(self.stages)}")
+        if any(len(stage.axes) > 6 for stage in self.stages if stage.plates is not None):
+            raise ValueError("stages: a stage of a chain has six struts at most")
 
     @property
     def axes(self) -> tuple[str, ...]:

@@ -265,8 +265,7 @@ def _planar(table: Entries) -> Planar2:
 
 def _hexapod(table: Entries) -> Hexapod:
     table.refuse_misspelt(("kind", "base_joints", "platform_joints", "strut_range", "home", "followers"))
-    listed = table.get("base_joints")
-    count = len(listed) if isinstance(listed, list) and len(listed) in STRUT_COUNTS else STRUT_COUNTS[0]
+    count = stated_strut_count(table)
     base = table.array("base_joints", (count, 3), length_limit=LARGEST_RIG)
     platform = table.array("platform_joints", (count, 3), length_limit=LARGEST_RIG)
     ranges = _ranges(table, "strut_range", count, LARGEST_RIG)
@@ -286,6 +285,13 @@ def _hexapod(table: Entries) -> Hexapod:
             whose = "" if which is hexapod else " with the driven struts alone"
             table.fail(f"{table.name('home')}{whose} {singular_geometry_problem(which)}", "home")
     return hexapod
+
+
+def stated_strut_count(table: Entries) -> int:
+    """Number of struts of a hexapod, six to eight, for which its table lists joints of both plates."""
+    plates = [table.tree.get(key) for key in ("base_joints", "platform_joints")]
+    listed = min(len(rows) if isinstance(rows, list) else 0 for rows in plates)
+    return min(max(listed, STRUT_COUNTS[0]), STRUT_COUNTS[-1])
 
 
 def follower_numbers(table: Entries, count: int) -> tuple[int, ...]:

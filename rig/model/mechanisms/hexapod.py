@@ -307,14 +307,19 @@ def agreeing_lengths(lengths: Floats, hexapod: Hexapod, share: float = 1.0) -> F
     """Lengths (n, struts) m near given ones that close on one pose, within the middle `share` of the strut range.
 
     Of six struts the lengths themselves. Of more, six degrees of freedom are free and the other lengths follow; those
-    that would leave the range are brought nearer to its middle. Raises NotConverged as `forward`
+    that would leave the range, or close on nothing, are brought nearer to its middle. Raises NotConverged where none do
     """
     if len(hexapod.axes) == 6:
         return lengths
     middle, out = hexapod.strut_range.mean(axis=1), np.empty(np.shape(lengths))
     wanted, going = np.array(lengths, float), np.arange(len(lengths))
     for _ in range(MAX_ITERATIONS):
-        out[going] = inverse(forward(wanted[going], hexapod), hexapod)
+        try:
+            out[going] = inverse(forward(wanted[going], hexapod), hexapod)
+        except NotConverged as error:
+            some = going[error.index]
+            wanted[some] = middle + INWARDS * (wanted[some] - middle)
+            continue
         within = middle + (out[going] - middle) / share
         going = going[signed_limit_excess(within, hexapod).any(axis=1)]
         if not len(going):
