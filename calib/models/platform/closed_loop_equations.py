@@ -262,14 +262,15 @@ def linearised_redundant_loops(samples: Samples, lengths: Floats, platform: Hexa
 
 def loop_covariance(A: Floats, covariance: Floats) -> Floats:
     """Covariance (n, axes, axes) m^2 that poses' covariance (n, 6, 6) gives loops of a Jacobian A (n, axes, 6)."""
-    return A @ covariance @ np.swapaxes(A, 1, 2) + reading_covariance(A.shape[1])
+    return with_reading(A @ covariance @ np.swapaxes(A, 1, 2))
 
 
-def reading_covariance(axes: int) -> Floats:
-    """Covariance (axes, axes) m^2 of how finely lengths are known: READING where loops have combinations that no pose
-    moves, and nothing else bounds; none of six loops or fewer.
+def with_reading(covariance: Floats) -> Floats:
+    """Covariance (n, axes, axes) m^2 of loops with how finely lengths are known: READING where more loops than six have
+    combinations that no pose moves, which nothing else bounds.
     """
-    return READING**2 * np.eye(axes) * (axes > 6)
+    axes = covariance.shape[1]
+    return covariance + READING**2 * np.eye(axes) if axes > 6 else covariance
 
 
 def scatter_of_redundant_struts(left: Floats, A: Floats, spent: int) -> Floats:

@@ -22,7 +22,7 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     cube_seat_freedoms,
     split_rows_by_frame_bases,
 )
-from calib.models.platform.closed_loop_equations import loop_covariance, reading_covariance, scatter_of_redundant_struts
+from calib.models.platform.closed_loop_equations import loop_covariance, scatter_of_redundant_struts, with_reading
 from calib.models.platform.identification import PRIOR
 from rig.array_and_json_types import Floats, Integers
 from rig.model.effect_places_and_part_tolerances import FINDER, SEAT
@@ -254,7 +254,7 @@ def _closures(k: OperatingPoint, frames: CornerFrames) -> _Closures:
     if k.own is not None:
         covariance = loop_covariance(A, k.own)
     else:
-        covariance = to_length @ np.swapaxes(to_length, 1, 2) + reading_covariance(len(m.axes))
+        covariance = with_reading(to_length @ np.swapaxes(to_length, 1, 2))
     inner = frames.inner
     rows = np.concatenate(
         [
