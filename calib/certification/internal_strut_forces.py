@@ -12,8 +12,8 @@ import numpy as np
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
-from rig.formats.number_parsing_and_rounding import quantity_text
-from rig.model.mechanisms import hexapod
+from rig.formats.numbers_and_units import quantity_text
+from rig.model.mechanisms import redundant_struts
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, is_redundant
 
 
@@ -48,8 +48,8 @@ def strut_conflict(calibration: Calibration, samples: Samples, recorded: Mechani
     T, count = samples.T_base_platform, len(nominal.axes)
     corrected = samples.effective - calibration.correction.rho(samples.effective)
     return StrutConflict(
-        _size(hexapod.conflict(T, samples.commanded, nominal)),
-        _size(hexapod.conflict(T, corrected, fitted)),
+        _size(redundant_struts.conflict(T, samples.commanded, nominal)),
+        _size(redundant_struts.conflict(T, corrected, fitted)),
         _size(calibration.scatter) * float(np.sqrt((count - 6) / count)),
     )
 

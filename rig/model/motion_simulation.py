@@ -16,7 +16,7 @@ from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Design
-from rig.model.mechanisms import hexapod, mechanism_chain
+from rig.model.mechanisms import hexapod, mechanism_chain, redundant_struts
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Mechanism,
     has_stages,
@@ -138,8 +138,8 @@ def simulate_machine_run(
 def _held_poses(lengths: Floats, mechanism: Mechanism, guess: RigidTransform | None = None) -> RigidTransform:
     """T_base_platform (n,) of lengths or axis values (n, axes): where the driven struts hold it, followers aside."""
     if is_redundant(mechanism) and mechanism.followers:
-        driven = hexapod.driven_six(mechanism)
-        return hexapod.forward(lengths[..., hexapod.driven_struts(mechanism)], driven, guess)
+        driven = redundant_struts.driven_six(mechanism)
+        return hexapod.forward(lengths[..., redundant_struts.driven_struts(mechanism)], driven, guess)
     return mechanisms.kinematics_of(mechanism).forward(lengths, mechanism, guess)
 
 

@@ -1,5 +1,5 @@
-"""An independent truth of platforms on more than six elastic struts: where they come to rest, what their struts bear, and
-how well any calibration can know them.
+"""An independent truth of platforms on more than six elastic struts: where they come to rest, what their struts bear,
+and how well any calibration can know them.
 
 Lengths, equilibria and derivatives are worked out here, by other means than the package's: poses are rows x y z and a
 rotation vector, an equilibrium is the least elastic energy, derivatives are differences.
@@ -65,8 +65,8 @@ class SprungPlatform:
         )
 
     def bound(self, rows: np.ndarray, pose_sigma: np.ndarray, strut_sigma: float) -> np.ndarray:
-        """(7 s, 7 s) m^2, least covariance that poses (n, 6) and all lengths leave of the parameters (Cramer and Rao, with
-        what is known beforehand: van Trees), each pose among the unknowns.
+        """(7 s, 7 s) m^2, least covariance that poses (n, 6) and all lengths leave of the parameters (Cramer and Rao,
+        with what is known beforehand: van Trees), each pose among the unknowns.
         """
         to_pose, to_own = self.by_pose(rows) / strut_sigma, self.by_parameters(rows) / strut_sigma
         information = np.eye(to_own.shape[2]) / OFF**2
@@ -111,8 +111,8 @@ def somewhere(count: int, rng: np.random.Generator) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Measured:
-    """rows : (n, 6) true poses; lengths : (n, s) m, commanded of driven struts and read of followers; seen : (n, 6) poses
-    as measured
+    """rows : (n, 6) true poses; lengths : (n, s) m, commanded of driven struts and read of followers; seen : (n, 6)
+    poses as measured
     """
 
     rows: np.ndarray

@@ -1,10 +1,12 @@
-"""Hexapod (Gough-Stewart platform).
+"""Hexapod (Gough-Stewart platform): kinematics, singular geometries, twist of its cardans.
 
 Forward and inverse kinematics, Jacobian, strut limits and loads.
 """
 
+from __future__ import annotations
+
 from functools import lru_cache
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from scipy.linalg import lu
@@ -14,7 +16,11 @@ from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod_kernels
-from rig.model.pose import transform_points
+from rig.model.pose import exp, transform_points
+
+if TYPE_CHECKING:
+    pass
+
 
 AXIS, UNIT = "strut", "m"
 TOLERANCE = 1e-12  # m; what Newton leaves of a strut's length
@@ -24,7 +30,6 @@ CHUNK = 4096  # poses at a time, so that the work stays in the cache
 LOOSE = (
     1e-9  # of the Jacobian's largest singular value, in m and rad: below, more than six struts leave a platform loose
 )
-INWARDS = 0.8  # by which lengths that leave the range are brought nearer to its middle at a time
 
 
 def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> Floats:
@@ -286,64 +291,6 @@ def _balanced(commanded: Floats, lengths: Floats, guess: RigidTransform, hexapod
     return matrix
 
 
-def driven_six(hexapod: Hexapod) -> Hexapod:
-    """The hexapod of the six struts that are driven, without its followers."""
-    driven = driven_struts(hexapod)
-    return Hexapod(
-        hexapod.base_joints[driven],
-        hexapod.platform_joints[driven],
-        hexapod.strut_range[driven],
-        hexapod.home,
-        hexapod.strut_zeros[driven],
-    )
-
-
-def driven_struts(hexapod: Hexapod) -> Integers:
-    """Numbers (k,), from 0, of the struts that are driven."""
-    return np.setdiff1d(np.arange(len(hexapod.axes)), hexapod.followers)
-
-
-def agreeing_lengths(lengths: Floats, hexapod: Hexapod, share: float = 1.0) -> Floats:
-    """Lengths (n, struts) m near given ones that close on one pose, within the middle `share` of the strut range.
-
-    Of six struts the lengths themselves. Of more, six degrees of freedom are free and the other lengths follow; those
-    that would leave the range, or close on nothing, are brought nearer to its middle. Raises NotConverged where none do
-    """
-    if len(hexapod.axes) == 6:
-        return lengths
-    middle, out = hexapod.strut_range.mean(axis=1), np.empty(np.shape(lengths))
-    wanted, going = np.array(lengths, float), np.arange(len(lengths))
-    for _ in range(MAX_ITERATIONS):
-        try:
-            out[going] = inverse(forward(wanted[going], hexapod), hexapod)
-        except NotConverged as error:
-            some = going[error.index]
-            wanted[some] = middle + INWARDS * (wanted[some] - middle)
-            continue
-        within = middle + (out[going] - middle) / share
-        going = going[signed_limit_excess(within, hexapod).any(axis=1)]
-        if not len(going):
-            return out
-        wanted[going] = middle + INWARDS * (wanted[going] - middle)
-    raise NotConverged(
-        "no lengths within the strut range close on one pose", going, wanted[going], np.full(len(going), np.inf)
-    )
-
-
-def conflict(T_base_platform: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
-    """Part (n, struts) m of commanded lengths, at the poses (n,) that they hold, that moves no platform.
-
-    It is what struts press and pull against each other: times the stiffness of a strut, its internal force (N). The
-    range of the Jacobian moves the platform, and the space perpendicular to it is of struts' forces that vanish in sum.
-    Of six struts it is zero.
-    Source: Merlet, Parallel Robots, 2nd ed., ch. 9; Pellegrino, Structural computations with the singular value
-    decomposition of the equilibrium matrix, 1993 (states of self-stress)
-    """
-    J = jacobian(T_base_platform, hexapod)
-    off = lengths - inverse(T_base_platform, hexapod)
-    return np.asarray(off - np.einsum("nij,njk,nk->ni", J, np.linalg.pinv(J), off))
-
-
 def _rotation(rotvec: Floats) -> Floats:
     """(n, 3, 3) rotation matrices of rotation vectors (n, 3) rad."""
     return Rotation.from_rotvec(rotvec).as_matrix()
@@ -380,3 +327,75 @@ def _check(
             lengths.reshape(-1, 6)[crossed],
             residual[crossed],
         )
+
+
+SINGULAR = 1e-6  # of the largest singular value of the Jacobian, rotations weighed by the platform's size
+MOVES = np.array(
+    [[0.1, 0, 0, 0, 0, 0], [0, 0.1, 0, 0.1, 0, 0], [0, 0, 0.1, 0, 0.1, 0], [0, 0, 0, 0, 0, 0.1]]
+)  # platform sizes, rad
+
+
+def singular_geometry_problem(hexapod: Hexapod) -> str | None:
+    """Problem of a hexapod that is singular at home or by its architecture, in words.
+
+    None where it is not.
+
+    Joints on similar hexagons, one plate turned against the other or not, leave it loose wherever it stands.
+    Sources: Ma and Angeles, Architecture singularities of parallel manipulators, 1992; Merlet, Parallel Robots, 2nd
+    ed., ch. 6
+    """
+    size = max(
+        float(np.linalg.norm(hexapod.platform_joints - hexapod.platform_joints.mean(axis=0), axis=1).mean()), 1e-9
+    )
+    if _least(hexapod, np.zeros(6), size) > SINGULAR:
+        return None
+    if all(_least(hexapod, move, size) <= SINGULAR for move in MOVES * np.repeat([size, 1.0], 3)):
+        return (
+            "is singular by its architecture: whatever the strut lengths, the platform is loose at every "
+            "pose, since base and platform joints "
+            "lie on similar hexagons or the like (Ma and Angeles 1992); set the joints of one plate nearer in pairs"
+        )
+    return (
+        "is singular: there the strut lengths do not hold the platform, and no pose follows from them; another "
+        "home is needed, turned or tilted"
+    )
+
+
+def _least(hexapod: Hexapod, move: Floats, size: float) -> float:
+    """Least singular value of the Jacobian at home moved by a tangent (m, rad), as a share of the largest; 0 where a
+    strut has no length.
+    """
+    matrix = (hexapod.home * exp(move)).as_matrix()
+    R, a = matrix[:3, :3], hexapod.platform_joints
+    struts = (a @ R.T + matrix[:3, 3] - hexapod.base_joints) @ R
+    lengths = np.linalg.norm(struts, axis=1)
+    if lengths.min() <= 0:
+        return 0.0
+    u = struts / lengths[:, None]
+    values = np.linalg.svd(np.hstack([u, np.cross(a, u) / size]), compute_uv=False)
+    return float(values[-1] / values[0])
+
+
+def cardan_twist_angles_about_struts(T: RigidTransform, mechanism: Hexapod) -> Floats:
+    """Twist (..., struts) rad of each strut's platform-side cardan against its base-side one, about the strut.
+
+    A cardan's first axis lies in its plate, tangential, (-y, x, 0) of the joint in the plate's frame; its second is
+    perpendicular to the first and to the strut. Right-handed about u, from base to platform.
+    """
+    R = T.rotation.as_matrix()[..., None, :, :]
+    u = T.as_matrix()[..., None, :3, 3] + (R @ mechanism.platform_joints[..., None])[..., 0] - mechanism.base_joints
+    u /= np.linalg.norm(u, axis=-1, keepdims=True)
+    base, moved = (
+        cardan_plate_axes(mechanism.base_joints),
+        (R @ cardan_plate_axes(mechanism.platform_joints)[..., None])[..., 0],
+    )
+    a, b = np.cross(u, np.broadcast_to(base, u.shape)), np.cross(u, moved)
+    return np.arctan2(np.einsum("...i,...i->...", np.cross(a, b), u), np.einsum("...i,...i->...", a, b))
+
+
+def cardan_plate_axes(joints: Floats) -> Floats:
+    """First axes (struts, 3) of the cardans at joints (struts, 3) m of a plate, in its frame.
+
+    Tangential, as long as the joint is off its middle.
+    """
+    return np.stack([-joints[:, 1], joints[:, 0], np.zeros(len(joints))], axis=1)

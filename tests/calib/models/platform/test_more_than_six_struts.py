@@ -14,7 +14,7 @@ from calib.samples.pose_samples import Samples
 from rig.errors import RigError
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model.mechanism_geometry_classes import Chain, Hexapod
-from rig.model.mechanisms import hexapod
+from rig.model.mechanisms import hexapod, redundant_struts
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import pose_to_vector
 from rig.planning.configuration_generators import evenly_spread_configurations
@@ -70,7 +70,7 @@ def test_a_platform_rests_where_its_elastic_struts_balance(struts):
     along /= np.linalg.norm(along, axis=2, keepdims=True)
     pushes = force[..., None] * along
     assert np.abs(pushes.sum(axis=1)).max() < 1e-9 and np.abs(np.cross(ends, pushes).sum(axis=1)).max() < 1e-9
-    np.testing.assert_allclose(hexapod.conflict(T, lengths, m), force, atol=1e-9)
+    np.testing.assert_allclose(redundant_struts.conflict(T, lengths, m), force, atol=1e-9)
     assert size > 1e-4
     even = evenly_spread_configurations(m, 64)
     assert bears(true, even[:8])[0] < 1e-9 and not hexapod.signed_limit_excess(even, m).any()
@@ -194,7 +194,7 @@ def test_what_more_struts_do_not_take_is_refused_with_a_reason(tmp_path):
     with pytest.raises(RigError, match="grid moves all axes independently"):
         build_plan(design, "grid:2")
     ladder = build_plan(design, "ladder:2").commands.values
-    np.testing.assert_allclose(hexapod.conflict(hexapod.forward(ladder, m), ladder, m), 0, atol=2e-7)
+    np.testing.assert_allclose(redundant_struts.conflict(hexapod.forward(ladder, m), ladder, m), 0, atol=2e-7)
     for wrong in ("[3]", "[3, 9]", "[3, 3]", "3", "[true, 3]"):
         path.write_text(text.replace("[3, 8]", wrong))
         with pytest.raises(RigError, match="lists the numbers, from 1, of the 2 struts beyond six"):
