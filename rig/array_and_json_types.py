@@ -19,7 +19,7 @@ Pixels = NDArray[np.integer | np.floating]  # what OpenCV draws on and gives bac
 
 
 def frozen_array(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> Floats:
-    """Read-only floats of a shape, None for any length.
+    """Read-only floats of a shape, such as (None, 3) with None for any length.
 
     what : its name, in errors. Raises ValueError for another shape and for what is not finite
     """

@@ -273,7 +273,9 @@ def _limits(least: float | None, most: float | None, above: float | None, unit: 
 
 def samples() -> list[dict[str, Any]]:
     """Rigs as tables, which between them state everything that the reader asks for."""
-    whole = tomllib.loads(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=1, cubes=1, limbs=6))
+    whole = tomllib.loads(
+        hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=1, cubes=1, legs=(6, 6))
+    )
     whole["camera"][0] |= {
         "shutter": "rolling",
         "row_time": 1e-5,

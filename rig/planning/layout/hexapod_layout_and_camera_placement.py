@@ -166,17 +166,17 @@ def hexapod_layout_rig_toml(
     cubes: int = 4,
     dictionary: str = "DICT_5X5_100",
     name: str = "hexapod",
-    limbs: int = 0,
-    struts: int = 6,
+    legs: tuple[int, int] = (6, 0),
 ) -> str:
     """rig.toml text of the layout of a hexapod with cameras and cubes.
 
     radius : m, of the circle of base joints; cameras : how many, evenly around; width, height : px
-    limbs : how many measuring limbs stand beside the struts; struts : six to eight, those beyond six as followers
+    legs : how many struts, six to eight, those beyond six as followers; and how many measuring limbs beside them
     cubes : how many on the base and as many on the platform, each face with an identity of its own
     Raises RigError where the dictionary has too few identities or the figures make no rig.
     """
     require_possible_layout(radius, cameras, cubes, dictionary)
+    struts, limbs = legs
     pairs, turns = (JOINT_PAIRS, 3) if struts == 6 else (FOUR_PAIRS, 4)
     base = _joints(radius, pairs[0], 0.0, turns)[:struts]
     platform = _joints(radius * PLATFORM_SHARE, pairs[1], 0.0, turns)[:struts]

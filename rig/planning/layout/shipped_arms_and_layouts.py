@@ -284,7 +284,7 @@ def _rig_toml_in_si(options: LayoutOptions) -> str:
     name = options.name or kind
     if kind == "hexapod":
         text = hexapod_layout_rig_toml(
-            options.radius, cameras, *size, cubes, dictionary, name, options.limbs, options.struts
+            options.radius, cameras, *size, cubes, dictionary, name, (options.struts, options.limbs)
         )
         if options.struts > 6:  # which no controller drives yet
             return text
