@@ -132,11 +132,13 @@ def axis_loads(T: RigidTransform, lengths: Floats, hexapod: Hexapod, wrench: Flo
     """Axis loads (n, struts) N of the struts that hold a wrench.
 
     Pushing, with a wrench (n, 6) on the platform: J^T f + w = 0. Of more than six struts the least squares of all
-    loads, as struts of one stiffness share them, beyond what they bear against each other.
+    loads, as struts of one stiffness share them, beyond what they bear against each other; followers bear none.
     Source: Merlet, Parallel Robots, 2nd ed., ch. 9
     """
     if len(hexapod.axes) > 6:
-        return -np.einsum("nij,ni->nj", np.linalg.pinv(jacobian(T, hexapod)), wrench)
+        driven, out = np.delete(np.arange(len(hexapod.axes)), hexapod.followers), np.zeros(np.shape(lengths))
+        out[:, driven] = -np.einsum("nij,ni->nj", np.linalg.pinv(jacobian(T, hexapod)[:, driven]), wrench)
+        return out
     return cast(Floats, np.linalg.solve(np.swapaxes(jacobian(T, hexapod), 1, 2), -wrench[..., None])[..., 0])
 
 

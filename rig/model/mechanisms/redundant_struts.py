@@ -4,6 +4,9 @@ Six degrees of freedom are free; the lengths of seven or eight struts follow fro
 the platform all the same, and strain the struts.
 """
 
+from dataclasses import replace
+from typing import TypeVar
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
@@ -11,9 +14,18 @@ from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod as kinematics
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, Mechanism, is_redundant
 
+C = TypeVar("C", bound=Commanded)
 MAX_TRIALS = 60
 INWARDS = 0.8  # by which lengths that leave the range are brought nearer to its middle at a time
+
+
+def with_followers_of(mechanism: C, recorded: Mechanism | None) -> C:
+    """The mechanism with the followers of another, of the same struts, as it was recorded; with none of them for None."""
+    if not is_redundant(mechanism):
+        return mechanism
+    return replace(mechanism, followers=recorded.followers if recorded is not None and is_redundant(recorded) else ())
 
 
 def driven_six(hexapod: Hexapod) -> Hexapod:

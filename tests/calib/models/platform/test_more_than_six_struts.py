@@ -76,6 +76,22 @@ def test_a_platform_rests_where_its_elastic_struts_balance(struts):
     assert bears(true, even[:8])[0] < 1e-9 and not hexapod.signed_limit_excess(even, m).any()
 
 
+def test_followers_bear_no_load_and_driven_struts_share_it_as_springs_do():
+    rng = np.random.default_rng(3)
+    true = sprung_platforms.drawn(8, rng)
+    rows, wrench = sprung_platforms.somewhere(5, rng), rng.normal(size=(5, 6)) * [10, 10, 10, 1, 1, 1]
+    lengths, stiffness, rates = true.lengths(rows), 1e6, true.by_pose(rows)
+    released = hexapod.axis_loads(poses(rows), lengths, mechanism(true), wrench)
+    assert not released[:, [2, 7]].any()
+    loads = hexapod.axis_loads(poses(rows), lengths, mechanism(true, followers=False), wrench)
+    for force in (released, loads):
+        np.testing.assert_allclose(np.einsum("nij,ni->nj", rates, force), -wrench, atol=1e-6)
+    moved = np.linalg.solve(
+        np.swapaxes(rates, 1, 2) @ rates * stiffness, wrench[..., None]
+    )  # by the springs' stiffness
+    np.testing.assert_allclose(loads, -stiffness * (rates @ moved)[..., 0], atol=1e-6)
+
+
 @pytest.mark.parametrize("struts", [7, 8])
 def test_all_struts_are_identified_and_no_longer_fight(struts):
     rng = np.random.default_rng(10 + struts)
