@@ -22,7 +22,7 @@ INWARDS = 0.8  # by which lengths that leave the range are brought nearer to its
 
 
 def with_followers_of(mechanism: C, recorded: Mechanism | None) -> C:
-    """The mechanism with the followers of another, of the same struts, as it was recorded; with none of them for None."""
+    """The mechanism with the followers of another, of the same struts, as it was recorded; none for None."""
     if not is_redundant(mechanism):
         return mechanism
     return replace(mechanism, followers=recorded.followers if recorded is not None and is_redundant(recorded) else ())
