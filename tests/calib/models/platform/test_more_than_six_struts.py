@@ -72,6 +72,8 @@ def test_a_platform_rests_where_its_elastic_struts_balance(struts):
     assert np.abs(pushes.sum(axis=1)).max() < 1e-9 and np.abs(np.cross(ends, pushes).sum(axis=1)).max() < 1e-9
     np.testing.assert_allclose(redundant_struts.conflict(T, lengths, m), force, atol=1e-9)
     assert size > 1e-4
+    seen = poses(sprung_platforms.in_own_axes(rows, 10 * POSE * rng.normal(size=rows.shape)))
+    np.testing.assert_allclose(redundant_struts.conflict(seen, lengths, m), force, atol=4e-6)  # which poses do not move
     even = evenly_spread_configurations(m, 64)
     assert bears(true, even[:8])[0] < 1e-9 and not hexapod.signed_limit_excess(even, m).any()
 
