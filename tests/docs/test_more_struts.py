@@ -23,6 +23,8 @@ def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
     assert "2 of 2 poses written" in said["correctcommands.csv"] and "the claim is kept" in said["verifyNEW"]
     before, after = map(float, FIGURES.search(said["verifyNEW"]).groups())
     assert before > 50 and after < 0.1
+    fights = re.search(r"each gives way by ([0-9.]+) (µm|nm) RMS", said["simulateDRIVEN"])
+    assert float(fights[1]) * {"µm": 1.0, "nm": 1e-3}[fights[2]] < 0.1 and "gives way" not in said["simulateNEW"]
     assert "2 poses lie within" in said["verifywanted.csv"] and "give way" not in said["verifywanted.csv"]
     refused = run("calibrate", "DRIVEN", "--out", "no.json", ok=False).stderr
     assert "all 8 struts are driven" in refused and "named as followers" in refused
