@@ -22,6 +22,7 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     cube_seat_freedoms,
     split_rows_by_frame_bases,
 )
+from calib.models.platform.closed_loop_equations import loop_covariance, scatter_of_redundant_struts, with_reading
 from calib.models.platform.identification import PRIOR
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.effect_places_and_part_tolerances import FINDER, SEAT
@@ -216,11 +217,13 @@ def linearise(point: OperatingPoint, clip: float = CLIP, near: LinearisedModel |
 @dataclass(frozen=True, slots=True, eq=False)
 class _Closures:
     """Of F frames: covariance (F, axes, axes) m^2 by the poses' noise; rows (F, axes, 1 + p) m, the residual and the
-    change with the nuisances; to_length (F, axes, L) from frames' own coordinates to lengths, m"""
+    change with the nuisances; to_length (F, axes, L) from frames' own coordinates to lengths, m
+    jacobian : (F, axes, 6) of the axes with the pose"""
 
     covariance: Floats
     rows: Floats
     to_length: Floats
+    jacobian: Floats
 
 
 def _corner_frames(
@@ -249,7 +252,10 @@ def _closures(k: OperatingPoint, frames: CornerFrames) -> _Closures:
     m = k.platform
     A = strut_length_jacobian(k.T, m)
     to_length = A @ frames.to_local[:, :6]  # (F, axes, L): local coordinates to struts' lengths
-    covariance = to_length @ np.swapaxes(to_length, 1, 2) if k.own is None else A @ k.own @ np.swapaxes(A, 1, 2)
+    if k.own is not None:
+        covariance = loop_covariance(A, k.own)
+    else:
+        covariance = with_reading(to_length @ np.swapaxes(to_length, 1, 2))
     inner = frames.inner
     rows = np.concatenate(
         [
@@ -259,12 +265,17 @@ def _closures(k: OperatingPoint, frames: CornerFrames) -> _Closures:
         ],
         axis=2,
     )
-    return _Closures(covariance, rows, to_length)
+    return _Closures(covariance, rows, to_length, A)
 
 
 def _no_closures(k: OperatingPoint, frames: CornerFrames, count: int) -> _Closures:
     F = len(k.t)
-    return _Closures(np.zeros((F, 0, 0)), np.zeros((F, 0, 1 + count)), np.zeros((F, 0, frames.to_local.shape[1])))
+    return _Closures(
+        np.zeros((F, 0, 0)),
+        np.zeros((F, 0, 1 + count)),
+        np.zeros((F, 0, frames.to_local.shape[1])),
+        np.zeros((F, 0, 6)),
+    )
 
 
 def _noise(left: Floats, rows: CornerDerivatives, lost: int) -> float:
@@ -340,7 +351,11 @@ def _weighed(
         for _ in range(ROUNDS - 1):
             left = (now.rows[: F * axes, 0] - now.basis[: F * axes] @ now.z).reshape(F, axes, 1)
             beyond = np.asarray(np.linalg.solve(now.W, left)[..., 0], float)
-            new = _scatter(beyond, closures.covariance, known)
+            new = (
+                scatter_of_redundant_struts(beyond, closures.jacobian, 7)
+                if axes > 6
+                else _scatter(beyond, closures.covariance, known)
+            )
             if np.abs(new - now.scatter).max(initial=0.0) < 1e-8:
                 break
             now = weighed(new)
