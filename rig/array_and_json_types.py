@@ -1,9 +1,9 @@
-"""Type aliases of NumPy arrays by what they hold, and of JSON values."""
+"""Type aliases of NumPy arrays by what they hold, and of JSON values; checked read-only arrays."""
 
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Json = dict[
     str, Any
@@ -16,3 +16,25 @@ Integers = NDArray[np.integer]  # of any width: NumPy indexes by one, OpenCV cou
 Booleans = NDArray[np.bool_]
 ImageBytes = NDArray[np.uint8]  # (height, width) grey levels or (height, width, 3) BGR
 Pixels = NDArray[np.integer | np.floating]  # what OpenCV draws on and gives back
+
+
+def frozen_array(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> Floats:
+    """Read-only floats of a shape, such as (None, 3) with None for any length.
+
+    what : its name, in errors. Raises ValueError for another shape and for what is not finite
+    """
+    array = np.array(value, float)
+    if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape)):
+        raise ValueError(f"{what}: expected shape {shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{what}: not finite: {array.tolist()}")
+    array.setflags(write=False)
+    return array
+
+
+def freeze_array(instance: object, name: str, shape: tuple[int | None, ...]) -> None:
+    """Freeze an array field of a dataclass instance: read-only floats of a shape.
+
+    Raises ValueError otherwise.
+    """
+    object.__setattr__(instance, name, frozen_array(getattr(instance, name), shape, name))

@@ -23,6 +23,7 @@ from rig.effects.texts.effect_texts_and_user_effect_files import (
     require_nonzero_effect,
 )
 from rig.errors import RigError
+from rig.formats.numbers_and_units import quantity_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design, Sensor
 from rig.planning.plan import build_plan
@@ -124,7 +125,11 @@ class SimulationResult(OneLineRepr):
     def __str__(self) -> str:
         plan = self.simulation.plan
         names = ", ".join(f"{effect.name} at {effect.place}" for effect in self.effects) or "none"
-        return f"{len(plan.t)} frames over {plan.commands.t[-1] / 60:.1f} min, effects: {names}"
+        said = f"{len(plan.t)} frames over {plan.commands.t[-1] / 60:.1f} min, effects: {names}"
+        conflict = recording_simulation.conflict_of_driven_struts(self.simulation)
+        if conflict is None:
+            return said
+        return f"{said}; struts press against each other: each gives way by {quantity_text(conflict, 'm')} RMS"
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""

@@ -21,8 +21,9 @@ from rig.model.base_and_link_tilts import SENSOR_AXES
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import rig_toml_with_turns
 from rig.model.hands_places_and_tolerances import hand_names
+from rig.model.mechanisms import redundant_struts
 from rig.model.mechanisms.arm import link_frames
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, require_axes
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, is_redundant, require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
 from rig.planning.plan import sensors_with_payload
 from rig.planning.timed_plan_and_visiting_order import Plan
@@ -118,11 +119,25 @@ def simulate_world(
         sensors,
         rates=motion_simulation.has_rolling_shutter(world.true, world.effects),
     )
+    read = motion_simulation.commands_with_followers(world.true, plan.commands, plan.t, world.effects, sensors)
+    plan = replace(plan, commands=read)
     if world.true.insitu is not None:
         log = _with_limbs(log, plan.t, run.T_base_platform, world.true.insitu, rng)
     if world.true.tilt_sensors:
         log = _with_readings(log, plan.t, _tilt_channels(world, plan, run, sensors, rng))
     return Simulation(world, plan, sensors, log, run)
+
+
+def conflict_of_driven_struts(simulation: Simulation) -> float | None:
+    """Length (m, RMS over exposures and struts) by which more than six driven struts give way to each other.
+
+    None for six, and with followers
+    """
+    m, run = simulation.world.true.mechanism, simulation.run
+    if not is_redundant(m) or m.followers:
+        return None
+    lengths = simulation.plan.commands.at(simulation.plan.t) + run.deviation
+    return float(np.sqrt(np.mean(np.square(redundant_struts.conflict(run.T_base_platform, lengths, m)))))
 
 
 def _with_limbs(log: Sensors, t: Floats, T: RigidTransform, limbs: MeasuringLimbs, rng: np.random.Generator) -> Sensors:

@@ -150,7 +150,7 @@ def limbed(tmp_path_factory):
     from synthetic import recording_simulation, secret_machine_and_truth_file
 
     folder = tmp_path_factory.mktemp("limbs")
-    text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6)
+    text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, 6))
     (folder / "rig.toml").write_text(text)
     design = design_from_rig_toml.load_design(folder / "rig.toml")
     rng = np.random.default_rng(2)

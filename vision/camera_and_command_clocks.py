@@ -27,6 +27,7 @@ from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     geometric_parameters,
     is_hexapod,
+    is_redundant,
     loop_closure_parameter_jacobian,
     mechanism_with_parameters,
     strut_length_jacobian,
@@ -99,12 +100,12 @@ def clocks_of_recording(
     recording: Recording, frames: Integers, T_base_platform: RigidTransform, own: Floats, common: Floats
 ) -> tuple[Clocks, ...]:
     """Clocks of a recording, one of each of the recordings that it consists of which moves enough; () for a machine
-    that is no hexapod.
+    that is no hexapod, or whose struts press against each other.
 
     frames : (f,) numbers; own : (f, 6, 6) covariance of each pose, on the right; common : (f, 6, k) what they share
     """
     mechanism, commands = recording.design.mechanism, recording.commands
-    if commands is None or not is_hexapod(mechanism):
+    if commands is None or not is_hexapod(mechanism) or is_redundant(mechanism) and not mechanism.followers:
         return ()
     known, t = recording.exposures.times()
     t = t[np.searchsorted(known, frames)]

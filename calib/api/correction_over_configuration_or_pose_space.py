@@ -68,7 +68,13 @@ from rig.formats.numbers_and_units import parse_number
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.hands_places_and_tolerances import require_one_hand
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, has_links, require_arm, require_parallel
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Parallel,
+    has_links,
+    is_redundant,
+    require_arm,
+    require_parallel,
+)
 from rig.model.pose import pose_difference
 
 CONFIGURATION, POSE, BOTH = "configuration", "pose", "both"
@@ -248,6 +254,12 @@ class ExtendOptions:
     def refuse_unsuited(self, design: Design) -> None:
         """Raise RigError where a pass cannot be of a design's machine, or stand on its calibration."""
         require_one_hand(design.mechanism, "corrections are extended")
+        if is_redundant(design.mechanism) and self.space != POSE:
+            raise RigError(
+                f"--extend {self.way} interpolates between independent commands, and the lengths of "
+                f"{len(design.mechanism.axes)} struts depend on each other; over the six coordinates of poses it is a "
+                "pass: --onto CALIBRATION --space pose"
+            )
         if self.onto is None:
             return
         if design.mechanism.link_rows is not None:

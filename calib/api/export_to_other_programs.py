@@ -29,7 +29,13 @@ from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
 from rig.model.hands_places_and_tolerances import require_one_hand
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_arm, require_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Mechanism,
+    is_redundant,
+    require_arm,
+    require_hexapod,
+    require_platform,
+)
 from rig.recording.recording_folder import Sensors, load_recording
 from rig.recording.recording_tables import COVARIANCE_COLUMNS, POSE_COLUMNS
 from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses, load_wanted_poses
@@ -269,9 +275,9 @@ def _geometry(path: Path, kind: str, options: ExportOptions) -> ExportResult:
         "urdf": lambda: (
             urdf_and_sdf.arm_urdf(require_arm(mechanism), path.stem)
             if mechanism.link_rows is not None
-            else urdf_and_sdf.hexapod_urdf(require_hexapod(mechanism), path.stem)
+            else urdf_and_sdf.hexapod_urdf(require_platform(mechanism), path.stem)
         ),
-        "sdf": lambda: urdf_and_sdf.hexapod_sdf(require_hexapod(mechanism), path.stem),
+        "sdf": lambda: urdf_and_sdf.hexapod_sdf(require_platform(mechanism), path.stem),
         "json": lambda: geometry_and_camera_files.geometry_json(_exported(mechanism)),
         "csv": lambda: geometry_and_camera_files.geometry_csv(_exported(mechanism)),
     }[kind]()
@@ -298,6 +304,8 @@ def _require_plausible_coupling(path: Path, coupling: float, lead: float | None)
 def _correction_tables(path: Path, kind: str, options: ExportOptions) -> ExportResult:
     """Corrections as tables, and what they leave out."""
     correction = calibration_file.load(path).correction
+    if is_redundant(correction.nominal):
+        require_hexapod(correction.nominal)  # whose axes are independent of each other
     mechanism = correction.nominal
     if mechanism.link_rows is not None:
         raise RigError(f"{kind} takes a hexapod's calibration; an arm's is corrected by `rig correct`")
@@ -373,4 +381,4 @@ def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
 def _exported(mechanism: Mechanism) -> Hexapod | Arm:
     """The mechanism, which has a geometry that can be written."""
     require_one_hand(mechanism, "geometry is exported")
-    return require_arm(mechanism) if mechanism.link_rows is not None else require_hexapod(mechanism)
+    return require_arm(mechanism) if mechanism.link_rows is not None else require_platform(mechanism)

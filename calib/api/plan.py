@@ -53,8 +53,15 @@ from rig.model.base_and_link_tilts import GRAVITY_SIGMA
 from rig.model.design import Design
 from rig.model.hands_places_and_tolerances import require_one_hand
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, has_axes, has_links, is_hexapod, require_arm
-from rig.planning.configuration_generators import sobol_configurations
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Commanded,
+    has_axes,
+    has_links,
+    is_hexapod,
+    require_arm,
+    require_hexapod,
+)
+from rig.planning.configuration_generators import evenly_spread_configurations
 from rig.planning.plan import axis_strokes, build_plan, sensors_with_payload
 from rig.planning.timed_plan_and_visiting_order import Plan, time_balanced_order
 from rig.recording.recording_folder import Sensors
@@ -105,7 +112,7 @@ def informative_configurations(
         are seen
     """
     kinematics = mechanisms.kinematics_of(mechanism)
-    values = sobol_configurations(kinematics.travel_ranges(mechanism), CANDIDATES, FILL, seed)
+    values = evenly_spread_configurations(mechanism, CANDIDATES, FILL, seed)
     index, T = indices_and_poses_of_solvable_commands(values, lambda some: kinematics.forward(some, mechanism))
     values = values[index]
     seen = np.ones(len(values), bool) if visible_marker_count is None else visible_marker_count(T) >= FEWEST
@@ -165,7 +172,7 @@ def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress
         raise RigError(f"plans for parameters require a commanded mechanism, not one of kind {mechanism.kind!r}")
     if not is_hexapod(mechanism):
         return _plan_of_any(design, mechanism, options, progress)
-    mechanism, avoided = geometry_and_excluded_configurations(options, mechanism)
+    mechanism, avoided = geometry_and_excluded_configurations(options, require_hexapod(mechanism))
     chosen = choose_d_optimal_configurations(
         mechanism,
         options.count,
@@ -320,9 +327,10 @@ def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progre
 
 def _keeping_promise(design: Design, promise: float, options: PlanOptions, progress: Progress) -> PlanResult:
     """PlanResult of the fewest configurations that keep a promise (m); of none where it is met without any."""
-    if not is_hexapod(design.mechanism):
-        raise RigError(f"plans for a promise require a hexapod, not a mechanism of kind {design.mechanism.kind!r}")
-    mechanism, avoided = geometry_and_excluded_configurations(options, design.mechanism)
+    mechanism, avoided = geometry_and_excluded_configurations(
+        options,
+        require_hexapod(design.mechanism, "plans for a promise require a hexapod, not a mechanism of kind {kind!r}"),
+    )
     found = fewest_configurations(
         mechanism, promise, options.sigma, options.given, SEED, lambda done, of: progress("choosing", done, of), avoided
     )

@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 from calib.drift.visit_equations_and_reference import base_motion_columns
 from calib.models.base_and_tool_displacement_between_recordings import has_placements, placement_lines
 from calib.models.geometry_and_placement_fit_of_several_recordings import remove_base_and_tool_displacement
+from calib.models.platform.closed_loop_equations import loop_covariance
 from calib.models.platform.identification import PRIOR
 from calib.report.recording_and_plan_pages import write_recording_page
 from calib.samples.pose_samples import Samples, sample_recording
@@ -130,7 +131,7 @@ def _solved(
     T, p = samples.T_base_platform, len(start)
     later = int(number.max())
     A = strut_length_jacobian(T, m)
-    C = A @ samples.covariance @ np.swapaxes(A, 1, 2)
+    C = loop_covariance(A, samples.covariance)
     W = np.linalg.inv(np.linalg.cholesky(C + np.eye(len(m.axes)) * scatter[number][:, None] ** 2))
     moved = np.zeros((*A.shape[:2], later, 6))
     for k in range(later):

@@ -26,6 +26,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     axis_travel_limits,
     configuration_numbers,
 )
+from calib.certification.internal_strut_forces import strut_conflict
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.drift import change_evidence_and_sentences
 from calib.drift.change_evidence_and_sentences import Verdict as ChangeVerdict
@@ -130,6 +131,8 @@ class VerificationResult(OneLineRepr):
                 **_side(shown.driven[0]),
                 "stated_uncertainty": {"position": shown.driven[1][0], "rotation": shown.driven[1][1]},
             }
+        if shown.conflict is not None:
+            tree["strut_conflict"] = asdict(shown.conflict)
         placement = None if self.placement is None else self.placement.entry()
         return tree | {"placement": placement, "confounds": shown.confounds and shown.confounds.tree()}
 
@@ -177,6 +180,7 @@ def verify(
         confounds_of_recordings([recording]),
         (*placed.lines, *(f"taken into account: {one}" for one in clocks)),
         placed.unexpected,
+        strut_conflict(calibration, samples, recording.design.mechanism),
     )
     return VerificationResult(recording, sampled, figures, placed.placement)
 

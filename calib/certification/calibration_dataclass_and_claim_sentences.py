@@ -18,6 +18,7 @@ from calib.workspace.workspace_map_and_lost_poses import Workspace
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model.hands_places_and_tolerances import hand_names, seen_hand
+from rig.model.mechanisms.redundant_struts import with_followers_of
 from rig.recording.recording_folder import Recording
 from rig.report.verdict_and_display import OneLineRepr, result_html
 
@@ -237,7 +238,8 @@ class Calibration(OneLineRepr):
         """
         if self.physics is None or recording.commands is None:
             return samples
-        return self.physics.with_effects(self.correction.fitted, samples, recording.commands, recording.sensors)
+        fitted = with_followers_of(self.correction.fitted, recording.design.mechanism)
+        return self.physics.with_effects(fitted, samples, recording.commands, recording.sensors)
 
     def refuse_kind(self, kind: str, named: str) -> None:
         """Raise RigError for what is of another kind of mechanism. named : it, in words"""

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.held_out_errors import HeldErrors
-from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST, axis_travel_limits
+from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
 from calib.certification.strut_deviation_sizes_and_possible_machines import Machines
 from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.correction.interpolation.gaussian_process import Radial
@@ -31,9 +31,9 @@ from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.model import mechanisms
 from rig.model.mechanisms.file_mechanism import SCALE
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, geometric_parameters, has_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, geometric_parameters, has_struts, is_redundant
 from rig.model.pose import pose_difference
-from rig.planning.configuration_generators import FILL, sobol_configurations
+from rig.planning.configuration_generators import FILL, evenly_spread_configurations
 
 PLACES = 128  # of the workspace
 DRAWS = 1000
@@ -224,7 +224,8 @@ def strut_machine_workspace_claim(
     )
     nominal, fitted = correction.nominal, correction.fitted
     words = "stroke, all struts" if has_struts(nominal) else "travel, all axes"
-    middle = f"the middle {FILL * 100:.0f} % of every {words} independent"
+    free = "closing on a pose" if is_redundant(nominal) else "independent"
+    middle = f"the middle {FILL * 100:.0f} % of every {words} {free}"
     told = ConfigurationInformation(distinct, determined, better, len(identified.prior), _tolerance_in_words(tolerance))
     if distinct < LEAST:
         return empty_claim_of_too_few_configurations(told, middle)
@@ -253,8 +254,7 @@ def workspace_samples(correction: AnyCorrection) -> tuple[Floats, RigidTransform
 
     Returns (commands (m, axes) m, poses (m,) of the corrected machine)
     """
-    ranges = axis_travel_limits(correction.nominal)
-    return solvable_commands_and_poses(sobol_configurations(ranges, PLACES, FILL), correction)
+    return solvable_commands_and_poses(evenly_spread_configurations(correction.nominal, PLACES), correction)
 
 
 def draw_fit_variance_ratio(identified: Identified, nominal: Parallel, count: int, rng: np.random.Generator) -> Floats:

@@ -70,7 +70,7 @@ from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel
 from rig.model.pose import pose_difference
-from rig.planning.configuration_generators import FILL, sobol_configurations
+from rig.planning.configuration_generators import FILL, evenly_spread_configurations
 
 AUTO = "auto"
 ELSE = "direction, order, temperature or noise explain the residuals as well as the configuration does"
@@ -355,9 +355,7 @@ def claim_without_geometry(samples: Samples, certified: Certified, rng: np.rando
         return empty_claim_of_too_few_configurations(told, middle)
     if certified.left is None:
         return empty_claim_without_held_out_data(told, middle)
-    commands, T = solvable_commands_and_poses(
-        sobol_configurations(kinematics.travel_ranges(correction.nominal), PLACES, FILL), correction
-    )
+    commands, T = solvable_commands_and_poses(evenly_spread_configurations(correction.nominal, PLACES), correction)
     offset = pose_difference(T, kinematics.forward(commands, correction.nominal))
     stated = float(
         mean_square_pose_errors_of_extension(correction, commands, inverse_strut_length_jacobian(T, correction.fitted))[

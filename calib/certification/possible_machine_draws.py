@@ -26,6 +26,7 @@ from calib.certification.strut_deviation_sizes_and_possible_machines import (
     Machines,
     draw_strut_deviation_component_sizes,
 )
+from calib.models.platform.closed_loop_equations import loop_covariance
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import Tolerance, expand_parameter_widths
 from calib.models.platform.identification import Identified
 from calib.samples.pose_samples import Samples
@@ -34,6 +35,7 @@ from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Parallel,
     geometric_parameters,
+    is_redundant,
     loop_closure_parameter_jacobian,
     strut_length_jacobian,
 )
@@ -90,9 +92,12 @@ def draw_strut_deviation_sizes(
         D, C = model.D[:, i], model.common[:, i]
         V = np.diag(model.own[:, i, i]) + C @ C.T + (D * tolerance.prior**2) @ D.T
         struts.append(Closures(y[:, i], V, float(np.sqrt(np.mean(model.own[:, i, i] + (C**2).sum(axis=1)))), own))
-    return StrutDeviationSizes(
-        counted, parts, draw_strut_deviation_component_sizes(struts, _scattered(identified, model, counted), COUNT, rng)
-    )
+    draws = draw_strut_deviation_component_sizes(struts, _scattered(identified, model, counted), COUNT, rng)
+    if is_redundant(nominal):  # the loops that no pose moves show how much all struts scatter
+        for own, drawn, scatter in zip(parts, draws, identified.scatter):
+            scattering = [part.over == SAMPLE for part in own]
+            drawn[:, scattering] = np.maximum(drawn[:, scattering], scatter)
+    return StrutDeviationSizes(counted, parts, draws)
 
 
 def _scattered(found: Identified, model: "_Closures", counted: Booleans) -> Callable[[Floats], Floats]:
@@ -225,7 +230,7 @@ class _Closures:
         A = strut_length_jacobian(T, self.fitted)
         self.D, self.common = loop_closure_parameter_jacobian(T, self.fitted), A @ samples.common
         self.left = samples.effective - mechanisms.kinematics_of(self.fitted).inverse(T, self.fitted)
-        self.own = A @ samples.covariance @ np.swapaxes(A, 1, 2)
+        self.own = loop_covariance(A, samples.covariance)
 
     def about(self, nominal: Parallel) -> Floats:
         """(n, axes) m, the closures as the owner's figures have them, to first order."""

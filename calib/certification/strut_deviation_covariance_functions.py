@@ -17,7 +17,7 @@ from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel
-from rig.planning.configuration_generators import FILL, sobol_configurations
+from rig.planning.configuration_generators import FILL, evenly_spread_configurations
 from rig.recording.recording_folder import PAYLOAD
 
 PLACES = 64  # of the workspace, at which signs are looked at
@@ -64,7 +64,7 @@ def strut_load_signs(samples: Samples, nominal: Parallel) -> list[tuple[Floats, 
         return mean_and_variance
 
     recorded = seen(samples.T_base_platform, samples.effective, carried)
-    anywhere = there(((sobol_configurations(axis_travel_limits(nominal), PLACES, FILL) - middle) / half).tobytes())
+    anywhere = there(((evenly_spread_configurations(nominal, PLACES) - middle) / half).tobytes())
     both = np.concatenate([recorded, anywhere])
     turning = recorded.any(axis=0) & (both.min(axis=0) < 1) & (both.max(axis=0) > -1)
     return [(recorded[:, i], use(i)) if turns else None for i, turns in enumerate(turning)]

@@ -40,7 +40,7 @@ from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, geometric_parameters, strut_length_jacobian
 from rig.model.pose import pose_to_entry
-from rig.planning.configuration_generators import FILL, sobol_configurations
+from rig.planning.configuration_generators import evenly_spread_configurations
 
 SHAPES = {  # of the arrays: a axes, m outputs, the other letters any number, the same wherever they stand
     **dict.fromkeys(("linear", "simplex"), {"levels": "ragged", "values": "nm", "variances": "nm", "misfit": "m"}),
@@ -274,9 +274,7 @@ def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection) 
     nominal, some = correction.nominal, list(pose_coordinate_indices(correction.nominal))
     home = home_pose(nominal)
     T = correction.predict(samples.commanded)
-    _, all_over = solvable_commands_and_poses(
-        sobol_configurations(mechanisms.kinematics_of(nominal).travel_ranges(nominal), PLACES, 1.0), correction
-    )
+    _, all_over = solvable_commands_and_poses(evenly_spread_configurations(nominal, PLACES, 1.0), correction)
     x, box = (command_timing_and_pose_error_map.pose_coordinates(poses, home)[:, some] for poses in (T, all_over))
     both = np.concatenate([x, box])
     variances = np.einsum("nii->ni", samples.covariance)[:, some]
@@ -339,12 +337,7 @@ def single_step_command_errors(correction: AnyCorrection) -> tuple[float, float]
 
     Source: configuration-space patent, [0030], [0091]
     """
-    _, wanted = solvable_commands_and_poses(
-        sobol_configurations(
-            mechanisms.kinematics_of(correction.nominal).travel_ranges(correction.nominal), PLACES, FILL
-        ),
-        correction,
-    )
+    _, wanted = solvable_commands_and_poses(evenly_spread_configurations(correction.nominal, PLACES), correction)
     off = correction.single_step(wanted) - correction.inverse(wanted)
     return float(np.sqrt((off**2).mean())), float(np.abs(off).max())
 

@@ -30,6 +30,7 @@ from rig.model.hands_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.model.mechanisms.arm import poses_of_hands
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, has_links, is_parallel
+from rig.model.mechanisms.redundant_struts import with_followers_of
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Sensors, sensors_with_gravity
 
@@ -264,7 +265,8 @@ class Machine:
         effects = self.effects if effects is None else effects
         lengths, sway = commands.at(t), np.zeros((len(t), 6))
         if self.physics is not None and effects:
-            design, sensed = self.physics.machine(self.correction.fitted), sensors or self.sensors
+            design = self.physics.machine(with_followers_of(self.correction.fitted, None))
+            sensed = sensors or self.sensors
             if is_parallel(design.mechanism):
                 lengths = motion_simulation.effective_commands(design, commands, t, T, effects, sensed)
             else:

@@ -13,6 +13,7 @@ from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals i
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
 from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
+from calib.models.platform.closed_loop_equations import loop_covariance
 from calib.models.platform.identification import PRIOR
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
@@ -61,9 +62,10 @@ def effect_separation(
     if is_hexapod(m):  # what the struts show
         covariance = np.diag(np.repeat(np.square(sigma), 3))
         A = hexapod.jacobian(still, m)
-        W = np.linalg.inv(np.linalg.cholesky(A @ covariance @ np.swapaxes(A, 1, 2)))
+        W = np.linalg.inv(np.linalg.cholesky(loop_covariance(A, covariance)))
         parts = [W @ (hexapod.inverse(T, m) - hexapod.inverse(still, m))[..., None] for T in moved]
-        rows, prior = W @ loop_closure_parameter_jacobian(still, m), np.full(42, PRIOR)
+        rows = W @ loop_closure_parameter_jacobian(still, m)
+        prior = np.full(rows.shape[2], PRIOR)
     else:
         asked, white = independent_parameter_names_units_sizes_and_jacobian(m), 1 / np.repeat(sigma, 3)
         parts = [pose_difference(still, T) * white for T in moved]

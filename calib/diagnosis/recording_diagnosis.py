@@ -44,12 +44,14 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     ToleratedFindings,
 )
 from calib.diagnosis.problems.remainder_covariates_and_repeatability import Repeats, Suggestion
+from calib.models.platform.identification import require_agreeing_lengths
 from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
 from calib.samples.pose_samples import Sampled
 from rig.effects.catalogue.effect_list import ALL, Plugin
 from rig.effects.framework.effect import Effect
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model.design import Design
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_parallel
 from rig.recording.recording_folder import Recording, RecordingPart
 
 ROUNDS = 3  # of explaining anew without what turned out to be wild
@@ -151,6 +153,8 @@ def diagnose(
     Raises NotEnoughData where too little was measured, RigError where what is assumed cannot be asked, and what
     measuring and calibrating raise
     """
+    if is_parallel(recording.design.mechanism):
+        require_agreeing_lengths(recording.design.mechanism)
     requested = RequestedEffects.of(options.only, options.without, options.given, options.kinds)
     evidence = _measured_evidence(recording)(
         recording, requested, options.given, options.calibration, options.sampled, progress

@@ -29,6 +29,7 @@ from rig.formats.rig_toml.mechanism_entries import (
     hands_of_tables,
     mechanism_of_file,
 )
+from rig.formats.rig_toml.strut_entries import follower_numbers, stated_strut_count
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
 from rig.model.hands_places_and_tolerances import Place
@@ -40,6 +41,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     has_links,
     has_stages,
     has_struts,
+    is_hexapod,
 )
 
 
@@ -176,7 +178,12 @@ def mechanism_dict(mechanism: Commanded) -> Json:
         }
     if not has_struts(mechanism):
         return file_mechanism_dict(mechanism)
-    return {"kind": mechanism.kind, **{name: json_data(getattr(mechanism, name)) for name in SHAPES[mechanism.kind]}}
+    followers = is_hexapod(mechanism) and mechanism.followers
+    return {
+        "kind": mechanism.kind,
+        **{name: json_data(getattr(mechanism, name)) for name in SHAPES[mechanism.kind]},
+        **({"followers": [one + 1 for one in followers]} if followers else {}),
+    }
 
 
 def mechanism_from_entries(table: Entries, stated: bool = False) -> Commanded:
@@ -234,10 +241,13 @@ def _stage_in(table: Entries, stated: bool) -> Struts | Arm:
 
 
 def _struts(kind: type[Hexapod] | type[Planar2], table: Entries) -> Hexapod | Planar2:
+    axes = stated_strut_count(table) if kind is Hexapod else SHAPES[kind.kind]["base_joints"][0]
     figures: Json = {
-        name: table.pose(name) if shape == POSE else table.array(name, shape, length_limit=LARGEST_RIG)
+        name: table.pose(name) if shape == POSE else table.array(name, (axes, *shape[1:]), length_limit=LARGEST_RIG)
         for name, shape in SHAPES[kind.kind].items()
     }
+    if "followers" in table.tree:
+        figures["followers"] = follower_numbers(table, axes)
     return kind(**figures)
 
 
@@ -278,7 +288,7 @@ SHAPES: dict[str, dict[str, tuple[int, ...]]] = {
         "home": POSE,
     },
     Planar2.kind: {"base_joints": (2, 2), "strut_range": (2, 2), "strut_zeros": (2,)},
-}  # {kind: {entry: its shape}}, in a file's order
+}  # {kind: {entry: its shape}}, in a file's order; a hexapod of more struts has more rows
 READERS: dict[str, Callable[[Entries], Struts | Arm]] = {
     Hexapod.kind: partial(_struts, Hexapod),
     Planar2.kind: partial(_struts, Planar2),

@@ -114,7 +114,7 @@ class PlatformModel:
     def parameter_order(self, nominal: Commanded) -> str:
         """The names of the parameters in their order."""
         if self.order:
-            return self.order
+            return self.order.replace("1..6", f"1..{len(nominal.axes)}")
         return "changes from nominal, 0.0005 for each tolerance: " + ", ".join(
             parameter_names(require_parallel(nominal))
         )

@@ -31,6 +31,7 @@ from rig.effects.framework.effect import Effect
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_hexapod
+from rig.model.mechanisms.redundant_struts import with_followers_of
 from rig.model.motion_simulation import motion_of_commands
 from rig.planning.plan import SPEED, UNSTATED_SPEED
 from rig.recording.recording_folder import Sensors
@@ -193,7 +194,7 @@ def _covariance(
     any_time = t + ANY_TIME * (
         np.arange(len(t)) * GOLDEN % 1
     )  # not the poses' own times, which may all meet a sinusoid alike
-    design = physics.machine(calibration.correction.fitted)
+    design = physics.machine(with_followers_of(calibration.correction.fitted, None))
     motion = motion_of_commands(design, commands, t, of.effects, of.sensors, T)
     for effect in of.effects:
         far = effect.uncovered(motion)

@@ -23,6 +23,7 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import (
 )
 from calib.certification.claim_verification import Verification
 from calib.certification.held_out_errors import Figures, HeldOut
+from calib.certification.internal_strut_forces import StrutConflict
 from calib.drift.change_evidence_and_sentences import ALARM
 from calib.drift.change_evidence_and_sentences import Verdict as Changes
 from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures, rig_scene
@@ -52,7 +53,7 @@ class Verified:
     uncertainty (m, rad), errors (n, 6)), else None; unsolved : {frame number: why it has no pose}
     confounds : of the recording, None where it states no conditions
     displacement : what is stated of base and tool, which the errors are without; unexpected : those of them that stand
-    elsewhere though their place is stated"""
+    elsewhere though their place is stated; conflict : of more than six struts, where followers show it"""
 
     design: Design
     samples: Samples
@@ -68,6 +69,7 @@ class Verified:
     confounds: Confounds | None = None
     displacement: tuple[str, ...] = ()
     unexpected: tuple[str, ...] = ()
+    conflict: StrutConflict | None = None
 
 
 def write_verification_page(path: Path | str, name: str, verified: Verified, links: Sequence[Link] = ()) -> None:
@@ -88,7 +90,8 @@ def write_verification_page(path: Path | str, name: str, verified: Verified, lin
         correction_error_figures(verified.before, verified.after, verified.samples.frame, "poses of this recording"),
         _figures(verified.held),
         *([paragraph_html(floor)] if np.isfinite(verified.held.floor).all() else []),
-        *(paragraph_html(f"{line[0].upper()}{line[1:]}.") for line in verified.displacement),
+        *(paragraph_html(f"{_capitalised(line)}.") for line in verified.displacement),
+        *([] if verified.conflict is None else [paragraph_html(f"{_capitalised(verified.conflict.line())}.")]),
         heading_html("In three dimensions"),
         *view_3d_html(
             rig_scene(
@@ -114,6 +117,10 @@ def write_verification_page(path: Path | str, name: str, verified: Verified, lin
             "verify", f"Verification by {name}", verdict, parts, verdict.next, links, view_3d_scripts_if_needed(parts)
         ),
     )
+
+
+def _capitalised(line: str) -> str:
+    return line[0].upper() + line[1:]
 
 
 def verification_verdict(verified: Verified) -> Verdict:

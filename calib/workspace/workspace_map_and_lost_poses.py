@@ -25,7 +25,7 @@ from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_parallel
 from rig.model.pose import pose_difference, pose_to_vector
-from rig.planning.configuration_generators import sobol_configurations
+from rig.planning.configuration_generators import evenly_spread_configurations
 
 SAME = 1e-6  # m and rad, within which a command gives the pose that it was found for
 
@@ -167,7 +167,7 @@ def map_workspace(correction: AnyCorrection, covariance: Covariance, count: int 
     """
     nominal = correction.nominal
     count = count or (DRAWN if is_parallel(nominal) else FEWER)
-    drawn = sobol_configurations(mechanisms.kinematics_of(nominal).travel_ranges(nominal), count, 1.0)
+    drawn = evenly_spread_configurations(nominal, count, 1.0)
     owner = uncorrected_machine(correction)
     believed, real = (
         reachable_poses_and_loss(owner, correction, drawn),

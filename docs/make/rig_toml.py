@@ -239,9 +239,12 @@ KEYS_TOLD = {  # of keys that are not fields, or not those alone
     ("[controller]", "work"): "T_base_work, the frame in which a hexapod's own controller (gcs-hexapod) takes poses",
     ("[controller]", "tool"): "T_platform_tool, the frame whose poses these are",
     ("[[target]]", "legacy"): LEGACY,
+    ('[mechanism] kind = "hexapod"', "followers"): "numbers, from 1, of the struts beyond six that bear no force while "
+    "poses are measured and read their own lengths: [more struts](more-struts.md)",
 }
 KINDS_OF_GET = {
     "legacy": "true or false",
+    "followers": "list of one or two numbers",
     "homing": "true or false",
     "axes": "list of names",
     "may": "list of `payload`, `wait`, `turn cube NAME`",
@@ -270,7 +273,9 @@ def _limits(least: float | None, most: float | None, above: float | None, unit: 
 
 def samples() -> list[dict[str, Any]]:
     """Rigs as tables, which between them state everything that the reader asks for."""
-    whole = tomllib.loads(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=1, cubes=1, limbs=6))
+    whole = tomllib.loads(
+        hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=1, cubes=1, legs=(6, 6))
+    )
     whole["camera"][0] |= {
         "shutter": "rolling",
         "row_time": 1e-5,

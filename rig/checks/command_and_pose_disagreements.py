@@ -18,7 +18,7 @@ from rig.errors import RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod as kinematics
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_platform
 from rig.recording.recording_folder import Commands, Recording
 from rig.recording.recording_tables import POSE_COLUMNS
 
@@ -47,7 +47,7 @@ class CommandsAndPoses:
 
     mechanism : Hexapod as stated; frame : (n,) numbers; index : (n,) of these among all frames; times : (F,) s of all
         frames
-    q : (n, 6) m commanded at the frames; T : RigidTransform (n,) measured
+    q : (n, struts) m commanded at the frames; T : RigidTransform (n,) measured
     commands : Commands, for other times; vector : (n, 6) m and rad as poses.csv has them, or None where vision measured
     """
 
@@ -61,15 +61,15 @@ class CommandsAndPoses:
     vector: Floats | None = None
 
     def at(self, t: Floats) -> Floats:
-        """(n, 6) m commanded at other times t (n,) s."""
+        """(n, struts) m commanded at other times t (n,) s."""
         return np.stack([np.interp(t, self.commands.t, column) for column in self.commands.values.T], axis=1)
 
     def at_all(self) -> Floats:
-        """(F, 6) m commanded at all frames."""
+        """(F, struts) m commanded at all frames."""
         return self.at(self.times)
 
     def left(self) -> Floats:
-        """(n, 6) m that commanded lengths differ from those of the measured poses."""
+        """(n, struts) m that commanded lengths differ from those of the measured poses."""
         return self.q - kinematics.inverse(self.T, self.mechanism)
 
     def miss(self) -> float:
@@ -90,7 +90,7 @@ def commands_and_measured_poses(
         raise RigError(f"{recording.folder}: there is no commands.csv, so nothing was commanded")
     q = np.stack([np.interp(t, c.t, column) for column in c.values.T], axis=1)
     return CommandsAndPoses(
-        require_hexapod(recording.design.mechanism),
+        require_platform(recording.design.mechanism),
         frames,
         np.searchsorted(known, frames),
         times,
@@ -164,7 +164,7 @@ def _struts(moves: CommandsAndPoses) -> Iterator[Candidate]:
     size = np.sqrt((a**2).sum(axis=0))[:, None] * np.sqrt((b**2).sum(axis=0)) + 1e-30
     C = a.T @ b / size  # (struts, columns)
     order = scipy.optimize.linear_sum_assignment(-np.abs(C))[1]
-    signs = np.sign(C[np.arange(6), order])
+    signs = np.sign(C[np.arange(len(order)), order])
     listed = ", ".join(f"strut {i + 1} is column l{k + 1}" for i, k in enumerate(order) if i != k)
     if listed:
         yield (
@@ -173,14 +173,14 @@ def _struts(moves: CommandsAndPoses) -> Iterator[Candidate]:
             replace(moves, q=moves.q[:, order]),
         )
     if (signs < 0).any() and not listed:
-        turned = [i + 1 for i in range(6) if signs[i] < 0]
+        turned = [i + 1 for i in range(len(order)) if signs[i] < 0]
         q = moves.q.copy()
         middle = kinematics.inverse(moves.mechanism.home, moves.mechanism)
         for i in turned:
             q[:, i - 1] = 2 * middle[i - 1] - q[:, i - 1]
         which = (
             "all struts run"
-            if len(turned) == 6
+            if len(turned) == len(order)
             else f"strut {turned[0]} runs"
             if len(turned) == 1
             else f"struts {', '.join(map(str, turned))} run"
@@ -235,15 +235,16 @@ def _joints(moves: CommandsAndPoses) -> Iterator[Candidate]:
         return f"rig.toml: {what}", do, replace(moves, mechanism=replace(m, base_joints=b, platform_joints=p))
 
     yield other("base_joints and platform_joints are exchanged", "Exchange them", platform, base)
-    numbers = np.arange(6)
+    count = len(base)
+    numbers = np.arange(count)
     for name, put in (("base_joints", lambda J: (J, platform)), ("platform_joints", lambda J: (base, J))):
         joints = base if name[0] == "b" else platform
         do = f"Number the {name.split('_')[0]}'s joints as the struts"
-        for by in range(1, 6):
-            yield other(f"{name} are numbered from another joint, by {by} on", do, *put(joints[(numbers + by) % 6]))
-        for by in range(6):
-            yield other(f"{name} are numbered the other way round", do, *put(joints[(by - numbers) % 6]))
-        for i, k in combinations(range(6), 2):
+        for by in range(1, count):
+            yield other(f"{name} are numbered from another joint, by {by} on", do, *put(joints[(numbers + by) % count]))
+        for by in range(count):
+            yield other(f"{name} are numbered the other way round", do, *put(joints[(by - numbers) % count]))
+        for i, k in combinations(range(count), 2):
             order = numbers.copy()
             order[[i, k]] = k, i
             yield other(f"{name} {i + 1} and {k + 1} are exchanged", do, *put(joints[order]))

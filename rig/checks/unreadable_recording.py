@@ -116,7 +116,7 @@ def _home(m: Json) -> Iterator[Mistake]:
             number,
             (at, np.roll(base, k, axis=0), platform, ranges),
         )
-        for k in range(1, 6)
+        for k in range(1, len(base))
     ]
     tried += [
         (
@@ -124,10 +124,10 @@ def _home(m: Json) -> Iterator[Mistake]:
             number,
             (at, np.roll(base[::-1], k, axis=0), platform, ranges),
         )
-        for k in range(6)
+        for k in range(len(base))
     ]
-    for i, k in combinations(range(6), 2):
-        order = np.arange(6)
+    for i, k in combinations(range(len(base)), 2):
+        order = np.arange(len(base))
         order[[i, k]] = k, i
         tried += [
             (

@@ -207,6 +207,9 @@ def arguments_of_design(parser: ArgumentParser) -> None:
         metavar="N",
         help="with N measuring limbs next to the struts (default six; more are checks)",
     )
+    parser.add_argument(
+        "--struts", type=parse_whole_number, default=6, metavar="N", help="of a hexapod, six (the default) to eight"
+    )
     parser.add_argument("--name", help="of the rig, by default its kind of machine")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
     add_overwrite_option(parser)
@@ -279,6 +282,7 @@ def run_design(arguments: Namespace) -> None:
         size=arguments.size,
         dictionary=arguments.dictionary,
         limbs=arguments.limbs,
+        struts=arguments.struts,
         name=arguments.name,
         own_arm=None if own is None else own.rig_toml(arguments.name),
         units=arguments.units or SI,

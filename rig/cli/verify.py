@@ -131,6 +131,8 @@ def _print_result(result: VerificationResult) -> None:
             f"{stated[0] * 1e3:.4f} mm{turned[1]}: "
             f"the error is {figures.position[0] / stated[0]:.2f}{turned[2]} times it"
         )
+    if shown.conflict is not None:
+        print(shown.conflict.line())
     print_frames_without_pose(result.sampled.measurement)
     if shown.confounds is not None:
         print(shown.confounds.line())

@@ -5,32 +5,12 @@ from pathlib import Path
 from typing import ClassVar, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_and_json_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers, freeze_array, frozen_array
 from rig.model.hands_places_and_tolerances import Branch, Hand, carried_joints, hand_number, joint_parents
 from rig.model.user_kinematics_file import KinematicsFile
 from rig.model.user_kinematics_file_checks import kinematics_of_source
-
-
-def _array(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> Floats:
-    array = np.array(value, float)
-    if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape)):
-        raise ValueError(f"{what}: expected shape {shape}, got {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{what}: not finite: {array.tolist()}")
-    array.setflags(write=False)
-    return array
-
-
-def freeze_array(instance: object, name: str, shape: tuple[int | None, ...]) -> None:
-    """Freeze an array field of a dataclass instance: read-only floats of a shape.
-
-    Raises ValueError otherwise.
-    """
-    object.__setattr__(instance, name, _array(getattr(instance, name), shape, name))
-
 
 WORDS = {"m": "slide", "rad": "joint"}  # what an axis of a kinematics file is called, by its unit
 
@@ -99,41 +79,56 @@ class StatedMechanism:
         return {}
 
 
+STRUT_COUNTS = (6, 7, 8)  # of a Gough-Stewart platform
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Hexapod(StatedMechanism):
-    """Gough-Stewart platform: six struts of variable length between a base and a platform.
+    """Gough-Stewart platform: six to eight struts of variable length between a base and a platform.
 
-    base_joints : (6, 3) m, base frame; platform_joints : (6, 3) m, platform frame
-    strut_range : (6, 2) m, shortest and longest commanded length; home : T_base_platform
-    strut_zeros : (6,) m, what a strut is longer than its command says (zero as the owner believes it)
+    base_joints : (s, 3) m, base frame; platform_joints : (s, 3) m, platform frame
+    strut_range : (s, 2) m, shortest and longest commanded length; home : T_base_platform
+    strut_zeros : (s,) m, what a strut is longer than its command says (zero as the owner believes it); none by default
+    followers : numbers, from 0, of the struts beyond six that bear no force and follow the platform, so that their
+        commanded lengths are those that they read; () where every strut is driven
     """
 
     base_joints: Floats
     platform_joints: Floats
     strut_range: Floats
     home: RigidTransform
-    strut_zeros: Floats = field(default_factory=lambda: np.zeros(6))
+    strut_zeros: Floats = field(default_factory=lambda: np.zeros(0))
+    followers: tuple[int, ...] = ()
     kind: ClassVar[Literal["hexapod"]] = "hexapod"
     closes_loops: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        count = len(self.base_joints)
+        if count not in STRUT_COUNTS:
+            raise ValueError(f"base_joints: expected six, seven or eight struts, got {count}")
+        if not np.size(self.strut_zeros):
+            object.__setattr__(self, "strut_zeros", np.zeros(count))
         for name, shape in (
-            ("base_joints", (6, 3)),
-            ("platform_joints", (6, 3)),
-            ("strut_range", (6, 2)),
-            ("strut_zeros", (6,)),
+            ("base_joints", (count, 3)),
+            ("platform_joints", (count, 3)),
+            ("strut_range", (count, 2)),
+            ("strut_zeros", (count,)),
         ):
             freeze_array(self, name, shape)
+        if self.followers and (len(set(self.followers)) != count - 6 or not set(self.followers) <= set(range(count))):
+            raise ValueError(
+                f"followers: expected {count - 6} of {count} struts, numbered from 0, got {self.followers}"
+            )
 
     @property
     def axes(self) -> tuple[str, ...]:
         """Names of the commanded axes, as commands.csv heads its columns."""
-        return ("l1", "l2", "l3", "l4", "l5", "l6")
+        return tuple(f"l{i + 1}" for i in range(len(self.base_joints)))
 
     @property
     def axis_words(self) -> tuple[str, ...]:
         """What each of its axes is called."""
-        return ("strut",) * 6
+        return ("strut",) * len(self.base_joints)
 
     @property
     def stages(self) -> tuple["Stage", ...]:
@@ -147,12 +142,12 @@ class Hexapod(StatedMechanism):
 
     @property
     def plates(self) -> tuple[Floats, Floats]:
-        """(base joints, platform joints) (6, 3) m, each in its own plate's frame."""
+        """(base joints, platform joints) (s, 3) m, each in its own plate's frame."""
         return self.base_joints, self.platform_joints
 
     @property
     def strut_joints(self) -> tuple[Floats, Floats]:
-        """(base joints, platform joints) (6, 3) m, each in its own plate's frame."""
+        """(base joints, platform joints) (s, 3) m, each in its own plate's frame."""
         return self.base_joints, self.platform_joints
 
     @property
@@ -246,7 +241,7 @@ class Arm(StatedMechanism):
             raise ValueError(f"joints: expected rows of 4 or 5 figures, got {self.joints.shape[1]}")
         freeze_array(self, "limits", (len(self.joints), 2))
         slides = self.slides if np.size(self.slides) else np.zeros(len(self.joints))
-        object.__setattr__(self, "slides", _array(slides, (len(self.joints),), "slides") > 0)
+        object.__setattr__(self, "slides", frozen_array(slides, (len(self.joints),), "slides") > 0)
         joint_parents(len(self.joints), self.branches)
         if self.hands:
             object.__setattr__(self, "tool", self.hands[self.hand].tool)
@@ -323,6 +318,8 @@ class Chain(StatedMechanism):
     def __post_init__(self) -> None:
         if len(self.stages) < 2:
             raise ValueError(f"stages: a chain has two or more, got {len(self.stages)}")
+        if any(len(stage.axes) > 6 for stage in self.stages if stage.plates is not None):
+            raise ValueError("stages: a stage of a chain has six struts at most")
 
     @property
     def axes(self) -> tuple[str, ...]:

@@ -16,8 +16,15 @@ from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.hands_places_and_tolerances import hand_names
-from rig.model.mechanisms import mechanism_chain
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_stages, require_arm, require_axes, require_parallel
+from rig.model.mechanisms import hexapod, mechanism_chain, redundant_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Mechanism,
+    has_stages,
+    is_redundant,
+    require_arm,
+    require_axes,
+    require_parallel,
+)
 from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 
@@ -95,13 +102,13 @@ def simulate_machine_run(
     if rates:
         return _with_rates(design, commands, np.asarray(t, float), effects, sensors)
     state = motion_of_commands(design, commands, t, effects, sensors)
-    module, m = mechanisms.kinematics_of(design.mechanism), design.mechanism
+    m = design.mechanism
     for effect in effects:
         reason = effect.needs(state)
         if reason:
             raise RigError(f"{effect.name} {reason}")
     fixed = sum((e.deviation(state) for e in effects if not e.on_pose), np.zeros(state.lengths.shape))
-    T = module.forward(state.lengths + fixed, m)
+    T = _held_poses(state.lengths + fixed, m)
     deviation = fixed
     bound = [effect for effect in effects if effect.on_pose]
     for _ in range(MAX_ITERATIONS if bound else 0):
@@ -109,7 +116,7 @@ def simulate_machine_run(
         before, deviation = deviation, fixed + sum(effect.deviation(state) for effect in bound)
         if np.abs(deviation - before).max() < TOLERANCE:
             break
-        T = module.forward(state.lengths + deviation, m, T)
+        T = _held_poses(state.lengths + deviation, m, T)
     else:
         if bound:
             left = np.abs(deviation - before).max(axis=1)
@@ -126,6 +133,34 @@ def simulate_machine_run(
         others = [replace(design, mechanism=require_arm(m).of_hand(k)) for k in range(1, len(hand_names(m)))]
         stages = [simulate_machine_run(one, commands, t, effects, sensors).T_base_platform for one in others]
     return MachineRun(T * exp(sway) if sway.any() else T, deviation, stages=tuple(stages))
+
+
+def _held_poses(lengths: Floats, mechanism: Mechanism, guess: RigidTransform | None = None) -> RigidTransform:
+    """T_base_platform (n,) of lengths or axis values (n, axes): where the driven struts hold it, followers aside."""
+    if is_redundant(mechanism) and mechanism.followers:
+        driven = redundant_struts.driven_six(mechanism)
+        return hexapod.forward(lengths[..., redundant_struts.driven_struts(mechanism)], driven, guess)
+    return mechanisms.kinematics_of(mechanism).forward(lengths, mechanism, guess)
+
+
+def commands_with_followers(
+    design: Design, commands: Commands, t: Floats, effects: Sequence[Effect] = (), sensors: Sensors | None = None
+) -> Commands:
+    """Commands whose followers are as long as they read while the driven struts hold the platform.
+
+    The arguments are those of `simulate_machine_run`; exposures at t (n,) s in motion get a row of their own, for
+    followers do not move evenly between others. Of a machine without followers the commands themselves
+    """
+    m = design.mechanism
+    if not is_redundant(m) or not m.followers:
+        return commands
+    k = np.clip(np.searchsorted(commands.t, t), 1, len(commands.t) - 1)
+    moving = (commands.values[k] != commands.values[k - 1]).any(axis=1)
+    rows = np.union1d(commands.t, t[moving])
+    run, values = simulate_machine_run(design, commands, rows, effects, sensors), commands.at(rows)
+    some = list(m.followers)
+    values[:, some] = (hexapod.inverse(run.T_base_platform, m) - run.deviation)[:, some]
+    return replace(commands, t=rows, values=values)
 
 
 def effective_commands(

@@ -17,7 +17,8 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, is_redundant, require_platform
+from rig.model.mechanisms.redundant_struts import agreeing_lengths
 from rig.model.pose import pose
 
 FILL = 0.8  # of the strokes that plans use
@@ -28,6 +29,15 @@ DIAGONAL = 0.8  # of half the cube's diagonal, at which ISO 9283 places its pose
 def sobol_configurations(strokes: Floats, count: int, fill: float = FILL, seed: int = 0) -> Floats:
     """Sobol configurations (count, axes) that cover the middle `fill` of the strokes (axes, 2) evenly."""
     return scale_to_strokes(strokes, 2 * _sobol_points(len(strokes), count, seed) - 1, fill)
+
+
+def evenly_spread_configurations(mechanism: Commanded, count: int, fill: float = FILL, seed: int = 0) -> Floats:
+    """Sobol configurations (count, axes) of a mechanism, m or rad, that cover the middle `fill` of its travel evenly.
+
+    Of more than six struts the nearest that close on poses. Raises NotConverged where none do
+    """
+    found = sobol_configurations(mechanisms.kinematics_of(mechanism).travel_ranges(mechanism), count, fill, seed)
+    return agreeing_lengths(found, mechanism, fill) if is_redundant(mechanism) else found
 
 
 def _sobol_points(axes: int, count: int, seed: int) -> Floats:
@@ -148,7 +158,7 @@ def simplex_configurations(strokes: Floats, shells: int = 2, fill: float = FILL)
 
 
 def single_axis_pose_moves(design: Design, per_axis: int = 9) -> Floats:
-    """Commands (6 per_axis, 6) of pose moves along and about single axes X, Y, Z through home.
+    """Commands (6 per_axis, axes) of pose moves along and about single axes X, Y, Z through home.
 
     Raises RigError for a mechanism that is not a hexapod.
     Source: on-line learning patent, [0011]-[0015]
@@ -158,7 +168,7 @@ def single_axis_pose_moves(design: Design, per_axis: int = 9) -> Floats:
 
 
 def moves_combining_translation_and_rotation(design: Design, per_pair: int = 6) -> Floats:
-    """Commands (18 per_pair, 6) of moves that combine a translation and a rotation through home.
+    """Commands (18 per_pair, axes) of moves that combine a translation and a rotation through home.
 
     Raises RigError for a mechanism that is not a hexapod
     """
@@ -173,12 +183,12 @@ def moves_combining_translation_and_rotation(design: Design, per_pair: int = 6) 
 
 def _hexapod(design: Design, what: str) -> Hexapod:
     """A design's mechanism. Raises RigError for one that is not a hexapod, of which `what` says the rest."""
-    return require_hexapod(design.mechanism, f"{what}, not for a mechanism of kind {{kind!r}}")
+    return require_platform(design.mechanism, f"{what}, not for a mechanism of kind {{kind!r}}")
 
 
 def _through_home(mechanism: Hexapod, ways: Floats, count: int) -> Floats:
-    """(k count, 6) m, commands along ways (k, 6) m, rad through home, one after the other, as far as the struts reach
-    on either side.
+    """(k count, axes) m, commands along ways (k, 6) m, rad through home, one after the other, as far as the struts
+    reach on either side.
     """
     steps = np.linspace(-_reach(mechanism, -ways), _reach(mechanism, ways), count, axis=1)
     return mechanisms.kinematics_of(mechanism).inverse(
@@ -201,7 +211,7 @@ def _reach(mechanism: Hexapod, ways: Floats) -> Floats:
 
 
 def iso9283_five_test_pose_commands(design: Design) -> Floats:
-    """Commands (5, 6) of the test poses P1 to P5 of ISO 9283, each once.
+    """Commands (5, axes) of the test poses P1 to P5 of ISO 9283, each once.
 
     P1 is the middle of a cube; P2 to P5 lie on the diagonals of a plane through four of its corners, a tenth of the
     diagonal from each.

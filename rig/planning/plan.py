@@ -19,6 +19,8 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.design_comparison_and_cube_turning_instructions import find_cube
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_redundant
+from rig.model.mechanisms.redundant_struts import agreeing_lengths
 from rig.planning.configuration_generators import (
     FILL,
     divided_grid_configurations,
@@ -106,7 +108,8 @@ def build_plan(
     approach = ApproachSettings(
         strokes, below, np.random.default_rng((seed, 1))
     )  # apart from rng: which configurations a part visits stays the same
-    writer = PlanWriter(strokes.mean(axis=1), planned_axis_speeds(design), approach)
+    start = _agreeing(strokes.mean(axis=1)[None], design)[0]
+    writer = PlanWriter(start, planned_axis_speeds(design), approach)
     rng = np.random.default_rng(seed)
     for part in (STANDARD if text == "standard" else text).split(","):
         name, _, count = part.strip().partition(":")
@@ -123,10 +126,24 @@ def build_plan(
             )
         if name not in TEXTS:
             _refuse_endless(name, int(count.lstrip("0")[:12] or 0), len(strokes), len(writer.exposures), text)
+        if is_redundant(design.mechanism) and name in INDEPENDENT:
+            raise RigError(
+                f"plan {short_repr(text)}: {name} moves all axes independently, and the lengths of {len(strokes)} "
+                "struts depend on each other; sobol:N spreads poses evenly"
+            )
+        written = len(writer.values)
         PARTS[name](writer, design, count if name in TEXTS else int(count or 0), rng)
+        if name != "commands":  # whose lengths agree as `rig correct` wrote them
+            writer.values[written:] = _agreeing(np.array(writer.values[written:]), design)
     if not writer.exposures:
         raise RigError(f"plan {short_repr(text)} exposes nothing")
     return writer.plan()
+
+
+def _agreeing(values: Floats, design: Design) -> Floats:
+    """Commands (n, axes): themselves, or of more than six struts the nearest that close on a pose."""
+    m = design.mechanism
+    return agreeing_lengths(values, m) if is_redundant(m) else values
 
 
 def _refuse_endless(name: str, count: int, axes: int, before: int, text: str) -> None:
@@ -324,6 +341,7 @@ PARTS: dict[str, Callable[..., None]] = {
     "iso9283": _iso9283,
 }
 TEXTS = ("commands", "division", "turn")  # parts that take more than a number
+INDEPENDENT = ("division", "grid", "simplices")  # parts that move every axis whatever the others do
 
 
 def axis_strokes(design: Design) -> Floats:

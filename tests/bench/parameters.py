@@ -198,7 +198,7 @@ def _exports(design):
 def _limbs():
     with tempfile.TemporaryDirectory() as folder:
         text, path = (
-            hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6),
+            hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, 6)),
             Path(folder) / "rig.toml",
         )
         path.write_text(text)

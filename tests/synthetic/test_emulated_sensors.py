@@ -86,7 +86,7 @@ def test_measuring_limbs_read_the_pose(design, told, tmp_path):
     from rig.formats.rig_toml import design_from_rig_toml
     from rig.planning.layout import hexapod_layout_and_camera_placement
 
-    (tmp_path / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6))
+    (tmp_path / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, 6)))
     secret = secret_machine_and_truth_file.draw_machine(
         design_from_rig_toml.load_design(tmp_path / "rig.toml"), np.random.default_rng(3)
     )

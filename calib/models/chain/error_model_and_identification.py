@@ -27,7 +27,8 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.mechanism_geometry_classes import Arm, Chain, Stage
 from rig.model.mechanisms import mechanism_chain as mechanism
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import NAMES, geometric_parameters, mechanism_with_parameters
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, mechanism_with_parameters
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import parameter_names as strut_parameter_names
 from rig.model.pose import pose_difference
 
 
@@ -42,7 +43,7 @@ def parameter_names(chain: Chain) -> tuple[str, ...]:
 
 
 def _stage_parameter_names(stage: Stage) -> tuple[str, ...]:
-    return arms.parameter_names(stage) if isinstance(stage, Arm) else NAMES[stage.kind]
+    return arms.parameter_names(stage) if isinstance(stage, Arm) else strut_parameter_names(stage)
 
 
 def parameter_units(chain: Chain) -> tuple[str, ...]:

@@ -8,6 +8,9 @@ both at the predicted pose, not at the measured one, keeps the measured pose's n
 and Zhuang, On the accuracy of a Stewart platform, ICRA 1993; the on-line learning patent for Stewart platforms, eq. 1
 [0024].
 
+More than six struts close one loop each as well, where their lengths agree with the platform: so they do where the
+struts beyond six follow it and say how long they are. Then every loop is an equation.
+
 Of a mechanism of fewer freedoms than six, such as a hinge in a plane, only these are its axes' to give; what was
 measured of the other coordinates is no part of the fit.
 """
@@ -15,12 +18,14 @@ measured of the other coordinates is no part of the fit.
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from calib.identify.least_squares_and_robust_fit import Linear
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.errors import NotConverged, RigError
+from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Parallel,
     kinematics_of,
@@ -32,6 +37,7 @@ from rig.model.pose import pose_difference, rotate_in_place
 TOLERANCE = 1e-13  # m; what Newton leaves of a strut's length
 MAX_ITERATIONS = 40
 MAX_TURN = 0.4  # rad per step, so that Newton stays in its assembly
+READING = 1e-7  # m; the resolution of lengths in commands.csv
 
 
 class Measured(NamedTuple):
@@ -234,6 +240,61 @@ def whitened_pose_rows(
     return -1
 
 
+def linearised_redundant_loops(samples: Samples, lengths: Floats, platform: Hexapod, scatter: Floats) -> Linear:
+    """Linearised equations (Linear) of all loops of more than six struts, (n, struts) rows, at a geometry.
+
+    samples : Samples; lengths : (n, struts) m of the struts; scatter : (struts,) m of each beyond the poses' own
+    Raises RigError naming the first pose on which the struts do not close
+    """
+    T = _poses_of_lengths(samples, lengths, platform)
+    A = strut_length_jacobian(T, platform)
+    white = np.linalg.inv(np.linalg.cholesky(loop_covariance(A, samples.covariance) + np.diag(scatter**2)))
+    # what the predicted pose leaves of the loops, and from there to the measured one
+    left = (A @ pose_difference(T, samples.T_base_platform)[..., None])[..., 0] - (
+        lengths - kinematics_of(platform).inverse(T, platform)
+    )
+    return Linear(
+        (white @ left[..., None])[..., 0],
+        white @ loop_closure_parameter_jacobian(T, platform),
+        white @ A @ samples.common,
+    )
+
+
+def loop_covariance(A: Floats, covariance: Floats) -> Floats:
+    """Covariance (n, axes, axes) m^2 that poses' covariance (n, 6, 6) gives loops of a Jacobian A (n, axes, 6)."""
+    return with_reading(A @ covariance @ np.swapaxes(A, 1, 2))
+
+
+def with_reading(covariance: Floats) -> Floats:
+    """Covariance (n, axes, axes) m^2 of loops with how finely lengths are known: READING where more loops than six have
+    combinations that no pose moves, which nothing else bounds.
+    """
+    axes = covariance.shape[1]
+    return covariance + READING**2 * np.eye(axes) if axes > 6 else covariance
+
+
+def scatter_of_redundant_struts(left: Floats, A: Floats, spent: int) -> Floats:
+    """Scatter (struts,) m of more than six struts, all alike, by the combinations of loops that no pose moves.
+
+    left : (n, struts) m, what loops leave at a fit; A : (n, struts, 6) the struts' Jacobian; spent : how many poses'
+    worth of parameters were fitted
+    """
+    free = np.linalg.svd(A)[0][:, :, 6:]
+    square = (np.einsum("nij,ni->nj", free, left) ** 2).mean() / max(1 - spent / len(left), 0.1)
+    return np.full(left.shape[1], np.sqrt(max(float(square) - READING**2, 0.0)))
+
+
+def _poses_of_lengths(samples: Samples, lengths: Floats, mechanism: Parallel) -> RigidTransform:
+    """Poses (n,) of lengths or axis values (n, axes). Raises RigError naming the first that close on none."""
+    try:
+        return kinematics_of(mechanism).forward(lengths, mechanism)
+    except NotConverged as error:
+        i = int(error.index[0])
+        raise RigError(
+            f"frame {samples.frame[i]}: the commanded values {lengths[i].round(6).tolist()} close on no pose"
+        ) from None
+
+
 def linearised_freedom_equations(samples: Samples, lengths: Floats, mechanism: Parallel, scatter: Floats) -> Linear:
     """Linearised equations (Linear) of the measured poses at a geometry, in the mechanism's freedoms.
 
@@ -242,13 +303,7 @@ def linearised_freedom_equations(samples: Samples, lengths: Floats, mechanism: P
     Raises RigError naming the first pose on which the axes do not close
     """
     some = list(mechanism.pose_coordinates)
-    try:
-        T = kinematics_of(mechanism).forward(lengths, mechanism)
-    except NotConverged as error:
-        i = int(error.index[0])
-        raise RigError(
-            f"frame {samples.frame[i]}: the commanded values {lengths[i].round(6).tolist()} close on no pose"
-        ) from None
+    T = _poses_of_lengths(samples, lengths, mechanism)
     to_pose = np.linalg.inv(strut_length_jacobian(T, mechanism)[..., some])
     own = samples.covariance[:, some][:, :, some] + (to_pose * scatter**2) @ np.swapaxes(to_pose, 1, 2)
     white = np.linalg.inv(np.linalg.cholesky(own))

@@ -56,23 +56,24 @@ def parameter_combinations(root: Floats, mechanism: Parallel) -> tuple[tuple[Com
 
 
 def standard_error_along(root: Floats, direction: Floats) -> float:
-    """Standard error (m) along a direction (42,) for the information's square root."""
+    """Standard error (m) along a direction (p,) for the information's square root."""
     return float(np.linalg.norm(np.linalg.solve(root.T, direction)))
 
 
 def frame_motion_columns(mechanism: Hexapod) -> Floats:
-    """Frame motion columns (42, 12).
+    """Frame motion columns (7 struts, 12).
 
     The parameters' change with the base frame and the platform frame.
 
     Where targets with stated poses hold both frames the poses determine them like any other combination; where an
     instrument stands free, or its tool sits anywhere, they are no different from where it stands and must be held.
     """
-    out = np.zeros((42, 12))
+    count = len(mechanism.axes)
+    out = np.zeros((7 * count, 12))
     for k, joints in enumerate((mechanism.base_joints, mechanism.platform_joints)):
-        out[18 * k : 18 * k + 18, 6 * k : 6 * k + 6] = np.concatenate(
-            [np.tile(np.eye(3), (6, 1, 1)), -skew(joints)], axis=2
-        ).reshape(18, 6)
+        out[3 * count * k : 3 * count * (k + 1), 6 * k : 6 * k + 6] = np.concatenate(
+            [np.tile(np.eye(3), (count, 1, 1)), -skew(joints)], axis=2
+        ).reshape(-1, 6)
     return out
 
 
@@ -127,28 +128,28 @@ def _patterns(mechanism: Parallel) -> dict[str, Floats]:
 
 
 def _of_hexapod(mechanism: Hexapod) -> dict[str, Floats]:
-    """{name: direction (42,)} of a hexapod's patterns beyond single parameters."""
-    found = {}
+    """{name: direction (7 struts,)} of a hexapod's patterns beyond single parameters."""
+    found, count = {}, len(mechanism.axes)
     motions = frame_motion_columns(mechanism)
     for k, plate in enumerate(("base", "platform")):
         for j, axis in enumerate(("along x", "along y", "along z", "about x", "about y", "about z")):
             found[f"{plate} joints moved {axis}"] = motions[:, 6 * k + j]
         joints = mechanism.base_joints if k == 0 else mechanism.platform_joints
         found[f"{plate} joints spread"] = np.r_[
-            np.zeros(18 * k), (joints - joints.mean(axis=0)).ravel(), np.zeros(24 - 18 * k)
+            np.zeros(3 * count * k), (joints - joints.mean(axis=0)).ravel(), np.zeros(count * (4 - 3 * k))
         ]
-    found["all zeros"] = np.r_[np.zeros(36), np.ones(6)]
+    found["all zeros"] = np.r_[np.zeros(6 * count), np.ones(count)]
     u = _directions(mechanism)
-    for i in range(6):
-        for name, start in (("base", 0), ("platform", 18)):
-            along = np.zeros(42)
+    for i in range(count):
+        for name, start in (("base", 0), ("platform", 3 * count)):
+            along = np.zeros(7 * count)
             along[start + 3 * i : start + 3 * i + 3] = u[i]
             found[f"{name} joint {i + 1} along its strut"] = along
     return found
 
 
 def _directions(mechanism: Hexapod) -> Floats:
-    """(6, 3) the struts' unit directions at home, in the base frame."""
+    """(struts, 3) the struts' unit directions at home, in the base frame."""
     return hexapod.jacobian(mechanism.home, mechanism)[:, :3] @ mechanism.home.rotation.as_matrix().T
 
 

@@ -28,6 +28,7 @@ from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Parallel,
     geometric_parameters,
+    is_redundant,
     loop_closure_parameter_jacobian,
     mechanism_with_parameters,
     strut_length_jacobian,
@@ -83,6 +84,7 @@ def identify_platform(
     prior : (p,) m, standard deviation that the owner's figures are given, 5 mm each by default
     Returns Identified. Raises NotEnoughData where too few poses agree, RigError where the fit does not settle.
     """
+    require_agreeing_lengths(nominal)
     lengths = samples.effective - (0 if strut_deviations is None else strut_deviations)
     p = geometric_parameters(nominal if similar_fit is None else similar_fit.mechanism)
     prior = np.full(len(p), PRIOR) if prior is None else np.asarray(prior, float)
@@ -101,7 +103,12 @@ def identify_platform(
             found = loops.fit(p, inliers, scatter)
         p = found.parameters
         left, S = loops.closure(found)
-        new_scatter, new_inliers = _scatter(left, S, inliers, spent), _inliers(left, S, scatter)
+        new_scatter = (
+            closed_loop_equations.scatter_of_redundant_struts(left[inliers], loops.jacobian(found)[inliers], spent)
+            if is_redundant(nominal)
+            else _scatter(left, S, inliers, spent)
+        )
+        new_inliers = _inliers(left, S, scatter)
         if new_inliers.sum() < min(LEAST, len(samples) / 2):
             raise NotEnoughData(f"only {new_inliers.sum()} of {len(samples)} poses agree with one geometry")
         if (new_inliers == inliers).all() and np.abs(new_scatter - scatter).max() < 1e-9:
@@ -157,6 +164,10 @@ class Loops:
         there.
         """
         common = self.samples.common
+        if is_redundant(self.nominal):
+            return closed_loop_equations.linearised_redundant_loops(
+                self.samples, self.lengths, mechanism_with_parameters(self.nominal, p), scatter
+            )
         if not isinstance(self.nominal, Hexapod):
             return closed_loop_equations.linearised_freedom_equations(
                 self.samples, self.lengths, mechanism_with_parameters(self.nominal, p), scatter
@@ -187,7 +198,7 @@ class Loops:
         commanded = mechanisms.kinematics_of(geometry).forward(self.lengths, geometry)
         A, loops = strut_length_jacobian(commanded, geometry), loop_closure_parameter_jacobian(commanded, geometry)
         left = self.lengths - mechanisms.kinematics_of(geometry).inverse(T, geometry)
-        sigma = np.sqrt(np.einsum("nij,njk,nik->ni", A, self.samples.covariance, A))
+        sigma = np.sqrt(np.einsum("nii->ni", closed_loop_equations.loop_covariance(A, self.samples.covariance)))
         own = [loops[:, i, loops[:, i].any(axis=0)] for i in range(left.shape[1])]
         if len(every) < ROWS * max(columns.shape[1] for columns in own):
             return every
@@ -211,7 +222,13 @@ class Loops:
             - mechanisms.kinematics_of(geometry).inverse(T, geometry)
             + np.einsum("nij,njk,k->ni", A, self.samples.common, found.shared)
         )
-        return left, A @ self.samples.covariance @ np.swapaxes(A, 1, 2)
+        return left, closed_loop_equations.loop_covariance(A, self.samples.covariance)
+
+    def jacobian(self, found: Fit) -> Floats:
+        """(n, axes, 6) the struts' Jacobian at the measured poses, of the geometry fitted."""
+        return strut_length_jacobian(
+            self.samples.T_base_platform, mechanism_with_parameters(self.nominal, found.parameters)
+        )
 
 
 def inverse_strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Parallel) -> Floats:
@@ -229,7 +246,7 @@ def pose_parameter_jacobian(T_base_platform: RigidTransform, mechanism: Parallel
     delta_e = J_p delta_x, docs/mathematics.md (7); source: the on-line learning patent for Stewart platforms, eq. 1
     [0024]
     """
-    if not isinstance(mechanism, Hexapod):
+    if not isinstance(mechanism, Hexapod) or is_redundant(mechanism):
         return inverse_strut_length_jacobian(T_base_platform, mechanism) @ loop_closure_parameter_jacobian(
             T_base_platform, mechanism
         )
@@ -256,6 +273,16 @@ def _scatter(left: Floats, S: Floats, inliers: Booleans, spent: int) -> Floats:
         np.sqrt(np.maximum(seen - own, 0)),
         0.0,
     )
+
+
+def require_agreeing_lengths(mechanism: Parallel) -> None:
+    """Raise RigError for a platform of more than six struts all of which are driven: poses say too little of it."""
+    if is_redundant(mechanism) and not mechanism.followers:
+        raise RigError(
+            f"all {len(mechanism.axes)} struts are driven, so that their lengths differ from those commanded by what "
+            "they press against each other, and poses do not determine it: record with "
+            f"{len(mechanism.axes) - 6} of them released, named as followers in rig.toml, docs/more-struts.md"
+        )
 
 
 def _inliers(left: Floats, S: Floats, scatter: Floats) -> Floats:

@@ -22,7 +22,7 @@ from rig.effects.framework.parameters_covariates_and_markers import (
 )
 from rig.errors import RigError
 from rig.model.mechanisms.hexapod import cardan_plate_axes
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_platform
 
 BALL = "cardan-ball"
 CARDANS = {"cardan-cardan": (0.0, 1.0), BALL: (0.0,)}  # ends that have one, by [actuator] joints
@@ -57,7 +57,7 @@ class JointOffset(Effect):
         return f"takes a cardan at end {' or '.join(f'{e:g}' for e in ends)} of the strut"
 
     def deviation(self, motion: Motion) -> Floats:
-        excess, home = (self._excess(motion, T) for T in (motion.posed(), require_hexapod(motion.mechanism).home))
+        excess, home = (self._excess(motion, T) for T in (motion.posed(), require_platform(motion.mechanism).home))
         return self.axes(motion.places) * (excess - home)
 
     def covariate(self, motion: Motion) -> Covariate:
@@ -65,16 +65,16 @@ class JointOffset(Effect):
         return Covariate(np.degrees(np.arctan2(along, across)), "angle of the cardan about its second axis, degrees")
 
     def _excess(self, motion: Motion, T: RigidTransform) -> Floats:
-        """(..., 6) m that the joints are farther apart than the strut is long."""
+        """(..., struts) m that the joints are farther apart than the strut is long."""
         along, across = self._along_and_across(motion, T)
         return np.hypot(along, across) - np.hypot(along, across - self.offset)
 
     def _along_and_across(self, motion: Motion, T: RigidTransform) -> tuple[Floats, Floats]:
-        """((..., 6), (..., 6)) m, the strut along its cardan's first axis and across it, at poses T (...)."""
+        """((..., struts), (..., struts)) m, the strut along its cardan's first axis and across it, at poses T (...)."""
         reason = self.needs(motion)
         if reason:
             raise RigError(f"{self.name} {reason}")
-        m = require_hexapod(motion.mechanism)
+        m = require_platform(motion.mechanism)
         matrix = T.as_matrix()[..., None, :, :]
         R = matrix[..., :3, :3]
         strut = (R @ m.platform_joints[..., None])[..., 0] + matrix[..., :3, 3] - m.base_joints

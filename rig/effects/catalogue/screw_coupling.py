@@ -20,7 +20,7 @@ from rig.effects.framework.parameters_covariates_and_markers import (
 )
 from rig.errors import RigError
 from rig.model.mechanisms.hexapod import cardan_twist_angles_about_struts
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_platform
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,5 +64,5 @@ class ScrewCoupling(Effect):
         reason = self.needs(motion)
         if reason:
             raise RigError(f"{self.name} {reason}")
-        m = require_hexapod(motion.mechanism)
+        m = require_platform(motion.mechanism)
         return cardan_twist_angles_about_struts(motion.posed(), m) - cardan_twist_angles_about_struts(m.home, m)

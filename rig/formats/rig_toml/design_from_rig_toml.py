@@ -38,7 +38,13 @@ from rig.model.design import (
     Target,
 )
 from rig.model.mechanisms.hexapod import home_values
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, has_struts, is_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Mechanism,
+    has_links,
+    has_struts,
+    is_hexapod,
+    is_redundant,
+)
 from rig.model.protocol_and_port_names import is_motor_record, is_user_program, port_problem
 
 SCHEMA = "rig/1"
@@ -151,6 +157,8 @@ def _controller(table: Entries, mechanism: Mechanism, actuator: Actuator) -> Con
     n = len(mechanism.axes)
     if not has_struts(mechanism):
         table.fail(f"[controller] drives struts; a mechanism of kind {mechanism.kind!r} has none")
+    if is_redundant(mechanism):
+        table.fail(f"[controller] drives six struts, and this platform has {n}: drive it by the lengths of rig correct")
     protocol = _protocol(table)
     axes, fits = table.get("axes", []), is_motor_record if protocol == "epics" else str.isalnum
     if (

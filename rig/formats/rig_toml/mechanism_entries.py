@@ -13,10 +13,10 @@ from rig.formats.checked_entries import LARGEST_RIG, Entries, nearest_known_word
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.output_files import write_text
+from rig.formats.rig_toml.strut_entries import hexapod_of_table, message_of_disordered_limits, planar_of_table
 from rig.model.hands_places_and_tolerances import Branch, Hand, hand_names
-from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2, Stage
+from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Stage
 from rig.model.mechanisms.file_mechanism import nominal_mechanism
-from rig.model.mechanisms.hexapod import singular_geometry_problem
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, target_bodies
 
 UNSUITED = {
@@ -119,7 +119,6 @@ def branch_and_hand_dicts(branches: tuple[Branch, ...], hands: tuple[Hand, ...])
 
 
 FILE = "file:"  # before the name of a kinematics file
-SHORTEST = 2e-3  # m; no strut is shorter, so that a smaller figure in a file in mm is in metres
 LARGEST_SOURCE = 1 << 20  # bytes of one
 KINDS = {"revolute": False, "prismatic": True}
 ROW_UNITS = ("rad", "m", "m", "rad", "rad")  # of theta, d, a, alpha, beta
@@ -257,7 +256,7 @@ def joint_limits(table: Entries, is_prismatic: Booleans) -> Floats:
     found = table.array("limits", (len(is_prismatic), 2), unit=[[unit] for unit in units.tolist()])
     for i, (low, high) in enumerate(found):
         if not low < high:
-            table.fail(_disordered(table, "limits", (low, high), str(units[i]), i), "limits", i)
+            table.fail(message_of_disordered_limits(table, "limits", (low, high), str(units[i]), i), "limits", i)
         if is_prismatic[i]:
             for j in range(2):
                 length = float(found[i, j]) * table.units.per_si("m")
@@ -272,15 +271,8 @@ def _own_limits(table: Entries, slide: bool) -> tuple[float, float] | None:
         return None
     low, high = found.tolist()
     if not low < high:
-        table.fail(_disordered(table, "limits", (low, high), unit), "limits")
+        table.fail(message_of_disordered_limits(table, "limits", (low, high), unit), "limits")
     return low, high
-
-
-def _disordered(table: Entries, key: str, limits: tuple[float, float], unit: str, row: int | None = None) -> str:
-    """Message about limits, in SI, of which the first is not the smaller. row : of the key, or None"""
-    low, high = (table.units.shown(value, unit).removesuffix(" rad" if unit == "rad" else " m") for value in limits)
-    label = table.name(key) + ("" if row is None else f"[{row + 1}]")
-    return f"{label} must run from small to large, not {low} .. {high}"
 
 
 def mechanism_of_table(table: Entries) -> Mechanism:
@@ -332,6 +324,8 @@ def _chain(table: Entries) -> Chain:
     for stage, one in zip(stages, table.tables("stage")):
         if hand_names(stage):
             one.fail("a stage of a chain has one hand, and [[mechanism.hand]] states several", "hand")
+        if len(stage.axes) > 6 and stage.strut_joints is not None:
+            one.fail(f"a stage of a chain has six struts at most, got {len(stage.axes)}", "base_joints")
     if len(stages) < 2:
         table.fail(
             f"{table.name('stage')}: a chain has two stages or more, [[mechanism.stage]] each, got {len(stages)}",
@@ -350,50 +344,5 @@ def _arm(table: Entries) -> Arm:
     return Arm(joints, joint_limits(table, slides), slides=slides, branches=branches, hands=hands, **stands)
 
 
-def _planar(table: Entries) -> Planar2:
-    table.refuse_misspelt(("kind", "base_joints", "strut_range"))
-    return Planar2(
-        table.array("base_joints", (2, 2), length_limit=LARGEST_RIG), _ranges(table, "strut_range", 2, LARGEST_RIG)
-    )
-
-
-def _hexapod(table: Entries) -> Hexapod:
-    table.refuse_misspelt(("kind", "base_joints", "platform_joints", "strut_range", "home"))
-    base = table.array("base_joints", (6, 3), length_limit=LARGEST_RIG)
-    platform = table.array("platform_joints", (6, 3), length_limit=LARGEST_RIG)
-    hexapod = Hexapod(base, platform, _ranges(table, "strut_range", 6, LARGEST_RIG), table.pose("home"))
-    per_m, unit = table.units.per_si("m"), table.units.length
-    digits = 6 if unit == "m" else 3
-    lengths = np.linalg.norm(hexapod.home.apply(platform) - base, axis=1)
-    for i, (length, (low, high)) in enumerate(zip(lengths, hexapod.strut_range)):
-        if not low <= length <= high:
-            table.fail(
-                f"{table.name('home')} needs strut {i + 1} at {length * per_m:.{digits}f} {unit}, outside its "
-                f"strut_range {low * per_m:.10g} .. {high * per_m:.10g} {unit}",
-                "home",
-            )
-    if singular_geometry_problem(hexapod):
-        table.fail(f"{table.name('home')} {singular_geometry_problem(hexapod)}", "home")
-    return hexapod
-
-
-STAGES: dict[str, Callable[[Entries], Stage]] = {"hexapod": _hexapod, "planar2": _planar, "arm": _arm}
+STAGES: dict[str, Callable[[Entries], Stage]] = {"hexapod": hexapod_of_table, "planar2": planar_of_table, "arm": _arm}
 WHOLE: dict[str, Callable[[Entries], Mechanism]] = {**STAGES, "chain": _chain, "free": _free}
-
-
-def _ranges(table: Entries, key: str, count: int, length_limit: float) -> Floats:
-    ranges = table.array(key, (count, 2), length_limit=length_limit)
-    for i, (low, high) in enumerate(ranges):
-        if not low < high:
-            table.fail(_disordered(table, key, (low, high), "m", i), key, i)
-        if low <= 0:
-            table.fail(f"{table.name(key)}[{i + 1}] must be positive, not {table.units.shown(low, 'm')}", key, i, 0)
-        if high < SHORTEST and table.units.length != "m":
-            table.fail(
-                f"{table.name(key)}[{i + 1}] ends at {table.units.shown(high, 'm')}, shorter than any strut: the file "
-                f'states units = "{table.units}"; is this in metres?',
-                key,
-                i,
-                1,
-            )
-    return ranges

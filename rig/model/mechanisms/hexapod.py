@@ -27,6 +27,9 @@ TOLERANCE = 1e-12  # m; what Newton leaves of a strut's length
 MAX_ITERATIONS = 60
 MAX_TURN = 0.4  # rad per step: keeps Newton from jumping into another assembly
 CHUNK = 4096  # poses at a time, so that the work stays in the cache
+LOOSE = (
+    1e-9  # of the Jacobian's largest singular value, in m and rad: below, more than six struts leave a platform loose
+)
 
 
 def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> Floats:
@@ -34,25 +37,25 @@ def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> Floats:
 
     Commanded strut lengths of a pose, joint centre to joint centre less strut zeros.
     T_base_platform : RigidTransform (...); hexapod : Hexapod
-    Returns (..., 6) m; whether they are within the strut range is for `limits` to say
+    Returns (..., struts) m; whether they are within the strut range is for `limits` to say
     Source: Merlet, Parallel Robots, 2nd ed., ch. 3
     """
     matrix = np.ascontiguousarray(T_base_platform.as_matrix())
-    flat, out = matrix.reshape(-1, 4, 4), np.empty((matrix.size // 16, 6))
+    flat, out = matrix.reshape(-1, 4, 4), np.empty((matrix.size // 16, len(hexapod.axes)))
     hexapod_kernels.run_in_threads(
         lambda part: hexapod_kernels.compute_strut_lengths(
             flat[part], hexapod.base_joints, hexapod.platform_joints, hexapod.strut_zeros, out[part]
         ),
         len(flat),
     )
-    return out.reshape(*matrix.shape[:-2], 6)
+    return out.reshape(*matrix.shape[:-2], -1)
 
 
 def jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> Floats:
     """Jacobian of the strut lengths with the pose's tangent on the right.
 
     T_base_platform : RigidTransform (...)
-    Returns (..., 6, 6), rows struts, columns x y z (m/m) and rx ry rz (m/rad) in the platform frame
+    Returns (..., struts, 6), rows struts, columns x y z (m/m) and rx ry rz (m/rad) in the platform frame
     Source: Merlet, Parallel Robots, 2nd ed., ch. 5
     """
     matrix = T_base_platform.as_matrix()
@@ -62,8 +65,10 @@ def jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> Floats:
 def forward(lengths: Floats, hexapod: Hexapod, guess: RigidTransform | None = None) -> RigidTransform:
     """Forward kinematics.
 
-    The platform pose of commanded strut lengths, by Newton on SE(3) in batches.
-    lengths : (..., 6) m, as commanded (the strut zeros are added here)
+    The platform pose of commanded strut lengths, by Newton on SE(3) in batches. More than six lengths close on no pose
+    unless they agree: then it is the pose with the least sum of squares of what each strut is off by, which is where
+    struts of one stiffness hold the platform in static equilibrium, docs/mathematics.md (7).
+    lengths : (..., struts) m, as commanded (the strut zeros are added here)
     guess : RigidTransform () or (...), the home pose by default; decides which assembly is meant
     Returns T_base_platform : RigidTransform (...)
     Raises NotConverged with index, lengths and residual (m) of those poses that have no solution near the guess, or
@@ -72,10 +77,13 @@ def forward(lengths: Floats, hexapod: Hexapod, guess: RigidTransform | None = No
     Source: Merlet, Parallel Robots, 2nd ed., ch. 4
     """
     lengths = np.asarray(lengths, float)
-    if lengths.shape[-1:] != (6,) or not np.isfinite(lengths).all():
-        raise ValueError(f"expected finite lengths (..., 6) m, got shape {lengths.shape}")
+    count = len(hexapod.axes)
+    if lengths.shape[-1:] != (count,) or not np.isfinite(lengths).all():
+        raise ValueError(f"expected finite lengths (..., {count}) m, got shape {lengths.shape}")
     guess = hexapod.home if guess is None else guess
-    flat = lengths.reshape(-1, 6) + hexapod.strut_zeros
+    flat = lengths.reshape(-1, count) + hexapod.strut_zeros
+    if count > 6:
+        return RigidTransform.from_matrix(_balanced(lengths, flat, guess, hexapod).reshape(*lengths.shape[:-1], 4, 4))
     matrix, residual, crossed = np.empty((len(flat), 4, 4)), np.empty(len(flat)), np.empty(len(flat), bool)
     start = guess.as_matrix()
     if start.ndim > 2:
@@ -96,7 +104,7 @@ def forward(lengths: Floats, hexapod: Hexapod, guess: RigidTransform | None = No
 
 
 def signed_limit_excess(lengths: Floats, hexapod: Hexapod) -> Floats:
-    """Excess of commanded lengths over their limits, (..., 6) m.
+    """Excess of commanded lengths over their limits, (..., struts) m.
 
     Negative below, positive above, 0 inside.
     """
@@ -105,7 +113,7 @@ def signed_limit_excess(lengths: Floats, hexapod: Hexapod) -> Floats:
 
 
 def travel_ranges(hexapod: Hexapod) -> Floats:
-    """Travel (6, 2) m of the struts.
+    """Travel (struts, 2) m of the struts.
 
     Shortest and longest commanded length.
     """
@@ -113,7 +121,7 @@ def travel_ranges(hexapod: Hexapod) -> Floats:
 
 
 def home_values(hexapod: Hexapod) -> Floats:
-    """Home lengths (6,) m.
+    """Home lengths (struts,) m.
 
     Commanded lengths at the home pose.
     """
@@ -121,16 +129,21 @@ def home_values(hexapod: Hexapod) -> Floats:
 
 
 def axis_loads(T: RigidTransform, lengths: Floats, hexapod: Hexapod, wrench: Floats) -> Floats:
-    """Axis loads (n, 6) N of the struts that hold a wrench.
+    """Axis loads (n, struts) N of the struts that hold a wrench.
 
-    Pushing, with a wrench (n, 6) on the platform: J^T f + w = 0.
+    Pushing, with a wrench (n, 6) on the platform: J^T f + w = 0. Of more than six struts the least squares of all
+    loads, as struts of one stiffness share them, beyond what they bear against each other; followers bear none.
     Source: Merlet, Parallel Robots, 2nd ed., ch. 9
     """
+    if len(hexapod.axes) > 6:
+        driven, out = np.delete(np.arange(len(hexapod.axes)), hexapod.followers), np.zeros(np.shape(lengths))
+        out[:, driven] = -np.einsum("nij,ni->nj", np.linalg.pinv(jacobian(T, hexapod)[:, driven]), wrench)
+        return out
     return cast(Floats, np.linalg.solve(np.swapaxes(jacobian(T, hexapod), 1, 2), -wrench[..., None])[..., 0])
 
 
 def link_weight_loads(T: RigidTransform, lengths: Floats, hexapod: Hexapod, gravity: Floats) -> Floats:
-    """Empty loads (n, 6, 0).
+    """Empty loads (n, struts, 0).
 
     A hexapod has no arm links, and the base carries the struts.
     """
@@ -140,7 +153,7 @@ def link_weight_loads(T: RigidTransform, lengths: Floats, hexapod: Hexapod, grav
 def axis_deviation_and_sway_by_member_growth(
     T: RigidTransform, lengths: Floats, hexapod: Hexapod, share: Floats
 ) -> tuple[Floats, Floats]:
-    """Deviation (n, 6) m and sway (n, 6) by the growth of struts by shares (n, 6) of their length.
+    """Deviation (n, struts) m and sway (n, 6) by the growth of struts by shares (n, struts) of their length.
 
     No sway.
     """
@@ -148,7 +161,7 @@ def axis_deviation_and_sway_by_member_growth(
 
 
 def inverse_kinematics_jacobian(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
-    """Jacobian (n, 6, 6) of inverse kinematics.
+    """Jacobian (n, struts, 6) of inverse kinematics.
 
     Change of strut lengths with the pose's tangent, at poses T (n,).
     """
@@ -156,7 +169,7 @@ def inverse_kinematics_jacobian(T: RigidTransform, lengths: Floats, hexapod: Hex
 
 
 def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
-    """Rows (n, 6, 6) of the Jacobian, one for each strut, at poses T (n,).
+    """Rows (n, struts, 6) of the Jacobian, one for each strut, at poses T (n,).
 
     They coincide where the machine is singular.
     """
@@ -166,7 +179,7 @@ def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, hexapod: Hexapod) 
 def link_points(lengths: Floats, hexapod: Hexapod) -> None:
     """Link points of a hexapod: none.
 
-    For lengths (n, 6) m; it has no arm links to draw.
+    For lengths (n, struts) m; it has no arm links to draw.
     """
     return None
 
@@ -174,7 +187,7 @@ def link_points(lengths: Floats, hexapod: Hexapod) -> None:
 def strut_ends(T: RigidTransform, hexapod: Hexapod) -> tuple[Floats, Floats]:
     """Ends of the struts.
 
-    Base joints (6, 3) and platform joints (n, 6, 3) m, base frame, at poses T (n,).
+    Base joints (struts, 3) and platform joints (n, struts, 3) m, base frame, at poses T (n,).
     """
     return hexapod.base_joints, transform_points(T, hexapod.platform_joints)
 
@@ -207,7 +220,7 @@ def _order(hexapod: Hexapod) -> Floats:
 
 
 def _rows(R: Floats, t: Floats, hexapod: Hexapod) -> tuple[Floats, Floats]:
-    """Strut lengths (..., 6) and their Jacobian (..., 6, 6) at rotation R (..., 3, 3) and position t (..., 3)."""
+    """Strut lengths (..., struts) and their Jacobian (..., struts, 6) at rotation R (..., 3, 3), place t (..., 3)."""
     struts = hexapod.platform_joints @ np.swapaxes(R, -1, -2) + t[..., None, :] - hexapod.base_joints
     length = np.sqrt(np.einsum("...ij,...ij->...i", struts, struts))
     u = (struts / length[..., None]) @ R  # unit directions, platform frame
@@ -245,6 +258,39 @@ def _newton(matrix: Floats, lengths: Floats, hexapod: Hexapod) -> Floats:
         matrix[open_, :3, 3] = t + (R @ step[:, :3, None])[..., 0]
         matrix[open_, :3, :3] = R @ _rotation(cast(Floats, step[:, 3:]))
     return residual
+
+
+def _balanced(commanded: Floats, lengths: Floats, guess: RigidTransform, hexapod: Hexapod) -> Floats:
+    """(n, 4, 4) poses at which more than six struts of one stiffness balance, for lengths (n, struts) m: Gauss and
+    Newton's steps, whose projection on the pose vanishes there. commanded : (..., struts) m, for messages
+    """
+    matrix = np.array(np.broadcast_to(guess.as_matrix(), (*commanded.shape[:-1], 4, 4)).reshape(-1, 4, 4))
+    left, going = np.full(len(matrix), np.inf), np.arange(len(matrix))
+    reach, size = 0.3 * np.linalg.norm(hexapod.home.translation), np.linalg.norm(hexapod.platform_joints, axis=1).max()
+    for _ in range(MAX_ITERATIONS):
+        R, t = matrix[going, :3, :3], matrix[going, :3, 3]
+        length, J = _rows(R, t, hexapod)
+        step = (np.linalg.pinv(J, rcond=LOOSE) @ (lengths[going] - length)[..., None])[..., 0]
+        turn, move = np.linalg.norm(step[:, 3:], axis=1), np.linalg.norm(step[:, :3], axis=1)
+        left[going] = np.maximum(move, size * turn)
+        step /= np.maximum(1.0, np.maximum(turn / MAX_TURN, move / reach))[:, None]
+        matrix[going, :3, 3] = t + (R @ step[:, :3, None])[..., 0]
+        matrix[going, :3, :3] = R @ _rotation(step[:, 3:])
+        going = going[left[going] > TOLERANCE]
+        if not len(going):
+            break
+    values = np.linalg.svd(_rows(matrix[:, :3, :3], matrix[:, :3, 3], hexapod)[1], compute_uv=False)
+    failed = np.flatnonzero(~(left <= 10 * TOLERANCE) | (values[:, -1] < LOOSE * values[:, 0]))
+    if len(failed):
+        flat = commanded.reshape(-1, commanded.shape[-1])
+        raise NotConverged(
+            f"{len(failed)} of {len(left)} poses are not held by the struts near the guess; first at lengths "
+            f"{flat[failed[0]].round(6).tolist()} m",
+            failed,
+            flat[failed],
+            left[failed],
+        )
+    return matrix
 
 
 def _rotation(rotvec: Floats) -> Floats:
@@ -333,7 +379,7 @@ def _least(hexapod: Hexapod, move: Floats, size: float) -> float:
 
 
 def cardan_twist_angles_about_struts(T: RigidTransform, mechanism: Hexapod) -> Floats:
-    """Twist (..., 6) rad of each strut's platform-side cardan against its base-side one, about the strut.
+    """Twist (..., struts) rad of each strut's platform-side cardan against its base-side one, about the strut.
 
     A cardan's first axis lies in its plate, tangential, (-y, x, 0) of the joint in the plate's frame; its second is
     perpendicular to the first and to the strut. Right-handed about u, from base to platform.
@@ -350,7 +396,7 @@ def cardan_twist_angles_about_struts(T: RigidTransform, mechanism: Hexapod) -> F
 
 
 def cardan_plate_axes(joints: Floats) -> Floats:
-    """First axes (6, 3) of the cardans at joints (6, 3) m of a plate, in its frame.
+    """First axes (struts, 3) of the cardans at joints (struts, 3) m of a plate, in its frame.
 
     Tangential, as long as the joint is off its middle.
     """

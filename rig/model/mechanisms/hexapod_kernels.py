@@ -53,9 +53,9 @@ def run_in_threads(kernel: Callable[[slice], None], count: int, items_per_thread
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def compute_strut_lengths(matrices: Floats, base: Floats, platform: Floats, zeros: Floats, out: Floats) -> None:
-    """Compute commanded strut lengths, out (n, 6) m, of poses, matrices (n, 4, 4)."""
+    """Compute commanded strut lengths, out (n, struts) m, of poses, matrices (n, 4, 4)."""
     for n in range(len(matrices)):
-        for i in range(6):
+        for i in range(len(base)):
             total = 0.0
             for k in range(3):
                 s = matrices[n, k, 3] - base[i, k]

@@ -45,7 +45,7 @@ def is_parallel(mechanism: Mechanism) -> TypeIs[Parallel]:
 def is_hexapod(mechanism: Mechanism) -> TypeIs[Hexapod]:
     """Whether a mechanism is a hexapod.
 
-    Struts between two plates, holding all six coordinates of a pose.
+    Six struts or more between two plates, holding all six coordinates of a pose.
     """
     return mechanism.plates is not None
 
@@ -68,13 +68,34 @@ def has_axes(mechanism: Mechanism) -> TypeIs[Commanded]:
 def require_hexapod(
     mechanism: Mechanism, refusal: str = "this requires a hexapod, not a mechanism of kind {kind!r}"
 ) -> Hexapod:
-    """Require that a mechanism is a hexapod, and return it.
+    """Require that a mechanism is a hexapod on six struts, and return it.
+
+    Raises RigError for another kind, and for more struts.
+    """
+    platform = require_platform(mechanism, refusal)
+    if len(platform.axes) > 6:
+        raise RigError(
+            f"this is for six struts, and this platform has {len(platform.axes)}: docs/more-struts.md lists what "
+            "works with more"
+        )
+    return platform
+
+
+def require_platform(
+    mechanism: Mechanism, refusal: str = "this requires a hexapod, not a mechanism of kind {kind!r}"
+) -> Hexapod:
+    """Require that a mechanism is a hexapod on six struts or more, and return it.
 
     Raises RigError for another kind.
     """
     if not is_hexapod(mechanism):
         raise RigError(refusal.format(kind=mechanism.kind))
     return mechanism
+
+
+def is_redundant(mechanism: Mechanism) -> TypeIs[Hexapod]:
+    """Whether a mechanism is a hexapod on more than six struts, whose lengths no longer are independent."""
+    return is_hexapod(mechanism) and len(mechanism.axes) > 6
 
 
 def require_struts(
@@ -286,22 +307,16 @@ def axis_units(mechanism: Mechanism) -> tuple[str, ...]:
     return tuple(AXIS_UNITS[word] for word in mechanism.axis_words)
 
 
-NAMES = {
-    "hexapod": (
-        *(f"{plate} joint {i + 1} {axis}" for plate in ("base", "platform") for i in range(6) for axis in "xyz"),
-        *(f"zero of strut {i + 1}" for i in range(6)),
-    ),
-    "planar2": (
-        *(f"base joint {i + 1} {axis}" for i in range(2) for axis in "xy"),
-        "zero of strut 1",
-        "zero of strut 2",
-    ),
-}
-
-
 def parameter_names(mechanism: Parallel) -> tuple[str, ...]:
     """Names of the geometric parameters of a parallel mechanism, in order."""
-    return file_mechanism.parameter_names(mechanism) if isinstance(mechanism, FileMechanism) else NAMES[mechanism.kind]
+    if isinstance(mechanism, FileMechanism):
+        return file_mechanism.parameter_names(mechanism)
+    count = len(mechanism.axes)
+    plates, axes = (("base", "platform"), "xyz") if isinstance(mechanism, Hexapod) else (("base",), "xy")
+    return (
+        *(f"{plate} joint {i + 1} {axis}" for plate in plates for i in range(count) for axis in axes),
+        *(f"zero of strut {i + 1}" for i in range(count)),
+    )
 
 
 S = TypeVar("S", Hexapod, Planar2, FileMechanism, Hexapod | Planar2, Hexapod | Planar2 | FileMechanism)
@@ -310,7 +325,7 @@ S = TypeVar("S", Hexapod, Planar2, FileMechanism, Hexapod | Planar2, Hexapod | P
 def geometric_parameters(mechanism: Parallel) -> Floats:
     """Geometric parameters (p,) m.
 
-    Joints and zeros in the order of NAMES.
+    Joints and zeros in the order of `parameter_names`.
 
     Of a kinematics file its parameters less the owner's, each tolerance counted as `file_mechanism.SCALE`
     """
@@ -327,7 +342,8 @@ def parameter_units_and_scales(mechanism: Parallel) -> tuple[tuple[str, ...], Fl
     """
     if isinstance(mechanism, FileMechanism):
         return file_mechanism.parameter_units_and_scales(mechanism)
-    return ("m",) * len(NAMES[mechanism.kind]), np.ones(len(NAMES[mechanism.kind]))
+    count = len(parameter_names(mechanism))
+    return ("m",) * count, np.ones(count)
 
 
 def parameter_group_sizes(mechanism: Parallel) -> tuple[int, int]:
@@ -344,8 +360,9 @@ def mechanism_with_parameters(mechanism: S, p: Floats) -> S:
     if isinstance(mechanism, FileMechanism):
         return file_mechanism.with_scaled_parameters(mechanism, p)
     if isinstance(mechanism, Hexapod):
+        base, platform, zeros = np.split(p, [3 * len(mechanism.axes), 6 * len(mechanism.axes)])
         return replace(
-            mechanism, base_joints=p[:18].reshape(6, 3), platform_joints=p[18:36].reshape(6, 3), strut_zeros=p[36:]
+            mechanism, base_joints=base.reshape(-1, 3), platform_joints=platform.reshape(-1, 3), strut_zeros=zeros
         )
     return replace(mechanism, base_joints=p[:4].reshape(2, 2), strut_zeros=p[4:])
 
@@ -381,10 +398,11 @@ def loop_closure_parameter_jacobian(T_base_platform: RigidTransform, mechanism: 
     R = matrix[..., :3, :3]
     struts = mechanism.platform_joints @ np.swapaxes(R, -1, -2) + matrix[..., None, :3, 3] - mechanism.base_joints
     u = struts / np.linalg.norm(struts, axis=-1, keepdims=True)
-    D = np.zeros((*u.shape[:-2], 6, 42))
+    count = len(mechanism.axes)
+    D = np.zeros((*u.shape[:-2], count, 7 * count))
     turned = u @ R
-    for i in range(6):
+    for i in range(count):
         D[..., i, 3 * i : 3 * i + 3] = u[..., i, :]
-        D[..., i, 18 + 3 * i : 21 + 3 * i] = -turned[..., i, :]
-        D[..., i, 36 + i] = 1
+        D[..., i, 3 * (count + i) : 3 * (count + i) + 3] = -turned[..., i, :]
+        D[..., i, 6 * count + i] = 1
     return D

@@ -150,6 +150,8 @@ def toml_rows(values: Iterable[Iterable[float]]) -> str:
 
 
 JOINT_PAIRS = (0.244, 0.733)  # rad, half the angle between the two joints of a pair on the base and on the platform
+FOUR_PAIRS = (0.15, 0.65)  # rad, the same of seven or eight struts in four pairs
+FOLLOWERS = {7: "3", 8: "3, 8"}  # without which six are left that hold the platform best at home
 LIMB_PAIRS = (0.35, 0.62)  # rad, the same of measuring limbs beside the struts
 PLATFORM_SHARE = 0.67  # of the base's radius
 HEIGHT_SHARE = 1.5  # home height over the base's radius
@@ -164,18 +166,20 @@ def hexapod_layout_rig_toml(
     cubes: int = 4,
     dictionary: str = "DICT_5X5_100",
     name: str = "hexapod",
-    limbs: int = 0,
+    legs: tuple[int, int] = (6, 0),
 ) -> str:
     """rig.toml text of the layout of a hexapod with cameras and cubes.
 
     radius : m, of the circle of base joints; cameras : how many, evenly around; width, height : px
-    limbs : how many measuring limbs stand beside the struts
+    legs : how many struts, six to eight, those beyond six as followers; and how many measuring limbs beside them
     cubes : how many on the base and as many on the platform, each face with an identity of its own
     Raises RigError where the dictionary has too few identities or the figures make no rig.
     """
     require_possible_layout(radius, cameras, cubes, dictionary)
-    base = _joints(radius, JOINT_PAIRS[0], 0.0)
-    platform = _joints(radius * PLATFORM_SHARE, JOINT_PAIRS[1], 0.0)
+    struts, limbs = legs
+    pairs, turns = (JOINT_PAIRS, 3) if struts == 6 else (FOUR_PAIRS, 4)
+    base = _joints(radius, pairs[0], 0.0, turns)[:struts]
+    platform = _joints(radius * PLATFORM_SHARE, pairs[1], 0.0, turns)[:struts]
     home = np.array([0, 0, HEIGHT_SHARE * radius])
     length = np.linalg.norm(platform + home - base, axis=1)
     half = STROKE_SHARE * radius / 2
@@ -188,11 +192,12 @@ def hexapod_layout_rig_toml(
         "",
         "[mechanism]",
         'kind = "hexapod"',
-        f"base_joints = {toml_rows(base)}   # m, base frame, strut 1..6",
+        f"base_joints = {toml_rows(base)}   # m, base frame, strut 1..{struts}",
         f"platform_joints = {toml_rows(platform)}   # m, platform frame",
         f"strut_range = {toml_rows(np.stack([length - half, length + half], axis=1))}   # m, joint centre to "
         "joint centre",
         f"home = {{ position = {toml_row(home)}, rotvec = [0.0, 0.0, 0.0] }}   # platform in base",
+        *([f"followers = [{FOLLOWERS[struts]}]   # released and read while it is measured"] if struts > 6 else []),
         "",
         "[actuator]",
         "screw_lead = 0.004   # m per revolution",
@@ -226,8 +231,8 @@ def hexapod_layout_rig_toml(
     return "\n".join(lines) + "\n"
 
 
-def _joints(radius: float, half_angle: float, turn: float) -> Floats:
-    angles = [turn + 2 * np.pi * k / 3 + side * half_angle for k in range(3) for side in (-1, 1)]
+def _joints(radius: float, half_angle: float, turn: float, pairs: int = 3) -> Floats:
+    angles = [turn + 2 * np.pi * k / pairs + side * half_angle for k in range(pairs) for side in (-1, 1)]
     return radius * np.array([[np.cos(a), np.sin(a), 0.0] for a in angles])
 
 

@@ -20,7 +20,7 @@ from rig.formats.numbers_and_units import SI, LengthAndAngleUnits
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.rig_toml_text_in_other_units import rig_toml_in_units
 from rig.model.design import Design
-from rig.model.mechanism_geometry_classes import Arm
+from rig.model.mechanism_geometry_classes import STRUT_COUNTS, Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.planning.configuration_generators import sobol_configurations
@@ -195,6 +195,7 @@ class LayoutOptions:
     arm : name of a shipped one; seen : None for an instrument, or "cubes" or "hand" as of `arm_layout_rig_toml`
     radius : m, of a hexapod's circle of base joints, of planar2 half the joints' distance
     size : WIDTHxHEIGHT of the images, px; limbs : how many measuring limbs stand next to a hexapod's struts
+    struts : of a hexapod, six to eight
     own_arm : rig.toml text of an arm that was read from a file, which is measured by an instrument
     units : of the lengths and angles in the text, which states them
     Raises RigError for options that do not belong to each other
@@ -209,6 +210,7 @@ class LayoutOptions:
     size: str = "1280x1024"
     dictionary: str = "DICT_5X5_100"
     limbs: int = 0
+    struts: int = 6
     name: str | None = None
     own_arm: str | None = None
     units: LengthAndAngleUnits = SI
@@ -229,6 +231,10 @@ class LayoutOptions:
             raise RigError(f"--limbs takes a number of limbs, not {self.limbs}")
         if self.limbs and self.mechanism == "planar2":
             raise RigError(f"--limbs belong to a hexapod's struts; a {self.mechanism} has none")
+        if self.struts not in STRUT_COUNTS:
+            raise RigError(f"--struts takes six, seven or eight, not {self.struts}")
+        if self.struts > 6 and (self.mechanism == "planar2" or self.limbs):
+            raise RigError("--struts of more than six is for a hexapod, without measuring limbs")
 
     def _require_own_arm_options(self) -> None:
         other = {"--arm": self.arm, "--radius": self.radius, "--seen": self.seen, "--limbs": self.limbs or None}
@@ -277,7 +283,11 @@ def _rig_toml_in_si(options: LayoutOptions) -> str:
     kind = options.mechanism or "hexapod"
     name = options.name or kind
     if kind == "hexapod":
-        text = hexapod_layout_rig_toml(options.radius, cameras, *size, cubes, dictionary, name, options.limbs)
+        text = hexapod_layout_rig_toml(
+            options.radius, cameras, *size, cubes, dictionary, name, (options.struts, options.limbs)
+        )
+        if options.struts > 6:  # which no controller drives yet
+            return text
     else:
         text = two_strut_layout_rig_toml(options.radius, cameras, *size, cubes, dictionary, name)
     return text + CONTROLLER

@@ -158,7 +158,7 @@ def test_what_is_missing_is_said(limbed, design, tmp_path):
     with pytest.raises(NotEnoughData, match="within 0.5 s"):
         measuring_limb_identification_and_agreement.limb_readings(replace(read, sensors=sparse))
     (tmp_path / "rig.toml").write_text(
-        hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6).replace(
+        hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, 6)).replace(
             "length_sigma = 1e-6", "length_sigma = -1"
         )
     )

@@ -30,7 +30,7 @@ EIGHT = 8
 def machine(tmp_path_factory):
     """(Design with eight limbs, as it truly is, what these read at 60 poses (60, 8) m, with noise)"""
     folder = tmp_path_factory.mktemp("eight")
-    (folder / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=EIGHT))
+    (folder / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, EIGHT)))
     design = design_from_rig_toml.load_design(folder / "rig.toml")
     true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(5)).true
     T = hexapod.forward(sobol_configurations(true.mechanism.strut_range, 60, 0.8), true.mechanism)
@@ -84,7 +84,7 @@ def test_checks_close_on_stretches_left_out_by_as_much_as_is_said(machine, limbs
 def test_of_six_limbs_none_is_over_to_be_checked(machine):
     _, true, read, _ = machine
     stated = design_from_rig_toml.design_of_entries(
-        toml_entries(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6), "rig.toml")
+        toml_entries(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, 6)), "rig.toml")
     ).insitu
     six = measuring_limb_identification_and_agreement.Limbs(
         measuring_limb_identification_and_agreement.hexapod_of_six_limbs(true, np.arange(6)),
@@ -112,7 +112,7 @@ def test_a_limb_that_slips_is_named_by_the_others_within_five_poses(machine, lim
 
 
 def test_fewer_limbs_than_freedoms_are_refused_with_the_reason(tmp_path):
-    (tmp_path / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=4))
+    (tmp_path / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, 4)))
     design = design_from_rig_toml.load_design(tmp_path / "rig.toml")
     with pytest.raises(
         RigError,
@@ -191,5 +191,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
 
 
 def _with_limbs(folder, count):
-    (folder / "other.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=count))
+    (folder / "other.toml").write_text(
+        hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, count))
+    )
     return design_from_rig_toml.load_design(folder / "other.toml")

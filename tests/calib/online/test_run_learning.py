@@ -60,7 +60,7 @@ def test_a_drift_from_the_calibration_is_said_once(machine):
 
 
 def test_limbs_that_go_astray_are_said(tmp_path):
-    (tmp_path / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6))
+    (tmp_path / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, 6)))
     design = design_from_rig_toml.load_design(tmp_path / "rig.toml")
     rng = np.random.default_rng(8)
     true = secret_machine_and_truth_file.draw_machine(design, rng).true

@@ -179,7 +179,7 @@ def by_limbs(folder, slip, at):
     """(Looking that has seen 60 frames by limbs of which the fifth slips by `slip` m from a frame on, its Live, what
     was withdrawn)
     """
-    (folder / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, limbs=6))
+    (folder / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, 6)))
     design = design_from_rig_toml.load_design(folder / "rig.toml")
     true, nominal, rng = (
         design.mechanism,

@@ -22,8 +22,9 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     cube_seat_freedoms,
     split_rows_by_frame_bases,
 )
+from calib.models.platform.closed_loop_equations import loop_covariance, scatter_of_redundant_struts, with_reading
 from calib.models.platform.identification import PRIOR
-from rig.array_and_json_types import Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.hands_places_and_tolerances import FINDER, SEAT
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     geometric_parameters,
@@ -209,17 +210,20 @@ def linearise(point: OperatingPoint, clip: float = CLIP, near: LinearisedModel |
         mechanism, root = k.known
         beforehand[-len(root) :, 0] = root @ (geometric_parameters(mechanism) - geometric_parameters(k.platform))
         beforehand[-len(root) :, -len(root) :] = root
-    return _weighed(k, frames, left, rows, closures, beforehand, tuple(names), camera_columns)
+    scattered = near.closures.scatter if near is not None and k.axes else np.zeros(k.axes)
+    return _weighed(k, frames, left, rows, closures, beforehand, tuple(names), camera_columns, scattered)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Closures:
     """Of F frames: covariance (F, axes, axes) m^2 by the poses' noise; rows (F, axes, 1 + p) m, the residual and the
-    change with the nuisances; to_length (F, axes, L) from frames' own coordinates to lengths, m"""
+    change with the nuisances; to_length (F, axes, L) from frames' own coordinates to lengths, m
+    jacobian : (F, axes, 6) of the axes with the pose"""
 
     covariance: Floats
     rows: Floats
     to_length: Floats
+    jacobian: Floats
 
 
 def _corner_frames(
@@ -248,7 +252,10 @@ def _closures(k: OperatingPoint, frames: CornerFrames) -> _Closures:
     m = k.platform
     A = strut_length_jacobian(k.T, m)
     to_length = A @ frames.to_local[:, :6]  # (F, axes, L): local coordinates to struts' lengths
-    covariance = to_length @ np.swapaxes(to_length, 1, 2) if k.own is None else A @ k.own @ np.swapaxes(A, 1, 2)
+    if k.own is not None:
+        covariance = loop_covariance(A, k.own)
+    else:
+        covariance = with_reading(to_length @ np.swapaxes(to_length, 1, 2))
     inner = frames.inner
     rows = np.concatenate(
         [
@@ -258,12 +265,17 @@ def _closures(k: OperatingPoint, frames: CornerFrames) -> _Closures:
         ],
         axis=2,
     )
-    return _Closures(covariance, rows, to_length)
+    return _Closures(covariance, rows, to_length, A)
 
 
 def _no_closures(k: OperatingPoint, frames: CornerFrames, count: int) -> _Closures:
     F = len(k.t)
-    return _Closures(np.zeros((F, 0, 0)), np.zeros((F, 0, 1 + count)), np.zeros((F, 0, frames.to_local.shape[1])))
+    return _Closures(
+        np.zeros((F, 0, 0)),
+        np.zeros((F, 0, 1 + count)),
+        np.zeros((F, 0, frames.to_local.shape[1])),
+        np.zeros((F, 0, 6)),
+    )
 
 
 def _noise(left: Floats, rows: CornerDerivatives, lost: int) -> float:
@@ -280,6 +292,20 @@ def _noise(left: Floats, rows: CornerDerivatives, lost: int) -> float:
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Weighed:
+    """Struts weighed by what they scatter, scatter (axes,) m, beyond the poses' noise. cost : minus twice the log
+    likelihood; W : (F, axes, axes) whitener; rows, half, z, basis : of the closures and what was known beforehand"""
+
+    cost: float
+    scatter: Floats
+    W: Floats
+    rows: Floats
+    half: Floats
+    z: Floats
+    basis: Floats
+
+
 def _weighed(
     k: OperatingPoint,
     frames: CornerFrames,
@@ -289,21 +315,25 @@ def _weighed(
     beforehand: Floats,
     names: tuple[tuple[str, str | int], ...],
     camera_columns: dict[int, list[int]],
+    scattered: Floats,
 ) -> LinearisedModel:
-    """LinearisedModel with the struts weighed by the poses' noise and by what they scatter beyond.
+    """LinearisedModel with the struts weighed by the poses' noise and by what they scatter beyond, the likeliest.
 
     left : (2n,) corners' residual; derivatives : CornerDerivatives, None without corners; beforehand : (q, 1 + p) rows
         of what was known before
+    scattered : (axes,) m, by which they did beside other effects: whether one scatters is asked by its own share, which
+        another effect changes, and what explains more would be less likely where that share falls below what is asked
     """
     F, axes = len(k.t), k.axes
     table = np.zeros((0, 0)) if derivatives is None else derivatives.table
     seen = table.shape[1]
-    scatter, inner = np.zeros(axes), np.zeros((1 + seen, 1 + seen))
+    inner = np.zeros((1 + seen, 1 + seen))
     if derivatives is not None:
         inner[0, 0], inner[1:, 1:] = left @ left, derivatives.gram / frames.sigma**2
         parts = zip(np.array_split(table, PARTS), np.array_split(left, PARTS))
         inner[0, 1:] = inner[1:, 0] = sum(part.T @ some for part, some in parts) / frames.sigma
-    for turn in range(ROUNDS):
+
+    def weighed(scatter: Floats) -> _Weighed:
         W = (
             np.linalg.inv(np.linalg.cholesky(closures.covariance + np.diag(scatter**2)))
             if axes
@@ -314,19 +344,31 @@ def _weighed(
         gram[: seen + 1, : seen + 1] += inner
         half = orthonormal_combinations(gram[1:, 1:])
         z = half.T @ gram[1:, 0]
-        basis = rows[:, 1:] @ half
-        cost = gram[0, 0] - z @ z - 2 * np.linalg.slogdet(W)[1].sum()  # minus twice the log likelihood
-        if turn == 0:
-            without_scatter, least = (scatter, W, rows, half, z, basis), cost
-        if not axes or turn == ROUNDS - 1:
-            break
-        beyond = np.linalg.solve(W, (rows[: F * axes, 0] - basis[: F * axes] @ z).reshape(F, axes, 1))[..., 0]
-        new = _scatter(beyond, closures.covariance)
-        if np.abs(new - scatter).max() < 1e-8:
-            break
-        scatter = new
-    if cost > least:  # struts are correlated: what one scatters beyond its share by chance is no scatter of its own
-        scatter, W, rows, half, z, basis = without_scatter
+        cost = gram[0, 0] - z @ z - 2 * np.linalg.slogdet(W)[1].sum()
+        return _Weighed(float(cost), scatter, W, rows, half, z, rows[:, 1:] @ half)
+
+    def settled(now: _Weighed, known: Booleans) -> _Weighed:
+        for _ in range(ROUNDS - 1):
+            left = (now.rows[: F * axes, 0] - now.basis[: F * axes] @ now.z).reshape(F, axes, 1)
+            beyond = np.asarray(np.linalg.solve(now.W, left)[..., 0], float)
+            new = (
+                scatter_of_redundant_struts(beyond, closures.jacobian, 7)
+                if axes > 6
+                else _scatter(beyond, closures.covariance, known)
+            )
+            if np.abs(new - now.scatter).max(initial=0.0) < 1e-8:
+                break
+            now = weighed(new)
+        return now
+
+    none = weighed(np.zeros(axes))
+    tried = [none, settled(none, np.zeros(axes, bool))] if axes else [none]
+    if scattered.any():
+        before = weighed(scattered)
+        tried += [before, settled(before, scattered > 0)]
+    # struts are correlated: what one scatters beyond its share by chance is no scatter of its own
+    best = min(tried, key=lambda one: one.cost)
+    scatter, W, rows, half, z, basis = best.scatter, best.W, best.rows, best.half, best.z, best.basis
     onto = half[:seen] / frames.sigma
     Q = Column((FactoredColumns(table, onto), basis))
     blocks = (
@@ -345,11 +387,12 @@ def _weighed(
     )
 
 
-def _scatter(left: Floats, S: Floats) -> Floats:
+def _scatter(left: Floats, S: Floats, known: Booleans) -> Floats:
     """(axes,) m: what each strut scatters beyond the poses' own noise, 0 where that suffices; by the middle, not the
-    extremes.
+    extremes. known : (axes,) whether one is known to scatter, and no excess is asked of it
     """
     own = np.einsum("nii->ni", S)
     seen = (left**2).mean(axis=0)
     own = own.mean(axis=0) * max(1 - 7 / len(left), 0.1)
-    return np.where(seen > own * (1 + EXCESS * np.sqrt(2 / len(left))), np.sqrt(np.maximum(seen - own, 0)), 0.0)
+    beyond = known | (seen > own * (1 + EXCESS * np.sqrt(2 / len(left))))
+    return np.where(beyond, np.sqrt(np.maximum(seen - own, 0)), 0.0)

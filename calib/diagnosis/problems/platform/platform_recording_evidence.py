@@ -289,13 +289,18 @@ def _pose_residuals(model: LinearisedModel) -> PoseResiduals:
     left, geometry = closure_residuals(model), loop_closure_parameter_jacobian(k.T, k.platform)
     fitted, A = sum(p.size for e in k.effects for p in e.parameters), strut_length_jacobian(k.T, k.platform)
     share = min(fitted / max(left.size - geometry.shape[2], 1), 0.8)  # of the squares, what effects take
+    sources = np.broadcast_to(np.eye(k.axes)[:, None], (k.axes, *left.shape))
+    if k.axes > 6:  # the six combinations of loops that a pose moves; no noise of poses is in the others
+        moved = np.swapaxes(np.linalg.svd(A, full_matrices=False)[0], 1, 2)
+        A, geometry, left = moved @ A, moved @ geometry, np.einsum("fij,fj->fi", moved, left)
+        sources = np.einsum("fij,sfj->sfi", moved, sources)
     noise = {name: A @ C @ np.swapaxes(A, 1, 2) for name, C in noise_covariance_by_kind(k.own).items()}
     return PoseResiduals(
         left / np.sqrt(1 - share),
         geometry,
         np.full(geometry.shape[2], 1 / PRIOR**2),
         noise,
-        np.broadcast_to(np.eye(k.axes)[:, None], (k.axes, *left.shape)),
+        sources,
         k.commanded.at(k.t),
         _repeated_at_rest(k),
     )

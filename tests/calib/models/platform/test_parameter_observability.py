@@ -9,7 +9,11 @@ from calib.models.platform.determined_parameters_and_stated_geometry_tolerance i
 )
 from calib.models.platform.identification import identify_platform, pose_parameter_jacobian
 from rig.model.mechanisms import hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import NAMES, geometric_parameters, mechanism_with_parameters
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    geometric_parameters,
+    mechanism_with_parameters,
+    parameter_names,
+)
 from rig.model.pose import exp, pose_difference, transform_points
 from tests.calib.noisy_samples import sampled, workspace
 
@@ -62,7 +66,7 @@ def test_one_pose_again_and_again_hides_most(design):
 def test_names_follow_the_parameters(design):
     p = np.arange(42.0)
     m = mechanism_with_parameters(design.mechanism, p)
-    named = NAMES["hexapod"]
+    named = parameter_names(m)
     assert (
         named[20] == "platform joint 1 z"
         and m.platform_joints[0, 2] == 20
