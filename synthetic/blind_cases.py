@@ -14,14 +14,13 @@ import numpy as np
 
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.effect_parameters_and_covariates import Drawing
-from rig.effects.framework.marker_table_interface import Markers, replace_marker_columns
+from rig.effects.framework.parameters_covariates_and_markers import Drawing, Markers, replace_marker_columns
 from rig.errors import RigError
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design, Sensor
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.model.pose import exp
 from rig.planning.layout import hexapod_layout_and_camera_placement

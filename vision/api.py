@@ -14,8 +14,8 @@ from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import replace_cameras, replace_target_markers
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
-from rig.model.arm_branches_and_hands import hand_names, seen_hand
 from rig.model.design import Camera
+from rig.model.hands_places_and_tolerances import hand_names, seen_hand
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from rig.recording import recording_tables
 from rig.recording.frame_selection_and_content_hashes import require_one_hand_shown

@@ -20,8 +20,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats, Integers, Json
-from rig.effects.framework.lagged_path import lagged_path
 from rig.effects.framework.machine_motion_and_play import Path
+from rig.effects.framework.shared_effect_laws import lagged_path
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (

@@ -36,7 +36,7 @@ from calib.diagnosis.findings_refit import (
     findings_with_missing_instrument_effects_added,
     load_findings,
 )
-from calib.diagnosis.problems.arm.effects_shown_by_instruments import fit_of_measured_effects
+from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import fit_of_measured_effects
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_file import SEED, calibration_with_provenance
 from calib.models.arm import calibration_page_and_c_source as arm_page
@@ -56,8 +56,8 @@ from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
 from rig.errors import RigError
-from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Design
+from rig.model.hands_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_arm,
     require_chain,

@@ -37,7 +37,7 @@ from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.output_files import write_text
-from rig.model.arm_branches_and_hands import seen_hand
+from rig.model.hands_places_and_tolerances import seen_hand
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,
     frames_with_known_hashes,

@@ -18,11 +18,11 @@ from calib.diagnosis.calibration_left_out_physics import (
     refuted_calibrations,
     unexplained_findings_and_refutations,
 )
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import StatedTerms
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import StatedTerms
 from calib.diagnosis.recording_diagnosis import Diagnosis, DiagnosisOptions
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from calib.diagnosis.report.diagnosis_page import figures_of_arm_or_platform, write_diagnosis_page
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
+from calib.diagnosis.report.report_verdict_and_folder import (
     Report,
     diagnosis_report,
     diagnosis_verdict,
@@ -34,7 +34,7 @@ from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_texts_and_user_effect_files import Kinds, parse_effect_and_place, require_known_effect
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
-from rig.model.arm_branches_and_hands import hand_names
+from rig.model.hands_places_and_tolerances import hand_names
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link

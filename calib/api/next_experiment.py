@@ -349,7 +349,7 @@ def diagnosis_questions(diagnosis: Diagnosis) -> Sequence[Question[object]]:
     Raises RigError for a machine of which no plan can be foretold.
     """
     if diagnosis.evidence.family == "joints":
-        from calib.experiment.arm_questions import arm_questions
+        from calib.experiment.arm_questions_and_predicted_recording import arm_questions
 
         return arm_questions(diagnosis)
     from calib.experiment.platform_questions import platform_questions

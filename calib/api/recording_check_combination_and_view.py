@@ -33,7 +33,7 @@ from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistak
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect, require_nonzero_effect
 from rig.formats.exporters import recording_as_rerun_tum_parquet
 from rig.model import mechanisms
-from rig.model.arm_branches_and_hands import hand_names
+from rig.model.hands_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Parallel,
     geometric_parameters,

@@ -25,7 +25,7 @@ from calib.models.arm.certification import CertifiedArm
 from calib.samples.confounded_conditions import confound_sentences
 from rig.array_and_json_types import Json
 from rig.errors import RigError
-from rig.model.arm_branches_and_hands import require_one_hand
+from rig.model.hands_places_and_tolerances import require_one_hand
 from rig.model.pose import direction_difference
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link

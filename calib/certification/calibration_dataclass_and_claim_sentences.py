@@ -17,7 +17,7 @@ from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_map_and_lost_poses import Workspace
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
-from rig.model.arm_branches_and_hands import hand_names, seen_hand
+from rig.model.hands_places_and_tolerances import hand_names, seen_hand
 from rig.model.mechanisms.redundant_struts import with_followers_of
 from rig.recording.recording_folder import Recording
 from rig.report.verdict_and_display import OneLineRepr, result_html

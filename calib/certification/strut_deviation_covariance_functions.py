@@ -1,4 +1,4 @@
-"""Covariance functions of strut deviations, one for each cause beyond the geometry, and the sign of each strut's load.
+"""Covariance functions of strut deviations, one for each cause.
 
 Each component has a mean square of 1 in use: over the workspace, moves between its configurations, and the
 recording's own times, temperatures and loads. Its size (m) is then what it adds to a strut's error there.

@@ -30,7 +30,7 @@ from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.diagnosis.report import report_sentences
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
+from calib.diagnosis.report.report_verdict_and_folder import (
     Report,
     diagnosis_report,
     missing_evidence_of_report,

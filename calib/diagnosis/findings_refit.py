@@ -16,15 +16,15 @@ from calib.correction.correction import AnyCorrection
 from calib.correction.physics_compensation import Physics, Unknown
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
-from calib.diagnosis.problems.arm.effects_shown_by_instruments import measured_effects
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import measured_effects
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     operating_point_of_recording,
     operating_point_without_distant_corners,
 )
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import correct_marker_swaps
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement, refine_operating_point
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import smooth_temperatures
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import smooth_temperatures
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
 from calib.diagnosis.unmodelled_curves import arm_fit_with_curves, refinement_with_curves
@@ -41,7 +41,7 @@ from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading, machine_geometry_and_effects_json_file
 from rig.formats.checked_entries import Entries
-from rig.formats.output_files.atomic_file_and_manifest import load_manifest as manifest
+from rig.formats.output_files.staged_folder_and_manifest import load_manifest as manifest
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, require_arm, require_parallel
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, frames_with_known_hashes

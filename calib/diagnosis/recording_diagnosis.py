@@ -10,15 +10,15 @@ from typing import Any, NamedTuple
 from threadpoolctl import threadpool_limits
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import (
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import (
     NO_STATED_TERMS,
     C,
     NotAsked,
     Outliers,
     StatedTerms,
 )
-from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
+from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
+from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Fit, Progress
 from calib.diagnosis.engine.term_selection import (
@@ -43,7 +43,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     Tolerable,
     ToleratedFindings,
 )
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import Repeats, Suggestion
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import Repeats, Suggestion
 from calib.models.platform.identification import require_agreeing_lengths
 from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
 from calib.samples.pose_samples import Sampled

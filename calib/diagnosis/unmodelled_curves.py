@@ -20,8 +20,7 @@ from scipy.linalg import cho_factor, cho_solve, null_space
 
 from calib.correction.physics_compensation import Unknown
 from calib.diagnosis.engine.cross_validation_and_chance import RIDGE, frame_folds, signed_rank_gain_in_standard_errors
-from calib.diagnosis.problems.platform.effect_candidates import effect_context
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities, effect_context
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement, refine_operating_point
 from calib.models.arm.error_model_and_observations import sample_observations
@@ -34,8 +33,8 @@ from calib.models.arm.joint_effect_fit_and_held_out_scatter import (
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import conserved_coordinate_sums, coordinates_of_effects
-from rig.effects.framework.effect_parameters_and_covariates import Context
-from rig.effects.framework.unmodelled_curve import covariate_words, curve_classes_by_covariate
+from rig.effects.framework.parameters_covariates_and_markers import Context
+from rig.effects.framework.unmodelled_curve_and_formula_quantities import covariate_words, curve_classes_by_covariate
 from rig.model.motion_simulation import motion_of_commands
 
 SIZES = np.geomspace(1e-7, 1e-2, 26)  # prior standard deviations of a curve, in the axis' unit

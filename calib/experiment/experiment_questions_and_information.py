@@ -12,8 +12,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from calib.diagnosis.engine.candidate_score import Alternative
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import PLATFORM, C
-from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import PLATFORM, C
+from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from rig.array_and_json_types import Floats
 from rig.errors import RigError

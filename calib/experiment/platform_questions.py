@@ -17,7 +17,11 @@ from typing import cast
 import numpy as np
 
 from calib.diagnosis.engine.linear_model import Column, join_columns
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
+from calib.diagnosis.problems.platform.alternatives_of_findings import WARM
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
+    Sensitivities,
+    effect_parameter_directions,
+)
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, remounted_cube_seats
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.linearised_corners import cube_seat_freedoms
@@ -26,8 +30,15 @@ from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation
 )
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
-from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import WARM
 from calib.diagnosis.recording_diagnosis import Diagnosis
+from calib.experiment.arm_questions_and_predicted_recording import (
+    fitted_design,
+    operating_point_of_last_recording,
+    operating_point_with_turned_cubes,
+    predicted_operating_point,
+    predicted_poses,
+    predicted_sensor_log,
+)
 from calib.experiment.experiment_questions_and_information import (
     Hypothesis,
     PerFrame,
@@ -39,20 +50,12 @@ from calib.experiment.experiment_questions_and_information import (
     predictions_with_unlisted_hypothesis,
     rival_hypotheses,
 )
-from calib.experiment.predicted_recording_of_plan import (
-    fitted_design,
-    operating_point_of_last_recording,
-    operating_point_with_turned_cubes,
-    predicted_operating_point,
-    predicted_poses,
-    predicted_sensor_log,
-)
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.effect_places_and_part_tolerances import SEAT
+from rig.model.hands_places_and_tolerances import SEAT
 from rig.planning.timed_plan_and_visiting_order import Plan
 
 WEAK = 1e-12  # of the greatest eigenvalue; directions below are none

@@ -16,7 +16,7 @@ from calib.correction.physics_compensation import Physics, Unknown
 from rig.array_and_json_types import Booleans, Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
-from rig.effects.framework.unmodelled_curve import curve_classes_by_covariate
+from rig.effects.framework.unmodelled_curve_and_formula_quantities import curve_classes_by_covariate
 from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
@@ -32,7 +32,7 @@ from rig.formats.rig_toml.mechanism_entries import (
 from rig.formats.rig_toml.strut_entries import follower_numbers, stated_strut_count
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Hexapod, Planar2
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,

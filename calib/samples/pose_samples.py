@@ -18,9 +18,9 @@ from calib.samples.exposure_conditions import Conditions, conditions_of_exposure
 from calib.samples.platform_poses_with_tilts import poses_with_platform_tilts
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
-from rig.model.arm_branches_and_hands import hand_names
 from rig.model.base_and_link_tilts import TiltReadings, gravity_at_exposures
 from rig.model.design import Instrument
+from rig.model.hands_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, nearest_reachable_poses
 from rig.recording.frame_selection_and_content_hashes import (
     hands_with_seen_targets,

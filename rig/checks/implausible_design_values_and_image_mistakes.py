@@ -15,7 +15,7 @@ from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistak
 from rig.formats import local_and_remote_input_files
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.numbers_and_units import stated_units
-from rig.formats.output_files.atomic_file_and_manifest import file_digest
+from rig.formats.output_files.staged_folder_and_manifest import file_digest
 from rig.model.design import Camera, Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links

@@ -113,7 +113,7 @@ def run_document(arguments: Namespace) -> None:
     from rig.api import effect_catalogue
     from rig.errors import RigError
     from rig.formats.output_files import write_text
-    from rig.formats.output_files.atomic_file_and_manifest import is_written_directly
+    from rig.formats.output_files.atomic_files_and_locks import is_written_directly
 
     kinds = input_options.known_effects(input_options.load_effect_files(arguments))
     out = arguments.outputs.file(arguments.out)

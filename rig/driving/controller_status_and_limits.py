@@ -1,4 +1,4 @@
-"""What a controller reports: its status with advice to the operator, and its own limits.
+"""Controller status and limits, as the controller reports them.
 
 Limits are of travel, speed and acceleration; a warning names those that are tighter than the rig.toml's.
 """

@@ -1,4 +1,4 @@
-"""Frames taken during one move, each kept once the controller has reported positions until after its exposure."""
+"""Exposures in motion: frames taken during one move."""
 
 import threading
 from bisect import bisect_left

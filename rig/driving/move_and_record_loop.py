@@ -34,7 +34,7 @@ from rig.driving.run_journal import (
 )
 from rig.driving.run_steps_and_progress import Progress, Step, interrupted_move_result, progress_from_journal
 from rig.errors import MotionError, RigError, Stopped
-from rig.formats.output_files.locks_of_files_and_folders import sync_folder
+from rig.formats.output_files.atomic_files_and_locks import sync_folder
 
 
 class Machine(Protocol):

@@ -36,7 +36,7 @@ from rig.driving.run_journal import (
 from rig.errors import RigError
 from rig.formats.local_and_remote_input_files import BINARY
 from rig.formats.output_files import write_text
-from rig.formats.output_files.locks_of_files_and_folders import sync_folder
+from rig.formats.output_files.atomic_files_and_locks import sync_folder
 
 APART = 1e-6  # s; rows of commands.csv lie at least so far apart
 

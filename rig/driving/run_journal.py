@@ -14,7 +14,7 @@ from typing import ClassVar
 
 from rig.errors import FileError, RigError
 from rig.formats.local_and_remote_input_files import BINARY
-from rig.formats.output_files.locks_of_files_and_folders import HeldLock, lock_open_file, sync_folder
+from rig.formats.output_files.atomic_files_and_locks import HeldLock, lock_open_file, sync_folder
 
 Lengths = tuple[float, ...]
 

@@ -14,8 +14,8 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion_and_play import Motion, Path
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
-from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Design
+from rig.model.hands_places_and_tolerances import hand_names
 from rig.model.mechanisms import hexapod, mechanism_chain, redundant_struts
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Mechanism,

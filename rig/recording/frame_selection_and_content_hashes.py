@@ -31,8 +31,8 @@ from rig.array_and_json_types import Integers
 from rig.compute.worker_processes import worker_count
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.formats.local_and_remote_input_files import short_repr
-from rig.formats.output_files.atomic_file_and_manifest import file_digest, load_manifest
-from rig.model.arm_branches_and_hands import hand_names
+from rig.formats.output_files.staged_folder_and_manifest import file_digest, load_manifest
+from rig.model.hands_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import LIMB, Recording

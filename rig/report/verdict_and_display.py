@@ -24,7 +24,7 @@ from rig.array_and_json_types import Json
 from rig.errors import FileError
 from rig.formats.local_and_remote_input_files import require_schema
 from rig.formats.output_files import write_text
-from rig.formats.output_files.atomic_file_and_manifest import file_digest
+from rig.formats.output_files.staged_folder_and_manifest import file_digest
 
 AGREES = 1.2  # times what noise and claim allow: up to that a held-out error agrees with them
 REFUTES = 1.5  # from there on it refutes them

@@ -15,10 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.diagnosis.effect_signal_to_noise_and_separation import platform_effect_signal_to_noise
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
-    diagnosis_report,
-    write_diagnosis_json_and_simulation_files,
-)
+from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report, write_diagnosis_json_and_simulation_files
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder

@@ -25,7 +25,7 @@ WATCHED = (
     "rig.recording.recording_folder",
     "rig.formats.rig_toml.design_from_rig_toml",
     "rig.formats.numbers_and_units",
-    "rig.formats.output_files.atomic_file_and_manifest",
+    "rig.formats.output_files.atomic_files_and_locks",
     "rig.driving.cameras.opencv_camera",
     "rig.model.design",
     "rig.report.pages.run_page_server",

@@ -15,7 +15,7 @@ from rig.driving.cameras.opencv_camera import gstreamer_pipeline_problem
 from rig.errors import RigError
 from rig.formats.json_toml_and_yaml_loading import Places, first_repeated_key, toml_entries
 from rig.formats.numbers_and_units import parse_number, parse_whole_number
-from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable
+from rig.formats.output_files.atomic_files_and_locks import escape_unprintable
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Actuator
 from rig.model.protocol_and_port_names import SCHEMES, port_problem

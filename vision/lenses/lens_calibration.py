@@ -1,4 +1,4 @@
-"""Lens calibration from views of a board, and initial lenses of cameras that state none."""
+"""Lens calibration from views of a board."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

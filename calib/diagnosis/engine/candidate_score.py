@@ -10,14 +10,10 @@ from typing import Generic
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import C, Candidate, Node, Role, UsualRange
 from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion, scan_p_value
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import C, Candidate, Node, Role, UsualRange
-from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import (
-    FrameProducts,
-    Solved,
-    normal_equations_by_direction_weights,
-)
 from calib.diagnosis.engine.linear_model import RANK, LinearModel, Projection
+from calib.diagnosis.engine.reduced_least_squares import FrameProducts, Solved, normal_equations_by_direction_weights
 from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
 from rig.array_and_json_types import Booleans, Floats
 

@@ -18,8 +18,8 @@ import scipy
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import gammaln
 
-from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import SWALLOWED, FrameProducts
 from calib.diagnosis.engine.linear_model import LinearModel
+from calib.diagnosis.engine.reduced_least_squares import SWALLOWED, FrameProducts
 from calib.identify.least_squares_and_robust_fit import time_block_folds
 from rig.array_and_json_types import Booleans, Floats, Integers
 

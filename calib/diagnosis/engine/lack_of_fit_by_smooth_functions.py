@@ -10,7 +10,8 @@ import numpy as np
 import scipy
 
 from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion, scan_p_value
-from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import (
+from calib.diagnosis.engine.linear_model import LinearModel
+from calib.diagnosis.engine.reduced_least_squares import (
     SWALLOWED,
     FrameProducts,
     Normal,
@@ -18,9 +19,8 @@ from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares impor
     solve_normal_equations,
     solve_with_prior,
 )
-from calib.diagnosis.engine.linear_model import LinearModel
 from rig.array_and_json_types import Floats
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 ALPHA = 1e-4  # chance of calling anything unknown where there is nothing, over all tests
 LIKELY = 1e-3  # chance above which no dispersion is asked, since that only makes it likelier

@@ -12,11 +12,11 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
 from calib.diagnosis.engine.candidate_score import Score
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import C, SelectionPolicy, StatedTerms
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import C, SelectionPolicy, StatedTerms
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 Fit = TypeVar("Fit")
 Fit_contra = TypeVar("Fit_contra", contravariant=True)

@@ -15,8 +15,8 @@ from calib.diagnosis.engine.candidate_score import (
     best_effect_at_several_axes,
     score_raised_to_likelihood_ratio,
 )
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import C
-from calib.diagnosis.engine.finding_confirmation_against_alternatives import (
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import C
+from calib.diagnosis.engine.finding_confirmation import (
     Finding,
     Scans,
     confirm_terms,

@@ -11,19 +11,13 @@ from typing import Any, Literal, NamedTuple, Protocol, Self, TypeVar, runtime_ch
 
 import numpy as np
 
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import C, Candidate, NotAsked, Outliers, StatedTerms
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import (
-    C,
-    Candidate,
-    NotAsked,
-    Outliers,
-    StatedTerms,
-)
-from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
+from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Fit, Problem, Progress
 from calib.diagnosis.engine.term_selection import Selection
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import Repeats, Suggestion
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import Repeats, Suggestion
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import StatedTerms
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import StatedTerms
-from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
+from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit, first_lack_of_fit_of_each_place
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     MeasuredFinding,
@@ -17,7 +17,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     ScatterSize,
     Value,
 )
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import Suggestion
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import Suggestion
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from rig.effects.catalogue.effect_list import Plugin
 from rig.effects.framework.effect import Effect

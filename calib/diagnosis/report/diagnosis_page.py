@@ -10,7 +10,7 @@ from typing import Protocol
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import report_sentences
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report, diagnosis_verdict
+from calib.diagnosis.report.report_verdict_and_folder import Report, diagnosis_verdict
 from calib.report.pose_and_effect_figures import effect_sketch
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.recording.recording_folder import Recording

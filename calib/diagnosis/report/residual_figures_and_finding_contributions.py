@@ -10,11 +10,11 @@ from typing import cast
 
 import numpy as np
 
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import C
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import C
 from calib.diagnosis.engine.problem_interface import Fit
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import HeldOutPoses, PoseContributions
-from calib.diagnosis.problems.platform.effect_candidates import affects_images_only
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import affects_images_only
 from calib.diagnosis.problems.platform.lack_of_fit import closure_residuals, closures_in_metres
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel

@@ -15,7 +15,7 @@ from calib.report.pose_and_effect_figures import closed_outline
 from rig.array_and_json_types import Floats
 from rig.model import mechanisms
 from rig.model.design import Camera
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import mechanism_chain as chains

@@ -1,4 +1,4 @@
-"""Placement of an arm in an instrument's frame, and of the target on its hand, before identification.
+"""Placement of an arm in an instrument's frame.
 
 For given rotation X of the base, what positions say of the target z on the hand and of the base's place t is linear,
 and what is then left is a quadratic function of X alone: p = X (F z + f) + t, so X'p - f = F z + X't,
@@ -20,7 +20,7 @@ from calib.models.arm import error_model_and_observations
 from calib.models.arm.error_model_and_observations import Observations, tool_parameters
 from rig.array_and_json_types import Floats
 from rig.errors import NotEnoughData, RigError
-from rig.model.arm_branches_and_hands import seen_hand
+from rig.model.hands_places_and_tolerances import seen_hand
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import log

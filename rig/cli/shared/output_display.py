@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TextIO, cast
 
 from rig.errors import RigError
-from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable, file_digest
+from rig.formats.output_files.atomic_files_and_locks import escape_unprintable
+from rig.formats.output_files.staged_folder_and_manifest import file_digest
 
 if TYPE_CHECKING:
     from calib.certification.held_out_errors import HeldOut

@@ -13,7 +13,7 @@ from calib.online.observer_of_run_frames import RunObserver
 from rig.array_and_json_types import Floats
 from rig.cli.shared.output_display import unescaped_stream
 from rig.driving.controller_status_and_limits import ControllerStatus
-from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable
+from rig.formats.output_files.atomic_files_and_locks import escape_unprintable
 from rig.model.design import Design
 from rig.model.pose import pose_to_vector
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from rig.array_and_json_types import Integers
 from rig.effects.framework.effect import Candidate
-from rig.effects.framework.effect_parameters_and_covariates import (
+from rig.effects.framework.machine_motion_and_play import Motion
+from rig.effects.framework.parameters_covariates_and_markers import (
     Context,
     ControllerTerm,
     Covariate,
@@ -19,8 +20,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     draw_number,
     travel_covariate,
 )
-from rig.effects.framework.machine_motion_and_play import Motion
-from rig.effects.framework.scale_with_curvature import CURVATURE, ScaleWithCurvature
+from rig.effects.framework.shared_effect_laws import CURVATURE, ScaleWithCurvature
 
 
 @dataclass(frozen=True, slots=True)

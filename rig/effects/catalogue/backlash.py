@@ -8,13 +8,13 @@ from typing import ClassVar
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_parameters_and_covariates import (
+from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
+from rig.effects.framework.parameters_covariates_and_markers import (
     ControllerTerm,
     Covariate,
     Parameter,
     travel_covariate,
 )
-from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
 
 
 @dataclass(frozen=True, slots=True)

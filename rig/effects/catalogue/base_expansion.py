@@ -10,7 +10,8 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import (
+from rig.effects.framework.machine_motion_and_play import Motion
+from rig.effects.framework.parameters_covariates_and_markers import (
     Context,
     ControllerTerm,
     Covariate,
@@ -19,7 +20,6 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     controller_channel,
     temperature_covariate,
 )
-from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
 
 AMBIENT = "ambient_temperature_C"

@@ -11,11 +11,11 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import Context, Linear, Parameter
+from rig.effects.framework.parameters_covariates_and_markers import Context, Linear, Parameter
 from rig.errors import RigError
 from rig.model.base_and_link_tilts import GRAVITY, has_gravity, logged_gravity
 from rig.model.design import Camera
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 WEIGHT = 9.80665  # m/s^2, for which `yields` is stated
 TURNS = 0.02  # of it, RMS, from which a component of gravity is asked for

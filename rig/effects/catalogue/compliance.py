@@ -8,7 +8,8 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import (
+from rig.effects.framework.machine_motion_and_play import Motion, independent_load_columns
+from rig.effects.framework.parameters_covariates_and_markers import (
     Context,
     Covariate,
     Drawing,
@@ -19,9 +20,8 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     load_covariate,
     log_uniform,
 )
-from rig.effects.framework.machine_motion_and_play import Motion, independent_load_columns
 from rig.errors import RigError
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 HEAVIEST, LIGHTER, OFF_CENTRE = (
     (4.0, 15.0),

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect_parameters_and_covariates import Parameter
-from rig.effects.framework.lagged_path import lagged_lengths
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.effects.framework.sums_of_law_members import WeightedSum, shares_parameter
+from rig.effects.framework.parameters_covariates_and_markers import Parameter
+from rig.effects.framework.shared_effect_laws import WeightedSum, lagged_lengths, shares_parameter
 
 SPREAD = 5.0  # times as long as the one before, each further time constant
 

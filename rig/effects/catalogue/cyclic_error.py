@@ -11,7 +11,8 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import (
+from rig.effects.framework.machine_motion_and_play import Motion
+from rig.effects.framework.parameters_covariates_and_markers import (
     Context,
     ControllerTerm,
     Covariate,
@@ -19,8 +20,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     Parameter,
     quadrature_columns,
 )
-from rig.effects.framework.machine_motion_and_play import Motion
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 FINE = 0.3  # step of a joint's orders, of what its travel resolves
 ORDERS = 450.0  # cycles per turn of a joint; twice what a gear of 1 : 101 with four cycles per motor turn shows

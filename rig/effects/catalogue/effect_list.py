@@ -49,10 +49,10 @@ from rig.effects.catalogue.travel_heating import TravelHeating
 from rig.effects.catalogue.vibration import Vibration
 from rig.effects.catalogue.warm_up import WarmUp
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_parameters_and_covariates import Parameter, replace_axis_placeholder_in_text
+from rig.effects.framework.parameters_covariates_and_markers import Parameter, replace_axis_placeholder_in_text
 from rig.errors import FileError
 from rig.formats.numbers_and_units import range_text
-from rig.model.effect_places_and_part_tolerances import AXES, Tolerance
+from rig.model.hands_places_and_tolerances import AXES, Tolerance
 
 ALL: tuple[type[Effect], ...] = (
     ScaleError,

@@ -12,7 +12,8 @@ from scipy.ndimage import binary_dilation
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import (
+from rig.effects.framework.machine_motion_and_play import Motion
+from rig.effects.framework.parameters_covariates_and_markers import (
     Context,
     Covariate,
     Drawing,
@@ -21,7 +22,6 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     draw_number,
     quadrature_columns,
 )
-from rig.effects.framework.machine_motion_and_play import Motion
 
 FINE = 0.3  # step of the periods, of what an axis' travel resolves
 OF_SCREW = 5.0  # periods in a screw's lead, up to which it is the screw's cyclic error

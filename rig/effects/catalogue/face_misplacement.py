@@ -6,9 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_parameters_and_covariates import Parameter
-from rig.effects.framework.marker_table_interface import Markers, replace_marker_columns
-from rig.model.effect_places_and_part_tolerances import PLACES, Place
+from rig.effects.framework.parameters_covariates_and_markers import Markers, Parameter, replace_marker_columns
+from rig.model.hands_places_and_tolerances import PLACES, Place
 from rig.model.pose import displace_selected_poses, exp
 
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
-from rig.effects.framework.effect_parameters_and_covariates import Context, Parameter
+from rig.effects.framework.parameters_covariates_and_markers import Context, Parameter
 from rig.errors import RigError
 from rig.model.design import Camera
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 AMBIENT = "ambient_temperature_C"
 

@@ -9,16 +9,16 @@ from typing import ClassVar, Self
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect_parameters_and_covariates import (
+from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
+from rig.effects.framework.parameters_covariates_and_markers import (
     Covariate,
     Drawing,
     Parameter,
     log_uniform,
     travel_covariate,
 )
-from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
-from rig.effects.framework.sums_of_law_members import WeightedSum, shares_parameter
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.effects.framework.shared_effect_laws import WeightedSum, shares_parameter
+from rig.model.hands_places_and_tolerances import Place
 
 PLAYS = 8  # operators that stand for the continuum
 LOST, LOST_TURN = (2e-6, 5e-5), (1e-5, 1e-3)  # m, rad: what rigs lose between the two directions

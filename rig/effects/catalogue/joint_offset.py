@@ -11,7 +11,8 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import (
+from rig.effects.framework.machine_motion_and_play import Motion
+from rig.effects.framework.parameters_covariates_and_markers import (
     Context,
     Covariate,
     Drawing,
@@ -19,7 +20,6 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     Parameter,
     draw_number,
 )
-from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
 from rig.model.mechanisms.hexapod import cardan_plate_axes
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_platform

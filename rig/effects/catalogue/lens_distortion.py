@@ -11,7 +11,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import (
+from rig.effects.framework.parameters_covariates_and_markers import (
     COUNT,
     Context,
     Drawing,
@@ -20,7 +20,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     log_uniform,
 )
 from rig.model.design import Camera, chebyshev_products, warp_columns
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 LACKING = {
     "thin prism": (8, 9, 10, 11),

@@ -9,9 +9,14 @@ from typing import ClassVar, Self
 import numpy as np
 
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_parameters_and_covariates import Drawing, Parameter, draw_number
-from rig.effects.framework.marker_table_interface import Markers, replace_marker_columns
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.effects.framework.parameters_covariates_and_markers import (
+    Drawing,
+    Markers,
+    Parameter,
+    draw_number,
+    replace_marker_columns,
+)
+from rig.model.hands_places_and_tolerances import Place
 
 CORNERS = 4
 

@@ -7,9 +7,8 @@ from typing import ClassVar, Self
 import numpy as np
 
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_parameters_and_covariates import Drawing, Parameter
-from rig.effects.framework.marker_table_interface import Markers, replace_marker_columns
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.effects.framework.parameters_covariates_and_markers import Drawing, Markers, Parameter, replace_marker_columns
+from rig.model.hands_places_and_tolerances import Place
 from rig.model.pose import displace_selected_poses, exp
 
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import Context, Covariate, Parameter, time_covariate
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.effects.framework.parameters_covariates_and_markers import Context, Covariate, Parameter, time_covariate
+from rig.model.hands_places_and_tolerances import Place
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_parameters_and_covariates import Parameter
-from rig.effects.framework.marker_table_interface import Markers, replace_marker_columns
-from rig.model.effect_places_and_part_tolerances import SIDES
+from rig.effects.framework.parameters_covariates_and_markers import Markers, Parameter, replace_marker_columns
+from rig.model.hands_places_and_tolerances import SIDES
 
 
 @dataclass(frozen=True, slots=True)

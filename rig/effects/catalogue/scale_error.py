@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from rig.effects.framework.effect_parameters_and_covariates import (
+from rig.effects.framework.machine_motion_and_play import Motion
+from rig.effects.framework.parameters_covariates_and_markers import (
     ControllerTerm,
     Covariate,
     Parameter,
     travel_covariate,
 )
-from rig.effects.framework.machine_motion_and_play import Motion
-from rig.effects.framework.scale_with_curvature import CURVATURE, ScaleWithCurvature
+from rig.effects.framework.shared_effect_laws import CURVATURE, ScaleWithCurvature
 
 
 @dataclass(frozen=True, slots=True)

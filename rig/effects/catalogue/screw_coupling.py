@@ -10,14 +10,14 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import (
+from rig.effects.framework.machine_motion_and_play import Motion
+from rig.effects.framework.parameters_covariates_and_markers import (
     Context,
     Covariate,
     Linear,
     Parameter,
     derivative_step,
 )
-from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
 from rig.model.mechanisms.hexapod import cardan_twist_angles_about_struts
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_platform

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter, travel_covariate
-from rig.effects.framework.lagged_path import lagged_path
 from rig.effects.framework.machine_motion_and_play import Motion, Path
+from rig.effects.framework.parameters_covariates_and_markers import Covariate, Parameter, travel_covariate
+from rig.effects.framework.shared_effect_laws import lagged_path
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,8 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import (
+from rig.effects.framework.machine_motion_and_play import Motion
+from rig.effects.framework.parameters_covariates_and_markers import (
     Context,
     ControllerTerm,
     Covariate,
@@ -18,8 +19,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     controller_channel,
     temperature_covariate,
 )
-from rig.effects.framework.machine_motion_and_play import Motion
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 AMBIENT = "ambient_temperature_C"
 LAGS = 8  # that a search tries

@@ -11,7 +11,8 @@ import scipy
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import (
+from rig.effects.framework.machine_motion_and_play import Motion
+from rig.effects.framework.parameters_covariates_and_markers import (
     COUNT,
     Context,
     Covariate,
@@ -23,8 +24,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     log_uniform,
     travel_covariate,
 )
-from rig.effects.framework.machine_motion_and_play import Motion
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 KNOTS = (5, 9, 14, 24)  # of a strut's profile, or a slide's
 SPACINGS = (1.0, 0.5, 0.25, 0.12, 0.07, 0.05, 0.035)  # rad between knots of a joint's profile

@@ -10,7 +10,8 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_parameters_and_covariates import (
+from rig.effects.framework.machine_motion_and_play import Motion
+from rig.effects.framework.parameters_covariates_and_markers import (
     QUADRATURE,
     Context,
     Covariate,
@@ -19,7 +20,6 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     Node,
     Parameter,
 )
-from rig.effects.framework.machine_motion_and_play import Motion
 
 
 @dataclass(frozen=True, slots=True)

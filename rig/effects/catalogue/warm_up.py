@@ -9,9 +9,9 @@ from typing import ClassVar
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect_parameters_and_covariates import Covariate, Parameter, time_covariate
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.effects.framework.sums_of_law_members import WeightedSum, shares_parameter
+from rig.effects.framework.parameters_covariates_and_markers import Covariate, Parameter, time_covariate
+from rig.effects.framework.shared_effect_laws import WeightedSum, shares_parameter
 
 SPREAD = 3.0  # times as long as the first, the second time constant
 

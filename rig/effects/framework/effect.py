@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect_parameters_and_covariates import (
+from rig.effects.framework.machine_motion_and_play import SOON, Motion, Path
+from rig.effects.framework.parameters_covariates_and_markers import (
     COUNT,
     QUADRATURE,
     SEARCHED,
@@ -25,6 +26,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     Covariate,
     Drawing,
     Linear,
+    Markers,
     Node,
     Parameter,
     derivative_step,
@@ -33,11 +35,9 @@ from rig.effects.framework.effect_parameters_and_covariates import (
     parameter_values,
     signed_size_nodes,
 )
-from rig.effects.framework.machine_motion_and_play import SOON, Motion, Path
-from rig.effects.framework.marker_table_interface import Markers
 from rig.errors import RigError
 from rig.model.design import Camera
-from rig.model.effect_places_and_part_tolerances import AXES, Place, Tolerance, axis_mask
+from rig.model.hands_places_and_tolerances import AXES, Place, Tolerance, axis_mask
 
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
 MOTION_STAGES, LINEAR = ("command", "struts", "structure"), ("linear", "inverse")  # stages; roles of parameters

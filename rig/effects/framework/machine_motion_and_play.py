@@ -9,16 +9,16 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.numba_kernels_and_lazy_exports import njit
-from rig.effects.framework.weight_of_platform_and_hands import (
+from rig.errors import RigError
+from rig.model import mechanisms
+from rig.model.base_and_link_tilts import gravity_at_exposures
+from rig.model.design import Actuator, Platform
+from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import (
     UNSTATED,
     has_stated_weights,
     loads_by_weight_of_hands,
     weight_wrench,
 )
-from rig.errors import RigError
-from rig.model import mechanisms
-from rig.model.base_and_link_tilts import gravity_at_exposures
-from rig.model.design import Actuator, Platform
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, MechanismKinematics, has_links
 from rig.recording.recording_folder import PAYLOAD, Sensors
 

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.formula_quantities import POSE, Quantity, quantity_by_name
+from rig.effects.framework.unmodelled_curve_and_formula_quantities import POSE, Quantity, quantity_by_name
 from rig.effects.texts.effect_texts_and_user_effect_files import effect_name_problem, effects_of_source
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
-from rig.model.effect_places_and_part_tolerances import AXES
+from rig.model.hands_places_and_tolerances import AXES
 
 WIDTH = 145  # characters of a line
 MOST = {"m": 1e-2, "rad": 0.1}  # that a term may come to

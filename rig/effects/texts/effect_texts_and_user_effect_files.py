@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from rig.effects.catalogue.effect_list import BY_NAME, STAGES, Plugin
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
-from rig.effects.framework.effect_parameters_and_covariates import Context, Parameter
+from rig.effects.framework.parameters_covariates_and_markers import Context, Parameter
 from rig.errors import FileError, RigError
 from rig.formats.checked_entries import NAME, nearest_known_word
 from rig.formats.local_and_remote_input_files import short_repr
@@ -28,7 +28,7 @@ from rig.formats.numbers_and_units import parse_number
 from rig.formats.user_python_file import UserModule, line_of_class, line_within, read_user_text, run_user_text
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.effect_places_and_part_tolerances import AXES, Place, parse_stage_place
+from rig.model.hands_places_and_tolerances import AXES, Place, parse_stage_place
 
 Kinds = Mapping[str, type[Effect]]  # effects by their names
 

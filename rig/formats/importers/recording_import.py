@@ -38,8 +38,8 @@ from rig.formats.local_and_remote_input_files import read_bytes, read_text
 from rig.formats.output_files import write_bytes
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
-from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Design
+from rig.model.hands_places_and_tolerances import hand_names
 from rig.recording.exposures_and_image_files import image_file_problem
 from rig.recording.recording_tables import Poses, write_poses, write_table
 

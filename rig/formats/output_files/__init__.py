@@ -2,15 +2,9 @@
 made.
 """
 
-from rig.formats.output_files.atomic_file_and_manifest import (
-    MANIFEST,
-    STANDARD_OUTPUT,
-    FolderManifest,
-    require_complete_folder,
-    write_bytes,
-    write_text,
-)
+from rig.formats.output_files.atomic_files_and_locks import STANDARD_OUTPUT, write_bytes, write_text
 from rig.formats.output_files.command_outputs import CommandOutputs
+from rig.formats.output_files.staged_folder_and_manifest import MANIFEST, FolderManifest, require_complete_folder
 
 __all__ = [
     "MANIFEST",

@@ -9,18 +9,18 @@ from pathlib import Path
 
 from rig.errors import FileError, RigError
 from rig.formats import local_and_remote_input_files
-from rig.formats.output_files.atomic_file_and_manifest import (
+from rig.formats.output_files.atomic_files_and_locks import HeldLock, is_written_directly, path_status, write_text
+from rig.formats.output_files.staged_folder_and_manifest import (
+    GROWING,
     MANIFEST,
     FolderManifest,
     FolderOrigin,
+    StagedFolder,
     is_recording_table,
-    is_written_directly,
     load_manifest,
-    path_status,
-    write_text,
+    lock_unused_folder,
+    remove_stale_staged_files,
 )
-from rig.formats.output_files.locks_of_files_and_folders import HeldLock
-from rig.formats.output_files.staged_folder import GROWING, StagedFolder, lock_unused_folder, remove_stale_staged_files
 
 
 class CommandOutputs:

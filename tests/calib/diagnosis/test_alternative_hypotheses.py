@@ -9,18 +9,17 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine.candidate_score import Score
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import PLATFORM
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import PLATFORM
 from calib.diagnosis.engine.term_selection import _exchanged
-from calib.diagnosis.problems.platform.effect_candidates import platform_candidate
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities, platform_candidate
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.cli import command_line
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Candidate, Linear
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from synthetic import unlisted_physics

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.diagnosis.problems.platform.effect_candidates import platform_candidate
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import platform_candidate
 from rig.effects.catalogue.cyclic_error import CyclicError
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.catalogue.vibration import Vibration

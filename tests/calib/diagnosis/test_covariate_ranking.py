@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import NO_STATED_TERMS
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import NO_STATED_TERMS
 from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
-from calib.diagnosis.problems.arm.joint_candidates import joint_candidates
+from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import joint_candidates
 from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import ranked_covariates
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearise_poses
 from calib.diagnosis.problems.arm.projected_pose_residuals import fit_terms_to_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from calib.diagnosis.report.report_sentences import covariate_table_heads_and_rows
+from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.effects.framework.machine_motion_and_play import Path, play_operator
 from rig.recording.recording_folder import Sensors
 from tests.calib import secret_arms

@@ -10,9 +10,9 @@ import pytest
 
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.problems.platform import platform_recording_evidence as platform
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import repeatability_of_pairs
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import repeatability_of_pairs
 from calib.diagnosis.report.diagnosis_json_entries import AlternativeEntry, NotAskedEntry
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report, repeatability_entry
+from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report, repeatability_entry
 from calib.diagnosis.report.residual_figures_and_finding_contributions import (
     effect_residual_figures,
     model_residuals,
@@ -21,7 +21,7 @@ from calib.diagnosis.report.residual_figures_and_finding_contributions import (
 from calib.diagnosis.report.rig_and_arm_outline_figures import MARKS, rig_outline_figure
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.planning import plan
 from rig.recording import recording_folder
 from rig.recording.recording_tables import write_poses

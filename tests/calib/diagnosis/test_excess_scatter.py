@@ -14,10 +14,10 @@ from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import l
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import ASSUMED_NOISE, RESIDUALS, STATED
 from calib.diagnosis.recording_diagnosis import diagnose_evidence
 from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report, summary_sentence
+from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report, summary_sentence
 from calib.samples.pose_samples import sample_recording
 from rig.model.design import Arm
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.recording import recording_folder
 from rig.recording.recording_tables import Poses
 from rig.report.verdict_and_display import State

@@ -7,17 +7,17 @@ import pytest
 from scipy.special import chdtri
 
 from calib.diagnosis.engine.candidate_score import Score, score_raised_to_likelihood_ratio
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import PLATFORM, Candidate
 from calib.diagnosis.engine.cross_validation_and_chance import frame_folds, residual_dispersion, scan_p_value
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import PLATFORM, Candidate
-from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import (
+from calib.diagnosis.engine.linear_model import Block, Column, LinearModel
+from calib.diagnosis.engine.reduced_least_squares import (
     FrameProducts,
     normal_equations_by_common_weights,
     solve_normal_equations,
 )
-from calib.diagnosis.engine.linear_model import Block, Column, LinearModel
 from calib.diagnosis.engine.term_selection import _hidden
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import sides_of_sudden_changes
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.effects.catalogue.camera_bump import CameraBump
 from rig.effects.catalogue.missed_steps import MissedSteps
 from tests.calib.diagnose_recording import diagnosis_of

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import Normal, solve_nonnegative
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
-from rig.model.effect_places_and_part_tolerances import Place
+from calib.diagnosis.engine.reduced_least_squares import Normal, solve_nonnegative
+from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
+from rig.model.hands_places_and_tolerances import Place
 from rig.recording.recording_folder import load_recording
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.truth import case as cases

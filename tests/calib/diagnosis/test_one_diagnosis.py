@@ -9,26 +9,27 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine import problem_interface as interface
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import ARM
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import ARM
 from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
-from calib.diagnosis.problems.arm.finding_parameters_with_intervals_and_nonlinear_optimisation import (
-    _under,
-    term_errors_by_temperature_logs,
+from calib.diagnosis.problems.arm.finding_parameters import _under, term_errors_by_temperature_logs
+from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import (
+    NO_CORNERS,
+    POSES_ALONE,
+    joint_candidates,
 )
-from calib.diagnosis.problems.arm.joint_candidates import NO_CORNERS, POSES_ALONE, joint_candidates
 from calib.diagnosis.problems.arm.projected_pose_residuals import Term, fit_terms_to_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.diagnosis.problems.platform.effect_candidates import platform_candidates
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import platform_candidates
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
     FEWEST,
     repeatability_of_pairs,
     repeated_pairs,
 )
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.effects.catalogue.effect_list import ALL
 from rig.recording.recording_folder import Sensors
 from tests.calib.diagnose_recording import page_text

@@ -9,7 +9,7 @@ from scipy.optimize import nnls
 from calib.api.diagnose import diagnose
 from calib.diagnosis.engine.candidate_score import joint_gain
 from calib.diagnosis.engine.linear_model import Projection
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.recording import recording_folder
 from tests.bench.several_faults import drawn
 from tests.truth import record

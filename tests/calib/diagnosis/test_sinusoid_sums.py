@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import sinusoid_sums
+from calib.diagnosis.engine.reduced_least_squares import sinusoid_sums
 
 
 @pytest.mark.parametrize(

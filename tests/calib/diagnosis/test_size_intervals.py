@@ -9,24 +9,24 @@ import pytest
 
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value, value_with_interval_cut_at_bounds
-from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform import tolerance_columns
+from calib.diagnosis.problems.platform.alternatives_of_findings import (
+    parameter_errors_by_tolerances,
+    widen_intervals_by_temperature_logs_and_tolerances,
+)
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
-from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_columns import tolerance_sigmas_from_residuals
 from calib.diagnosis.problems.platform.simultaneous_refinement import (
     Refinement,
     refine_at_fixed_repeated_error,
     refine_operating_point,
 )
-from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import (
-    parameter_errors_by_tolerances,
-    widen_intervals_by_temperature_logs_and_tolerances,
-)
+from calib.diagnosis.problems.platform.tolerance_columns import tolerance_sigmas_from_residuals
 from calib.diagnosis.report import report_sentences
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
-from rig.model.effect_places_and_part_tolerances import SIDES
+from rig.model.hands_places_and_tolerances import SIDES
 from synthetic import blind_cases
 from tests.calib.recordings_with_effects import recorded
 
@@ -61,7 +61,7 @@ def test_sides_of_single_markers_make_the_side_of_all_less_sure(tmp_path, design
     """
     prints = blind_cases.draw_printing_errors(design, np.random.default_rng(3), 3e-6, SIDE)
     refined, sensitivities = fitted(tmp_path, design, [prints])
-    found = marker_and_thermometer_tolerance_columns.tolerance_model(refined.marginalised, sensitivities)
+    found = tolerance_columns.tolerance_model(refined.marginalised, sensitivities)
     sigma = tolerance_sigmas_from_residuals(found.projected(refined.marginalised), found)
     singles = {s.place: s.columns.start for s in found.sites if s.effect == "print_scale" and s.place != "markers"}
     together = next(s.columns for s in found.sites if s.place == "markers")

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import NotAsked, StatedTerms
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import NotAsked, StatedTerms
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     RequestedEffects,
     require_assumed_effects_testable,
 )
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from calib.diagnosis.report.report_sentences import evidence_sentence
+from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.cli import command_line
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect_and_place
 from rig.errors import NotEnoughData, RigError

@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.alternatives_of_findings import parameter_errors_by_temperature_logs
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
-from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import (
-    parameter_errors_by_temperature_logs,
-)
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import smooth_temperatures
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import smooth_temperatures
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.recording.recording_folder import Sensors
 from synthetic.secret_machine_and_truth_file import draw_temperatures

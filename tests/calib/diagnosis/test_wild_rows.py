@@ -12,7 +12,7 @@ from calib.certification.platform_certification import certify_platform, platfor
 from calib.diagnosis import recording_diagnosis
 from calib.diagnosis.problems.arm import arm_recording_evidence
 from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from calib.identify.least_squares_and_robust_fit import (
     MOST,
     has_several_deviating_numbers,

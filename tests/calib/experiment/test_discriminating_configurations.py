@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.api.next_experiment import CHOSEN, available_plans
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
 from calib.experiment.experiment_questions_and_information import (

@@ -26,7 +26,8 @@ from rig.effects.texts.effect_file_from_formula import load_suggested_formula
 from rig.errors import FileError
 from rig.formats.importers import import_recipe
 from rig.formats.local_and_remote_input_files import NAMED
-from rig.formats.output_files import MANIFEST, atomic_file_and_manifest
+from rig.formats.output_files import MANIFEST
+from rig.formats.output_files.staged_folder_and_manifest import load_manifest
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.recording import recording_folder
@@ -56,7 +57,7 @@ def looked_at(path: Path) -> None:
 def listed(path: Path) -> None:
     """What was made in a folder."""
     path.rename(path.parent / MANIFEST)
-    atomic_file_and_manifest.load_manifest(path.parent)
+    load_manifest(path.parent)
 
 
 def held(path: Path) -> None:

@@ -12,7 +12,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import (
     check_effect_place_and_parameter_bounds,
     coordinates_of_effects,
 )
-from rig.effects.framework.unmodelled_curve import (
+from rig.effects.framework.unmodelled_curve_and_formula_quantities import (
     HISTORY,
     PLAYS,
     TIME,

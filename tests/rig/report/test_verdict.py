@@ -30,7 +30,7 @@ FINE = Evidence("12 times better", ("go on: `rig x`",), held_out=1.1)
 
 
 def refutation(path, recording="ladder", state=State.BAD):
-    from rig.formats.output_files.atomic_file_and_manifest import file_digest
+    from rig.formats.output_files.staged_folder_and_manifest import file_digest
 
     return Refutation(
         file_digest(path),

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import ARM, SelectionPolicy, StatedTerms
 from calib.diagnosis.engine.cross_validation_and_chance import (
     FOLDS,
     STRETCHES,
@@ -18,17 +19,14 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
     signed_rank_gain_in_standard_errors,
     time_stretch_folds,
 )
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import ARM, SelectionPolicy, StatedTerms
-from calib.diagnosis.engine.finding_confirmation_against_alternatives import labelled_progress
+from calib.diagnosis.engine.finding_confirmation import labelled_progress
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Progress, Wald
 from calib.diagnosis.engine.term_selection import fit_selected_terms, remove_redundant_terms
 from calib.diagnosis.problems.arm import lack_of_fit_and_unlisted_effects as remainder
-from calib.diagnosis.problems.arm.finding_parameters_with_intervals_and_nonlinear_optimisation import (
-    has_continuous_parameters,
-)
-from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, JointScore
+from calib.diagnosis.problems.arm.finding_parameters import has_continuous_parameters
+from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import JointCandidate, JointScore
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, Geometry
 from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import (
     FINE,
@@ -49,7 +47,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import He
 from calib.identify.least_squares_and_robust_fit import time_block_folds
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 ALIASES = 3  # other orders of a sinusoid that are looked at
 KNOWN = 0.5  # numbers that data must determine of a term for it to be tested

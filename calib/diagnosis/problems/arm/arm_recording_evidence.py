@@ -11,8 +11,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import (
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import (
     NO_STATED_TERMS,
     Crowd,
     LeftOut,
@@ -20,20 +19,19 @@ from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers imp
     Outliers,
     StatedTerms,
 )
-from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
+from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
+from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.arm.arm_problem import COARSE_PARTS, FINE_PARTS, ArmProblem, nested_held_out_poses
-from calib.diagnosis.problems.arm.effects_shown_by_instruments import (
+from calib.diagnosis.problems.arm.finding_parameters import finding_parameters, term_errors_by_temperature_logs
+from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import (
+    JointCandidate,
     findings_of_measured_effects,
     fit_of_measured_effects,
+    joint_candidates,
 )
-from calib.diagnosis.problems.arm.finding_parameters_with_intervals_and_nonlinear_optimisation import (
-    finding_parameters,
-    term_errors_by_temperature_logs,
-)
-from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, joint_candidates
 from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import (
     excess_scatter_over_stated_noise,
     ranked_covariates,
@@ -60,7 +58,7 @@ from calib.diagnosis.problems.pose_noise_excess import (
     noise_factors,
     scaled_pose_covariance,
 )
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
     Repeats,
     Suggestion,
     axis_speeds,

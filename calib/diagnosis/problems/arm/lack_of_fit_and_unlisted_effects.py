@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import ARM
 from calib.diagnosis.engine.cross_validation_and_chance import (
     FOLDS,
     STRETCHES,
@@ -15,9 +16,7 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
     signed_rank_gain_in_standard_errors,
     time_stretch_folds,
 )
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import ARM
 from calib.diagnosis.engine.formula_search import Formula, Library, Search
-from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import Reduced
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
     ALPHA,
     Covariate,
@@ -30,16 +29,14 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
     significant_lack_of_fit,
     test_lack_of_fit,
 )
-from calib.diagnosis.problems.arm.finding_parameters_with_intervals_and_nonlinear_optimisation import (
-    has_continuous_parameters,
-    term_parameter_covariance,
-)
-from calib.diagnosis.problems.arm.joint_candidates import joint_candidate
+from calib.diagnosis.engine.reduced_least_squares import Reduced
+from calib.diagnosis.problems.arm.finding_parameters import has_continuous_parameters, term_parameter_covariance
+from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import optimise_terms
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_terms_to_poses
 from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_motion_inner_products
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
     AGREE,
     NAME,
     Repeats,
@@ -53,7 +50,7 @@ from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_rep
 from rig.array_and_json_types import Floats
 from rig.effects.framework.machine_motion_and_play import independent_load_columns
 from rig.effects.texts.effect_file_from_formula import Written
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.model.mechanisms import axis_places
 
 # joints of which a formula is held out: something unnamed remains of every real arm, and the largest are worth a look

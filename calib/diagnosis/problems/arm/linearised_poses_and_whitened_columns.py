@@ -16,7 +16,7 @@ from scipy.sparse.linalg import LinearOperator
 from scipy.spatial.transform import RigidTransform
 
 from calib.diagnosis.engine.cross_validation_and_chance import FOLDS, STRETCHES, time_stretch_folds
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import repeated_pairs
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import repeated_pairs
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import calibrate_arm
 from calib.models.arm.error_model_and_observations import KINDS, observation_jacobian, sample_observations
@@ -27,7 +27,7 @@ from calib.models.machine_models import independent_parameter_names_units_sizes_
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_parameters_and_covariates import Context
+from rig.effects.framework.parameters_covariates_and_markers import Context
 from rig.errors import NotEnoughData, RigError
 from rig.model import motion_simulation
 from rig.model.design import Design

@@ -5,20 +5,13 @@ Of profiles, sinusoids and scales of one joint, the simplest that explains as mu
 
 from dataclasses import replace
 
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import (
-    NO_STATED_TERMS,
-    SelectionPolicy,
-    StatedTerms,
-)
-from calib.diagnosis.problems.arm.finding_parameters_with_intervals_and_nonlinear_optimisation import (
-    has_continuous_parameters,
-    optimise_nonlinear_parameters,
-)
-from calib.diagnosis.problems.arm.joint_candidates import OWN_ANGLE, SPAN, Form, JointCandidate
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import NO_STATED_TERMS, SelectionPolicy, StatedTerms
+from calib.diagnosis.problems.arm.finding_parameters import has_continuous_parameters, optimise_nonlinear_parameters
+from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import OWN_ANGLE, SPAN, Form, JointCandidate
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_terms_to_poses
 from calib.diagnosis.problems.arm.scores_of_all_candidates import score_candidates
 from rig.array_and_json_types import Booleans
-from rig.effects.framework.effect_parameters_and_covariates import COUNT
+from rig.effects.framework.parameters_covariates_and_markers import COUNT
 
 FINE = 0.3  # step between orders, of what a joint's travel resolves
 CYCLES = 2  # sinusoids that a profile is tried to be made of

@@ -14,9 +14,9 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import Node
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import Node
 from calib.diagnosis.engine.linear_model import Block, Column, LinearModel
-from calib.diagnosis.problems.arm.joint_candidates import JointCandidate, JointScore
+from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import JointCandidate, JointScore
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, Columns, Part
 from calib.identify.least_squares_and_robust_fit import excess_scatter, robust_weights
 from rig.array_and_json_types import Booleans, Floats

@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import score_at_node
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import Node
-from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import (
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import Node
+from calib.diagnosis.engine.linear_model import Column
+from calib.diagnosis.engine.reduced_least_squares import (
     FrameProducts,
     Normal,
     Solved,
@@ -19,8 +20,7 @@ from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares impor
     sinusoid_sums,
     solve_with_prior,
 )
-from calib.diagnosis.engine.linear_model import Column
-from calib.diagnosis.problems.arm.joint_candidates import Form, JointCandidate, JointScore
+from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import Form, JointCandidate, JointScore
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
 from rig.array_and_json_types import Floats, Integers
 

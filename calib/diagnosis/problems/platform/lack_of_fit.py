@@ -11,7 +11,6 @@ import numpy as np
 import scipy
 
 from calib.diagnosis.engine.cross_validation_and_chance import scan_p_value
-from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import FrameProducts, solve_normal_equations
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
     ALPHA,
     LIKELY,
@@ -25,7 +24,8 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
     significant_lack_of_fit,
     test_lack_of_fit,
 )
-from calib.diagnosis.problems.platform.effect_candidates import effect_context, lacks_temperature_log
+from calib.diagnosis.engine.reduced_least_squares import FrameProducts, solve_normal_equations
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import effect_context, lacks_temperature_log
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.linearised_corners import MEDIAN, edge_shift_pixel_derivatives
@@ -34,7 +34,7 @@ from calib.diagnosis.problems.platform.scores_of_all_candidates import (
     constant_displacement_normal_equations,
     corner_displacement_inner_products,
 )
-from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions import (
+from calib.diagnosis.problems.platform.smooth_functions import (
     FAST,
     SLOW,
     camera_mount_and_focal_pixel_derivatives,
@@ -43,7 +43,7 @@ from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions 
     image_warp_pixel_derivatives,
     strut_deviation_basis_functions_by_covariate,
 )
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
     separate_weights_for_each_direction,
     smooth_functions_of_axis_motion,
     smooth_functions_of_time_and_sensors,
@@ -52,7 +52,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 
 MEDIAN_SPREAD = (

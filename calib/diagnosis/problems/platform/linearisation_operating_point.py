@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.diagnosis.engine.problem_interface import Progress
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import smooth_temperatures
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import smooth_temperatures
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
@@ -20,7 +20,7 @@ from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design
-from rig.model.effect_places_and_part_tolerances import FINDER, SEAT, Place
+from rig.model.hands_places_and_tolerances import FINDER, SEAT, Place
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, require_parallel
 from rig.model.pose import exp

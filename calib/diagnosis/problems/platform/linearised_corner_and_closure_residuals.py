@@ -25,7 +25,7 @@ from calib.diagnosis.problems.platform.linearised_corners import (
 from calib.models.platform.closed_loop_equations import loop_covariance, scatter_of_redundant_struts, with_reading
 from calib.models.platform.identification import PRIOR
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.model.effect_places_and_part_tolerances import FINDER, SEAT
+from rig.model.hands_places_and_tolerances import FINDER, SEAT
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     geometric_parameters,
     loop_closure_parameter_jacobian,

@@ -12,6 +12,7 @@ from typing import cast
 import numpy as np
 from scipy.spatial import cKDTree
 
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import Crowd, LeftOut, Outliers
 from calib.diagnosis.engine.cross_validation_and_chance import (
     FEWEST,
     FOLDS,
@@ -21,14 +22,13 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
     held_out_residuals,
     summed_gain_in_standard_errors,
 )
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import Crowd, LeftOut, Outliers
 from calib.diagnosis.engine.linear_model import Column
-from calib.diagnosis.problems.platform.effect_candidates import affects_images_only
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import affects_images_only
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, group_sightings
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.linearised_corners import camera_edge_bias_freedoms
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
     axis_speeds,
     centred_and_scaled_to_plus_minus_one,
     time_cosines,
@@ -47,7 +47,7 @@ from calib.identify.least_squares_and_robust_fit import (
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.model import mechanisms
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import loop_closure_parameter_jacobian, strut_length_jacobian
 from rig.recording.recording_folder import PAYLOAD
 from vision.corner_observations import observations_of_frames

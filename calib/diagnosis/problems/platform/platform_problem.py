@@ -9,20 +9,20 @@ from typing import Self
 
 import numpy as np
 
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import PLATFORM, SelectionPolicy, StatedTerms
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import (
-    PLATFORM,
-    SelectionPolicy,
-    StatedTerms,
-)
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Wald
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.platform import lack_of_fit as remainder
-from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
-from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
+from calib.diagnosis.problems.platform import tolerance_columns
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
+    PlatformCandidate,
+    PlatformScore,
+    Sensitivities,
+    effect_parameter_directions,
+)
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import (
     CLOSURES,
@@ -40,11 +40,8 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import (
     refine_operating_point,
     refinement_as_it_stands,
 )
-from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions import (
-    model_with_smooth_functions,
-    smooth_function_columns,
-)
-from rig.model.effect_places_and_part_tolerances import Place
+from calib.diagnosis.problems.platform.smooth_functions import model_with_smooth_functions, smooth_function_columns
+from rig.model.hands_places_and_tolerances import Place
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,15 +79,15 @@ class PlatformProblem:
         if self.tolerant:
             return False
         model = fit.refined.marginalised
-        found = marker_and_thermometer_tolerance_columns.tolerance_model(model, self.sensitivities)
+        found = tolerance_columns.tolerance_model(model, self.sensitivities)
         if found is None:
             return False
         seen = found.projected(model)
-        if not marker_and_thermometer_tolerance_columns.tolerances_explain_residuals(seen, found.sigma):
+        if not tolerance_columns.tolerances_explain_residuals(seen, found.sigma):
             return False
-        return best is None or marker_and_thermometer_tolerance_columns.log_likelihood_ratio_with_tolerances(
-            seen, found.sigma
-        ) > float(best.raw_delta_bic(model.size))
+        return best is None or tolerance_columns.log_likelihood_ratio_with_tolerances(seen, found.sigma) > float(
+            best.raw_delta_bic(model.size)
+        )
 
     def with_tolerances(self) -> Self:
         other = replace(self, tolerant=True)
@@ -131,12 +128,8 @@ class PlatformProblem:
 
     def beside_tolerances(self, model: LinearisedModel) -> LinearisedModel:
         """LinearisedModel with what tolerances do among the nuisances, where this problem is tolerant."""
-        found = (
-            marker_and_thermometer_tolerance_columns.tolerance_model(model, self.sensitivities)
-            if self.tolerant
-            else None
-        )
-        return model if found is None else marker_and_thermometer_tolerance_columns.model_with_tolerances(model, found)
+        found = tolerance_columns.tolerance_model(model, self.sensitivities) if self.tolerant else None
+        return model if found is None else tolerance_columns.model_with_tolerances(model, found)
 
     def covered(self, fit: PlatformFit, number: int, left: list[LackOfFit]) -> LinearisedModel:
         model = self.beside(fit, number)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import NotAsked, Outliers, StatedTerms
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import NotAsked, Outliers, StatedTerms
-from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
+from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
@@ -29,7 +29,12 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     require_assumed_effects_testable,
     value_with_interval_cut_at_bounds,
 )
-from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, platform_candidates
+from calib.diagnosis.problems.platform.alternatives_of_findings import (
+    add_temperature_effects_as_alternatives_of_findings,
+    separate_findings_within_tolerances,
+    widen_intervals_by_temperature_logs_and_tolerances,
+)
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import PlatformCandidate, platform_candidates
 from calib.diagnosis.problems.platform.lack_of_fit import closure_residuals, excess_scatter, ranked_covariates
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     OperatingPoint,
@@ -47,18 +52,13 @@ from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation
 )
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
 from calib.diagnosis.problems.platform.strut_formula_suggestions import FORMULA_PLACES, suggest_strut_formulas
-from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of_findings import (
-    add_temperature_effects_as_alternatives_of_findings,
-    separate_findings_within_tolerances,
-    widen_intervals_by_temperature_logs_and_tolerances,
-)
 from calib.diagnosis.problems.pose_noise_excess import (
     PoseResiduals,
     noise_covariance_by_kind,
     noise_factors,
     scaled_pose_covariance,
 )
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
     Repeats,
     Suggestion,
     repeatability_of_pairs,
@@ -71,7 +71,7 @@ from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect import AT_REST, Effect
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model.design import Design
-from rig.model.effect_places_and_part_tolerances import PLACES
+from rig.model.hands_places_and_tolerances import PLACES
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import loop_closure_parameter_jacobian, strut_length_jacobian
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording

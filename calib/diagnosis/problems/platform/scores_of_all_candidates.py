@@ -9,25 +9,29 @@ from typing import Any
 
 import numpy as np
 
-from calib.diagnosis.engine import frame_inner_products_and_reduced_least_squares as inner
+from calib.diagnosis.engine import reduced_least_squares as inner
 from calib.diagnosis.engine.candidate_score import (
     best_node_score,
     score_at_node,
     score_of_insignificant_candidate_without_dispersion,
 )
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import Node
-from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import FrameProducts, Solved
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import Node
 from calib.diagnosis.engine.linear_model import Column
+from calib.diagnosis.engine.reduced_least_squares import FrameProducts, Solved
 from calib.diagnosis.problems.platform import vibration_frequency
-from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore, Reach
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
+    PlatformCandidate,
+    PlatformScore,
+    Reach,
+    Sensitivities,
+)
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.compute.worker_processes import Progress
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from vision.bundle.normal_equations_and_corner_jacobians import corner_jacobians
 
 CHUNK = 64  # nodes at a time

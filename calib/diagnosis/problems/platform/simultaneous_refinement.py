@@ -16,8 +16,13 @@ from scipy.linalg import block_diag
 
 from calib.diagnosis.engine.cross_validation_and_chance import Z95, Interval
 from calib.diagnosis.engine.linear_model import Column, join_columns
-from calib.diagnosis.problems.platform.effect_candidates import SIZED, PlatformScore, coefficient_bounds
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities, effect_parameter_directions
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
+    SIZED,
+    PlatformScore,
+    Sensitivities,
+    coefficient_bounds,
+    effect_parameter_directions,
+)
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, move_operating_point
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import (
     CLIP,

@@ -15,11 +15,11 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
     summed_gain_in_standard_errors,
 )
 from calib.diagnosis.engine.formula_search import Formula, Library, Search
-from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import FrameProducts, Reduced
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import LinearModel
 from calib.diagnosis.engine.problem_interface import Progress
-from calib.diagnosis.problems.platform.effect_sensitivities import effect_parameter_directions
+from calib.diagnosis.engine.reduced_least_squares import FrameProducts, Reduced
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import effect_parameter_directions
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import (
     CLOSURES,
@@ -32,7 +32,7 @@ from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
 from calib.diagnosis.problems.platform.scores_of_all_candidates import axis_elongation_inner_products
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
     AGREE,
     GAIN,
     NAME,
@@ -43,9 +43,9 @@ from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_rep
 )
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.formula_quantities import POSE
+from rig.effects.framework.unmodelled_curve_and_formula_quantities import POSE
 from rig.effects.texts.effect_file_from_formula import Written
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 SEVERAL = 3  # struts that are unknown, from which all alike and the platform are asked as well
 

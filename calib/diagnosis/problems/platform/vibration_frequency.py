@@ -12,13 +12,13 @@ from scipy.fft import next_fast_len
 
 from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion
-from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import (
+from calib.diagnosis.engine.reduced_least_squares import (
     FrameProducts,
     Normal,
     normal_equations_by_direction_weights,
     solve_normal_equations,
 )
-from calib.diagnosis.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import PlatformCandidate, PlatformScore
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel
 from rig.array_and_json_types import Booleans, Floats, Integers
 

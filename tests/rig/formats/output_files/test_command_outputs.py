@@ -13,7 +13,7 @@ import pytest
 
 from rig.errors import FileError, RigError
 from rig.formats.output_files import MANIFEST, CommandOutputs, require_complete_folder, write_text
-from rig.formats.output_files.atomic_file_and_manifest import load_manifest
+from rig.formats.output_files.staged_folder_and_manifest import load_manifest
 from rig.recording import recording_folder as recording
 from tests.conftest import ROOT
 
@@ -180,7 +180,7 @@ def test_of_two_places_that_one_cannot_be_written_is_one_error(tmp_path):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from rig.formats.output_files import CommandOutputs, staged_folder as staged, write_text
+from rig.formats.output_files import CommandOutputs, write_text
 count = [0]
 def counted(function):
     def call(*given, **more):

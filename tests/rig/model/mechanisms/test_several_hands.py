@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from rig.effects.framework.weight_of_platform_and_hands import loads_by_weight_of_hands
 from rig.errors import RigError
-from rig.model.arm_branches_and_hands import Branch
+from rig.model.hands_places_and_tolerances import Branch
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as serial
+from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import loads_by_weight_of_hands
 from rig.model.pose import pose_difference
 from tests.rig.arms import UR10
 from tests.two_armed import humanoid

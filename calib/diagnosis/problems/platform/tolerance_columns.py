@@ -1,4 +1,4 @@
-"""Columns of marker and thermometer tolerances.
+"""Columns of tolerances, of markers and thermometers.
 
 Each with its prior: what they do to corners and struts.
 """
@@ -9,23 +9,23 @@ import numpy as np
 import scipy
 from scipy.sparse import csr_array
 
-from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import (
+from calib.diagnosis.engine.linear_model import Column, Projection
+from calib.diagnosis.engine.reduced_least_squares import (
     Normal,
     chi2_reduction_at_unit_coefficient,
     solve_normal_equations,
     solve_with_prior,
 )
-from calib.diagnosis.engine.linear_model import Column, Projection
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
-from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions import SLOW
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import time_cosines
+from calib.diagnosis.problems.platform.smooth_functions import SLOW
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import time_cosines
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
-from rig.effects.framework.effect_parameters_and_covariates import Linear
+from rig.effects.framework.parameters_covariates_and_markers import Linear
 from rig.model import mechanisms
-from rig.model.effect_places_and_part_tolerances import PLACES, SIDES, STEEL, THERMOMETER, Place, Tolerance
+from rig.model.hands_places_and_tolerances import PLACES, SIDES, STEEL, THERMOMETER, Place, Tolerance
 from vision.bundle.unknowns_estimate_and_printing_errors import KINDS, NAMES
 
 ALPHA = 1e-3  # chance, over all, that tolerances are taken to be at work where they are not

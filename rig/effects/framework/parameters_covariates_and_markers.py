@@ -1,20 +1,21 @@
-"""Effect parameters and covariates as data types.
+"""Parameters and covariates of effects, and the table of markers that effects change.
 
-With recording context and linear columns.
+Also the context of a recording, and linear columns. Of markers: identities, poses on bodies, sides.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
-from rig.array_and_json_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
 from rig.formats.numbers_and_units import quantity_text
 from rig.model.design import Camera, Design
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.recording.recording_folder import Sensors
 
 
@@ -327,3 +328,47 @@ def quadrature_columns(travel: Floats, own: Booleans, rates: Sequence[float], ph
     out = np.zeros((len(rates), *travel.shape, 2))
     out[:, :, own, 0], out[:, :, own, 1] = np.sin(angle), np.cos(angle)
     return out
+
+
+class MarkerTable(Protocol):
+    """A dataclass of markers, a row each, as vision.predict has it.
+
+    id : (m,); on_platform : (m,) bool; T_body_marker : RigidTransform (m,); side : (m,) m; heights : (m, 4) m
+        or (1, 4) for all alike; target : m names; stage : (m,) number
+    """
+
+    @property
+    def id(self) -> Integers:
+        """Identities as printed, (m,)."""
+
+    @property
+    def on_platform(self) -> Booleans:
+        """Whether each moves, (m,) bool."""
+
+    @property
+    def T_body_marker(self) -> RigidTransform:
+        """Poses on their bodies, (m,)."""
+
+    @property
+    def side(self) -> Floats:
+        """Sides, (m,) m."""
+
+    @property
+    def heights(self) -> Floats:
+        """How far their corners stand off their planes, (m, 4) m, or (1, 4) for all alike."""
+
+    @property
+    def target(self) -> list[str]:
+        """Names of their targets, m."""
+
+    @property
+    def stage(self) -> Floats:
+        """Numbers of their stages, (m,)."""
+
+
+Markers = TypeVar("Markers", bound=MarkerTable)
+
+
+def replace_marker_columns(markers: Markers, **columns: object) -> Markers:
+    """The table of markers with some columns replaced."""
+    return cast(Markers, replace(cast(Any, markers), **columns))  # a Protocol cannot say that it is a dataclass

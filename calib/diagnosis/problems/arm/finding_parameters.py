@@ -1,6 +1,6 @@
-"""Parameters of findings with intervals, and nonlinear optimisation.
+"""Parameters of findings with intervals, by nonlinear optimisation.
 
-Of findings at an arm's joints; nonlinear parameters are optimised.
+Findings are at an arm's joints.
 
 Intervals allow for how residuals scatter and for what thermometers leave open; nonlinear parameters are optimised
 between grid values.
@@ -15,14 +15,16 @@ import numpy as np
 import scipy
 from scipy.linalg import cho_solve
 
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import Node
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import Node
-from calib.diagnosis.engine.finding_confirmation_against_alternatives import Finding
-from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares import (
-    normal_equations_by_direction_weights,
-    solve_with_prior,
+from calib.diagnosis.engine.finding_confirmation import Finding
+from calib.diagnosis.engine.reduced_least_squares import normal_equations_by_direction_weights, solve_with_prior
+from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import (
+    SPAN,
+    Form,
+    JointCandidate,
+    joint_candidate,
 )
-from calib.diagnosis.problems.arm.joint_candidates import SPAN, Form, JointCandidate, joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
 from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_motion_inner_products, solve_candidate_at_nodes
@@ -32,7 +34,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     value_with_interval_cut_at_bounds,
 )
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect_parameters_and_covariates import Parameter
+from rig.effects.framework.parameters_covariates_and_markers import Parameter
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model import motion_simulation
 from rig.recording.recording_folder import Sensors

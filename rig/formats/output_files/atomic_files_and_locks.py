@@ -1,26 +1,128 @@
-"""Atomic writing of files, and the manifest.
+"""Atomic writing of files, and locks of files and folders between processes.
 
-Files are written whole or not at all; the manifest lists the files that a command wrote into a folder.
+Files are written whole or not at all.
+
+A lock ends with the process that holds it, however that ends. Where the system locks open files and folders themselves
+(flock), nothing is left behind and every user is kept out. Elsewhere (Windows) a lock is a file in the user's temporary
+folder, named by what it locks.
 """
 
 import errno
-import json
+import hashlib
 import os
 import re
 import secrets
 import stat
 import sys
+import tempfile
 from contextlib import suppress
-from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
-from hashlib import sha256
 from os import PathLike
 from pathlib import Path
+from typing import Protocol
 
 from rig.errors import FileError
-from rig.formats import local_and_remote_input_files
-from rig.formats.local_and_remote_input_files import BINARY, require_schema
-from rig.formats.output_files.locks_of_files_and_folders import sync_open_folder
+from rig.formats.local_and_remote_input_files import BINARY
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    FLOCK = False
+else:
+    FLOCK = True
+
+UNLOCKED = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)  # file systems that know no locks
+
+
+class HeldLock(Protocol):
+    """A lock that this process holds."""
+
+    def close(self) -> None:
+        """Release it."""
+
+
+class _OpenFolder:
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+
+    def close(self) -> None:
+        os.close(self._descriptor)
+
+
+class _LockFile:
+    """A lock file, held. Raises BlockingIOError where another process holds it and `wait` is false."""
+
+    def __init__(self, path: Path, wait: bool) -> None:
+        import filelock
+
+        self._lock = filelock.FileLock(_lock_file(path), is_singleton=False, thread_local=False)
+        try:
+            self._lock.acquire(timeout=-1 if wait else 0)
+        except filelock.Timeout:
+            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN)) from None
+
+    def close(self) -> None:
+        self._lock.release()
+
+
+def lock_folder(folder: Path, wait: bool) -> HeldLock:
+    """Lock a folder.
+
+    On a file system that knows no locks nobody is kept out.
+    Raises BlockingIOError where another process holds it and `wait` is false, OSError where the folder cannot be opened
+    """
+    if not FLOCK:
+        if not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(folder))
+        return _LockFile(folder, wait)
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except OSError as error:
+        if error.errno not in UNLOCKED:
+            os.close(descriptor)
+            raise
+    return _OpenFolder(descriptor)
+
+
+def lock_open_file(descriptor: int, path: Path) -> HeldLock | None:
+    """Lock an open file at a path.
+
+    None where the lock ends as the descriptor is closed.
+    Raises OSError where another process holds it, or it cannot be locked.
+    """
+    if not FLOCK:
+        return _LockFile(path, wait=False)
+    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    return None
+
+
+def _lock_file(path: Path) -> Path:
+    folder = Path(tempfile.gettempdir()) / "rig-locks"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    name = os.path.normcase(os.path.realpath(path))
+    return folder / hashlib.sha256(os.fsencode(name)).hexdigest()[:32]
+
+
+def sync_folder(folder: Path) -> None:
+    """Sync a folder's entries to disk, where its system and its file system support that.
+    Raises OSError for a folder that cannot be opened.
+    """
+    if hasattr(os, "O_DIRECTORY"):
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            sync_open_folder(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def sync_open_folder(descriptor: int) -> None:
+    """Sync an open folder's entries to disk, where its file system supports that."""
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.EROFS):
+            raise
+
 
 STANDARD_OUTPUT = Path("/dev/stdout")  # what `-` stands for
 NO_LINK: int = getattr(os, "O_NOFOLLOW", 0)  # O_EXCL alone follows none where that is missing
@@ -187,145 +289,3 @@ def _escape(found: re.Match[str]) -> str:
     if 0xDC80 <= code <= 0xDCFF:  # a byte of a file's name, as Python holds it
         code -= 0xDC00
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
-
-
-MANIFEST = ".rig-made.json"
-SCHEMA = "made/1"
-RECORDED = (
-    "rig.toml",
-    "commands.csv",
-    "frames.csv",
-    "sensors.csv",
-    "corners.csv",
-    "poses.csv",
-    "poses_stage*.csv",
-    "machine.json",
-    "diagnosis.json",
-    "images",
-)  # what a folder is read from, so that what is left of one mixes with another
-
-
-def is_recording_table(name: str) -> bool:
-    """Whether a file name is that of a recording's table (commands.csv, frames.csv ..)."""
-    return any(fnmatchcase(name, pattern) for pattern in RECORDED)
-
-
-@dataclass(frozen=True, slots=True)
-class FolderOrigin:
-    """command : that makes a folder whole; arguments : as they were given, but for what a recording must not tell about
-    its truth
-    complete : whether it came to its end; data : marks of the exposures that what is in the folder was computed from
-    (see rig.recording.frame_selection_and_content_hashes)"""
-
-    command: str
-    arguments: tuple[str, ...] = ()
-    complete: bool = True
-    data: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class ManifestEntry:
-    """command : that made a file; sha256 : of what it may hold as that command left it (two while one is being replaced
-    by the other).
-    """
-
-    command: str
-    sha256: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class FolderManifest:
-    """What is known of a folder. origin : of the folder as a whole, or None; files : {path in the folder, with /:
-    Entry}.
-    """
-
-    origin: FolderOrigin | None = None
-    files: dict[str, ManifestEntry] = field(default_factory=dict)
-
-    def untouched(self, folder: Path, name: str, command: str) -> bool:
-        """Whether a file is as a command left it."""
-        entry = self.files.get(name)
-        return entry is not None and entry.command == command and file_digest(folder / name) in entry.sha256
-
-    def text(self) -> str:
-        """The manifest's text, a line for each file."""
-        origin = (
-            "null"
-            if self.origin is None
-            else json.dumps(
-                {
-                    "command": self.origin.command,
-                    "arguments": list(self.origin.arguments),
-                    "complete": self.origin.complete,
-                    "data": list(self.origin.data),
-                }
-            )
-        )
-        rows = [
-            f"  {json.dumps(name)}: {json.dumps({'command': entry.command, 'sha256': list(entry.sha256)})}"
-            for name, entry in sorted(self.files.items())
-        ]
-        return f'{{"schema": "{SCHEMA}",\n "origin": {origin},\n "files": {{\n' + ",\n".join(rows) + "\n}}\n"
-
-
-def load_manifest(folder: Path) -> FolderManifest:
-    """Load the FolderManifest of a folder, empty where there is none.
-
-    Raises FileError for an invalid manifest.
-    """
-    path = folder / MANIFEST
-    try:
-        tree = json.loads(
-            (
-                local_and_remote_input_files.read_remote_bytes(path)
-                if local_and_remote_input_files.is_remote(path)
-                else path.read_bytes()
-            ).decode("utf-8")
-        )
-        require_schema(path, "manifest of what was made in its folder", tree["schema"], (SCHEMA,))
-        origin = tree["origin"] and FolderOrigin(
-            str(tree["origin"]["command"]),
-            tuple(map(str, tree["origin"]["arguments"])),
-            tree["origin"]["complete"] is True,
-            tuple(map(str, tree["origin"]["data"])),
-        )
-        for name in tree["files"]:
-            if not name or name.startswith("/") or "\0" in name or {"", ".", ".."} & set(name.split("/")):
-                raise FileError(path, f"names {name!r}, which is not a file of its folder")
-        return FolderManifest(
-            origin,
-            {
-                name: ManifestEntry(str(entry["command"]), tuple(map(str, entry["sha256"])))
-                for name, entry in tree["files"].items()
-            },
-        )
-    except (FileNotFoundError, NotADirectoryError):
-        return FolderManifest()
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise FileError(
-            path, f"is not a manifest of its folder ({type(error).__name__}: {error}); where it is nobody's, delete it"
-        ) from None
-
-
-def require_complete_folder(folder: Path) -> None:
-    """Raise FileError unless a folder is complete: no command was interrupted while writing it.
-
-    A folder that nobody has marked is taken as it is.
-    """
-    origin = load_manifest(Path(folder)).origin
-    if origin is not None and not origin.complete:
-        raise FileError(folder, f"is not complete: `rig {origin.command}` was ended while writing it; run that again")
-
-
-def file_digest(path: Path) -> str:
-    """Digest (sha256, hexadecimal) of a file, "" for one that cannot be read."""
-    whole = sha256()
-    try:
-        if local_and_remote_input_files.is_remote(path):
-            return sha256(local_and_remote_input_files.read_remote_bytes(path)).hexdigest()
-        with open(path, "rb") as file:
-            while block := file.read(1 << 20):
-                whole.update(block)
-    except OSError:
-        return ""
-    return whole.hexdigest()

@@ -1,4 +1,4 @@
-"""Confirmation of findings against alternatives: all candidates and smooth functions."""
+"""Confirmation of findings against alternatives."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -7,7 +7,7 @@ from typing import Generic
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import SEVERAL, Alternative, Score, score_raised_to_likelihood_ratio
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import C, SelectionPolicy
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import C, SelectionPolicy
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import column_cosine
 from calib.diagnosis.engine.problem_interface import (
@@ -19,7 +19,7 @@ from calib.diagnosis.engine.problem_interface import (
     SmoothCover,
     UnfittedNodes,
 )
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 
 SAME = 0.02  # of a finding's evidence, by which two scans beside the same terms may differ and still be the same
 RESTARTS = 2  # times the most terms that there may be, replacements after which terms are confirmed as they stand

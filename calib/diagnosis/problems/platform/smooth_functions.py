@@ -13,7 +13,7 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import Oper
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.linearised_corners import edge_shift_pixel_derivatives
 from calib.diagnosis.problems.platform.scores_of_all_candidates import camera_mount_pixel_derivatives
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import (
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
     axis_speeds,
     centred_and_scaled_to_plus_minus_one,
     scaled_powers,
@@ -21,7 +21,7 @@ from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_rep
 )
 from rig.array_and_json_types import Floats, Integers
 from rig.model.design import warp_columns
-from rig.model.effect_places_and_part_tolerances import Place
+from rig.model.hands_places_and_tolerances import Place
 from rig.model.pose import pose_difference
 
 SLOW, FAST = 8, 24  # cosines of a smooth function of time

@@ -1,4 +1,4 @@
-"""Inner products of columns by frame, and reduced least squares.
+"""Least squares reduced to inner products of columns by frame.
 
 Least squares are reduced by whitening and nuisance elimination.
 

@@ -1,6 +1,4 @@
-"""Tolerances and temperatures as alternatives of findings.
-
-Of a platform's findings.
+"""Alternatives of findings: tolerances and temperatures.
 
 Findings no larger than tolerances may cause are separated as remarks; temperature effects, where a temperature log is
 missing or wrong, are added to the alternatives.
@@ -13,27 +11,30 @@ import numpy as np
 import scipy
 
 from calib.diagnosis.engine.candidate_score import Alternative, Score
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import C
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
-from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import C
-from calib.diagnosis.engine.finding_confirmation_against_alternatives import (
-    Finding,
-    is_finding_significant,
-    is_significant,
-)
+from calib.diagnosis.engine.finding_confirmation import Finding, is_finding_significant, is_significant
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, Projection, column_cosine, join_columns
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Remark, Tolerable, Value
-from calib.diagnosis.problems.platform.effect_candidates import (
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
     PlatformCandidate,
     PlatformScore,
+    Sensitivities,
     effect_context,
     lacks_temperature_log,
     platform_candidate,
 )
-from calib.diagnosis.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CORNERS, LinearisedModel
-from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_columns import (
+from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
+    residual_change_with_only_effects,
+)
+from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
+from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
+from calib.diagnosis.problems.platform.smooth_functions import SLOW
+from calib.diagnosis.problems.platform.tolerance_columns import (
     SignificantTolerance,
     model_with_tolerances,
     share_not_explained_by_tolerances,
@@ -41,19 +42,12 @@ from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_columns 
     tolerance_model,
     tolerance_sigmas_from_residuals,
 )
-from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
-    residual_change_with_only_effects,
-)
-from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
-from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
-from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
-from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions import SLOW
-from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import time_cosines
+from calib.diagnosis.problems.remainder_covariates_and_repeatability import time_cosines
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
 from rig.effects.framework.effect import Candidate as EffectCandidate
-from rig.model.effect_places_and_part_tolerances import AXES, STILL, Place
+from rig.model.hands_places_and_tolerances import AXES, STILL, Place
 from rig.recording.recording_folder import Sensors
 
 WARM = tuple(
