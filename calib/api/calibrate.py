@@ -50,8 +50,8 @@ from calib.models.chain import certification_and_page as chain_certification
 from calib.models.machine_models import Certified
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
 from calib.report import platform_and_lens_calibration_pages as platform_page
+from calib.samples.confounded_conditions_and_clocks import clocks_of_samples, recording_and_poses_on_one_clock
 from calib.samples.pose_samples import Sampled, Samples, sample_recording
-from calib.samples.poses_on_one_clock import clocks_of_samples, recording_and_poses_on_one_clock
 from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_texts_and_user_effect_files import Kinds

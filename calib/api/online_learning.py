@@ -23,7 +23,7 @@ from calib.online.learning_from_recording import (
 )
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
 from calib.report.online_learning_and_measuring_limb_pages import OnlineResult, online_verdict, write_online_page
-from calib.samples.confounded_conditions import confounds_of_recordings
+from calib.samples.confounded_conditions_and_clocks import confounds_of_recordings
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
 from rig.errors import RigError

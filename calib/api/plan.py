@@ -41,7 +41,7 @@ from calib.models.platform.optimal_calibration_poses import (
     fewest_configurations,
     total_information,
 )
-from calib.samples.confounded_conditions import confounds_of_configurations
+from calib.samples.confounded_conditions_and_clocks import confounds_of_configurations
 from rig import api
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect

@@ -46,9 +46,13 @@ from calib.report.verification_and_repeated_visit_pages import (
     write_verification_page,
     write_visits_page,
 )
-from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
+from calib.samples.confounded_conditions_and_clocks import (
+    Confounds,
+    clocks_of_samples,
+    confounds_of_recordings,
+    recording_and_poses_on_one_clock,
+)
 from calib.samples.pose_samples import Sampled, Samples, sample_recording
-from calib.samples.poses_on_one_clock import clocks_of_samples, recording_and_poses_on_one_clock
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model.pose import rms_uncertainty

@@ -12,7 +12,7 @@ from calib.certification.held_out_errors import HeldOut
 from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
 from calib.correction.correction import AnyCorrection
 from calib.correction.physics_compensation import Physics
-from calib.samples.confounded_conditions import Confounds
+from calib.samples.confounded_conditions_and_clocks import Confounds
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_map_and_lost_poses import Workspace
 from rig.array_and_json_types import Floats, Json

@@ -45,7 +45,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
 )
 from calib.diagnosis.problems.remainder_covariates_and_repeatability import Repeats, Suggestion
 from calib.models.platform.identification import require_agreeing_lengths
-from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
+from calib.samples.confounded_conditions_and_clocks import Confounds, confounds_of_recordings
 from calib.samples.pose_samples import Sampled
 from rig.effects.catalogue.effect_list import ALL, Plugin
 from rig.effects.framework.effect import Effect

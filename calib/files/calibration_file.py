@@ -38,7 +38,7 @@ from calib.models.arm.certification import CertifiedArm as ArmCertified
 from calib.models.arm.correction import ArmCorrection
 from calib.models.chain.certification_and_page import CertifiedChain as ChainCertified
 from calib.models.machine_models import calibration_with_workspace, model_of
-from calib.samples.confounded_conditions import confounds_from_entries, confounds_of_samples
+from calib.samples.confounded_conditions_and_clocks import confounds_from_entries, confounds_of_samples
 from calib.samples.pose_samples import Sampled
 from calib.workspace.workspace_map_and_lost_poses import workspace_dict, workspace_from_entries
 from rig.array_and_json_types import Floats, Json

@@ -57,7 +57,7 @@ from calib.diagnosis.report.residual_figures_and_finding_contributions import (
     errors_at_and_beyond_fitted_angles,
     position_error_statistics,
 )
-from calib.samples.confounded_conditions import Confounds, confound_sentences
+from calib.samples.confounded_conditions_and_clocks import Confounds, confound_sentences
 from rig.array_and_json_types import Json
 from rig.formats import local_and_remote_input_files, machine_geometry_and_effects_json_file
 from rig.formats.local_and_remote_input_files import read_text

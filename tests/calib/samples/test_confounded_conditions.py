@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from calib.samples.confounded_conditions import DIRECTION, LOAD, TIME, Confounds, confounds_of_design
+from calib.samples.confounded_conditions_and_clocks import DIRECTION, LOAD, TIME, Confounds, confounds_of_design
 from rig.recording.recording_folder import PAYLOAD
 
 AXES = tuple(f"strut {i + 1}" for i in range(6))

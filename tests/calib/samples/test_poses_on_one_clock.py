@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from calib.samples.confounded_conditions_and_clocks import clocks_of_samples, recording_and_poses_on_one_clock
 from calib.samples.pose_samples import sample_recording
-from calib.samples.poses_on_one_clock import clocks_of_samples, recording_and_poses_on_one_clock
 from rig.recording.recording_folder import load_recording
 from tests.moving_run import write_moving_recording
 

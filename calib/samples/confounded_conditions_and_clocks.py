@@ -1,6 +1,6 @@
-"""Confounded conditions of a recording.
+"""Confounded conditions of a recording, and its poses on one clock.
 
-Direction, time, temperature or load correlated with place.
+Direction, time, temperature or load may be correlated with place.
 
 A cause that is a function of place over the poses recorded is absorbed by a correction that is one: its effect then
 looks like geometry, and held-out poses of the same plan agree. Of each axis, a cause is regressed on smooth functions
@@ -11,20 +11,21 @@ Source: Draper and Smith, Applied Regression Analysis, 3rd ed., ch. 5 and 6 (R^2
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import cast
 
 import numpy as np
 from scipy.special import betainc
 
 from calib.samples.exposure_conditions import conditions_of_exposures
-from calib.samples.pose_samples import Samples
+from calib.samples.pose_samples import Sampled, Samples, tilt_readings
 from rig.array_and_json_types import Floats, Json
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain, Free
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel
 from rig.recording.recording_folder import PAYLOAD, Recording
+from vision.camera_and_command_clocks import Clocks, clocks_of_recording, recording_with_clocks
 
 DIRECTION, TIME, LOAD = "direction of approach", "time", "load"
 # share of a cause, beyond chance, from which its size is known half as well beside a correction by place as without one
@@ -246,3 +247,29 @@ def confound_sentences(confounds: Confounds | None) -> tuple[str, ...]:
     Empty where there are none.
     """
     return (confounds.line().split("; record the same")[0],) if confounds is not None and confounds.serious else ()
+
+
+def clocks_of_samples(recording: Recording, samples: Samples) -> tuple[Clocks, ...]:
+    """Clocks of a recording by Samples of its poses; () where these are not whole poses."""
+    if samples.measured != "pose":
+        return ()
+    return clocks_of_recording(recording, samples.frame, samples.T_base_platform, samples.covariance, samples.common)
+
+
+def recording_and_poses_on_one_clock(
+    recording: Recording, sampled: Sampled, clocks: Sequence[Clocks]
+) -> tuple[Recording, Sampled]:
+    """The Recording and its Sampled with exposures on the commands' clock, and commands as the axes follow them."""
+    if not clocks:
+        return recording, sampled
+    recording, s = recording_with_clocks(recording, clocks), sampled.samples
+    frames, t, commanded = recording.commanded()
+    at = np.searchsorted(frames, s.frame)
+    samples = replace(
+        s,
+        t=t[at],
+        commanded=commanded[at],
+        conditions=None if s.conditions is None else conditions_of_exposures(recording, t[at]),
+        tilts=None if s.tilts is None else tilt_readings(recording, t[at]),
+    )
+    return recording, replace(sampled, samples=samples)
