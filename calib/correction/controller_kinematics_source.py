@@ -146,11 +146,11 @@ def _grblhal_settings(fitted: Hexapod, nominal: Hexapod, source: CSource, zero: 
     """Head of the plug-in: how it is built, and what the controller's settings have to be. zero : (6,) m"""
     ranges = ((nominal.strut_range - zero[:, None]) * UNITS["mm"]).tolist()
     return [
-        "Kinematics plug-in of grblHAL, by the correction that `rig correct` computes. Put it beside driver.c, compile it",
-        "with all of grblHAL, and that with N_AXIS=6 and KINEMATICS_API defined. It starts in my_plugin_init.",
+        "Kinematics plug-in of grblHAL, by the correction that `rig correct` computes. Put it beside driver.c and",
+        "compile it with all of grblHAL, which needs N_AXIS=6 and KINEMATICS_API. It starts in my_plugin_init.",
         "",
-        "X Y Z (mm) and A B C (degrees) are T_base_platform: turns about the fixed x, y and z, in this order. Motors X Y",
-        "Z A B C are struts 1 to 6, mm from where they count 0; $100 .. $105, $110 .. $125 and $130 .. $135 are theirs.",
+        "X Y Z (mm) and A B C (degrees) are T_base_platform: turns about the fixed x, y and z, in this order.",
+        "Motors X Y Z A B C are struts 1 to 6, mm from where they count 0; settings $100 .. to $135 are theirs.",
         "",
         f"Home: {_home_place(fitted, UNITS['mm'])}",
         *(
@@ -158,9 +158,10 @@ def _grblhal_settings(fitted: Hexapod, nominal: Hexapod, source: CSource, zero: 
             for i, (letter, (low, high)) in enumerate(zip("XYZABC", ranges))
         ),
         "",
-        "A line that is refused anywhere is refused as a whole, before it moves: alarm 2 and a message with the reason.",
-        "Reports state the motors as KPos (mm). $RIG lists refusals and sensors; statuses are those below, and 6",
-        "RIG_SINGULAR. $RIG=NAME:VALUE, or firmware through rig_channel_values, sets a sensor. Sensors and medians:",
+        "A line that is refused anywhere is refused as a whole, before it moves: alarm 2, a message with the reason.",
+        "Reports state the motors as KPos (mm). $RIG lists refusals and sensors; statuses are those below, 6",
+        "RIG_SINGULAR and 7 RIG_PARKS ($41 is 1). $RIG=NAME:VALUE, or firmware through rig_channel_values, sets",
+        "a sensor. Sensors and medians:",
         *([f"  {name} {value:g}" for name, value in source.channels.items()] or ["  none"]),
     ]
 

@@ -23,6 +23,8 @@
 #define RIG_SEGMENT_DEG 0.1 /* degrees, likewise of each of A, B and C */
 #endif
 
+enum { RIG_PARKS = 7 }; /* parking sends a pose to the motors, past any kinematics */
+
 extern double rig_channel_values[RIG_CHANNELS + 1]; /* sensors, for firmware that reads them; or by $RIG= */
 double rig_channel_values[RIG_CHANNELS + 1];
 void my_plugin_init(void);
@@ -66,14 +68,15 @@ static void motors_of_steps(const int32_t *steps, float motors[6])
 /* Count a refusal and state it. Nothing is moved, nothing is clipped. */
 static void refuse(int status, int strut)
 {
+    const char *reason = status == RIG_PARKS ? "parking knows no kinematics, set $41=0" : REFUSALS[status];
     char text[128];
     refused = status;
     refused_strut = strut;
     refusals++;
     if (strut)
-        snprintf(text, sizeof text, "pose refused: %s (strut %d)", REFUSALS[status], strut);
+        snprintf(text, sizeof text, "pose refused: %s (strut %d)", reason, strut);
     else
-        snprintf(text, sizeof text, "pose refused: %s", REFUSALS[status]);
+        snprintf(text, sizeof text, "pose refused: %s", reason);
     report_message(text, Message_Warning);
 }
 
@@ -140,6 +143,8 @@ static int begin_line(const float goal[6], const float motors[6], int *strut)
     double shift = 0.0, turn = 0.0;
     float ends[6];
     *strut = 0;
+    if (settings.parking.flags.enabled)
+        return RIG_PARKS;
     memcpy(line.channels, rig_channel_values, sizeof line.channels);
     if (checks && line.in_check_mode)
         memcpy(line.start, line.goal, sizeof line.start);

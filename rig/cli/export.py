@@ -2,8 +2,8 @@
 
 A calibrated geometry, lenses or a recording.
 
-Formats: genhexkins, URDF, SDF, LinuxCNC, grblHAL, JSON, CSV, a grid, C; of lenses OpenCV and ROS; of a recording TUM and
-Parquet.
+Formats: genhexkins, URDF, SDF, LinuxCNC, grblHAL, JSON, CSV, a grid, C; of lenses OpenCV and ROS; of a recording TUM
+and Parquet.
 """
 
 from __future__ import annotations

@@ -24,14 +24,18 @@ typedef void (*on_jog_cancel_ptr)(sys_state_t);
 typedef struct {
     home_machine_ptr home_machine;
     bool (*check_travel_limits)(float *, axes_signals_t, bool, work_envelope_t *);
-    bool (*check_arc_travel_limits)(coord_data_t *, coord_data_t *, point_2d_t, float, plane_t, int32_t, work_envelope_t *);
+    bool (*check_arc_travel_limits)(coord_data_t *, coord_data_t *, point_2d_t, float, plane_t, int32_t,
+                                    work_envelope_t *);
     void (*apply_travel_limits)(float *, float *, work_envelope_t *);
     on_report_options_ptr on_report_options;
     on_realtime_report_ptr on_realtime_report;
     on_jog_cancel_ptr on_jog_cancel;
 } grbl_t;
 typedef struct { struct { stream_write_ptr write; } stream; } grbl_hal_t;
-typedef struct { struct { float steps_per_mm; } axis[N_AXIS]; } settings_t;
+typedef struct {
+    struct { float steps_per_mm; } axis[N_AXIS];
+    struct { struct { uint8_t enabled; } flags; } parking;
+} settings_t;
 extern grbl_t grbl;
 extern grbl_hal_t hal;
 extern settings_t settings;
@@ -61,7 +65,7 @@ typedef struct {
 } kinematics_t;
 extern kinematics_t kinematics;
 """,
-    "grbl/machine_limits.h": "#pragma once\nvoid limits_set_machine_positions(axes_signals_t cycle, bool add_pulloff);\n",
+    "grbl/machine_limits.h": "#pragma once\nvoid limits_set_machine_positions(axes_signals_t, bool);\n",
     "grbl/report.h": "#pragma once\nvoid report_message(const char *text, message_type_t type);\n",
     "grbl/state_machine.h": "#pragma once\n#define STATE_CHECK_MODE 2\nsys_state_t state_get(void);\n",
     "grbl/system.h": """#pragma once
@@ -114,6 +118,7 @@ static sys_commands_t *commands;
 
 void my_plugin_init(void);
 void start(float steps_per_mm);
+void park(int enabled);
 int line(const float *goal, float feed, int kind, float *motors, float *feeds, float *multipliers, int most);
 int jog_allowed(const float *goal);
 void where(float *pose);
@@ -160,7 +165,8 @@ void limits_set_machine_positions(axes_signals_t cycle, bool add_pulloff)
 {
     for (int i = 0; i < N_AXIS; i++)
         if (cycle.mask >> i & 1)
-            sys.position[i] = (int32_t)lroundf((switches[i] + (add_pulloff ? PULLOFF_MM : 0)) * settings.axis[i].steps_per_mm);
+            sys.position[i] = (int32_t)lroundf((switches[i] + (add_pulloff ? PULLOFF_MM : 0)) *
+                                               settings.axis[i].steps_per_mm);
 }
 
 /* Each motor runs down to its switch, and off it: targets are those of the plug-in. */
@@ -190,6 +196,8 @@ void start(float steps_per_mm)
     grbl.home_machine = home_by_core;
     my_plugin_init();
 }
+
+void park(int enabled) { settings.parking.flags.enabled = (uint8_t)enabled; }
 
 int home(float *pose_in_between)
 {
