@@ -21,7 +21,7 @@ from rig.model.design import Design
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
+from rig.report.verdict_and_display import OneLineRepr, result_html
 
 if TYPE_CHECKING:
     from rig.effects.framework.effect import Effect
@@ -66,7 +66,7 @@ def save(recording: Recording, folder: Path | str, overwrite: bool = False) -> N
     """
     from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
     from rig.recording.recording_folder import copy_frames_commands_and_sensors
-    from rig.recording.recording_table_loading_and_writing import write_corners, write_poses, write_table
+    from rig.recording.recording_tables import write_corners, write_poses, write_table
 
     if recording.parts:
         raise RigError(f"{recording.name}: several recordings as one have no folder; save each separately")

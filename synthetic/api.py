@@ -16,13 +16,18 @@ import numpy as np
 from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text_parsing import Kinds, parse_effect, require_existing_place, require_nonzero_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import (
+    Kinds,
+    parse_effect,
+    require_existing_place,
+    require_nonzero_effect,
+)
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design, Sensor
 from rig.planning.plan import build_plan
 from rig.recording.recording_folder import load_sensors
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
+from rig.report.verdict_and_display import OneLineRepr, result_html
 from synthetic import recording_simulation, secret_machine_and_truth_file
 from synthetic.image_simulation import simulations_with_and_without_effects_found
 from synthetic.recording_simulation import Simulation

@@ -26,7 +26,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.model.pose import exp
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.plan import build_plan, plan_of_configurations
-from rig.planning.timed_plan_and_plan_csv import Plan
+from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.recording.recording_folder import Commands, Sensors
 from synthetic import recording_simulation as simulation
 from synthetic import secret_machine_and_truth_file

@@ -26,9 +26,9 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.model.pose import exp
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
-from rig.planning.timed_plan_and_plan_csv import Plan
+from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.recording.recording_folder import Sensors
-from rig.recording.recording_table_loading_and_writing import Corners
+from rig.recording.recording_tables import Corners
 from synthetic import recording_simulation as simulation
 from synthetic import secret_machine_and_truth_file, unlisted_physics
 from synthetic.image_simulation import Images, is_renderable

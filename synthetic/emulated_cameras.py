@@ -25,7 +25,7 @@ from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
 from rig.model.pose import transform_points
-from rig.planning.timed_plan_and_plan_csv import Plan
+from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.recording.recording_folder import Commands, Sensors
 from synthetic import secret_machine_and_truth_file
 from synthetic import secret_machine_and_truth_file as worlds

@@ -20,12 +20,12 @@ from rig.compute import parallel_map_and_dask_cluster
 from rig.compute.worker_processes import process_map, worker_count
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text_parsing import Kinds
+from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
 from rig.errors import FileError, RigError
 from rig.formats.output_files import write_bytes
 from rig.model import motion_simulation
 from rig.model.design import Camera, Sensor
-from rig.planning.timed_plan_and_plan_csv import Plan
+from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors
 from synthetic import rig_meshes, secret_machine_and_truth_file

@@ -25,15 +25,9 @@ from rig.model.mechanisms.arm import link_frames
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
 from rig.planning.plan import sensors_with_payload
-from rig.planning.timed_plan_and_plan_csv import Plan
+from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.recording.recording_folder import LIMB, Sensors, sensors_with_gravity
-from rig.recording.recording_table_loading_and_writing import (
-    DISTANCE,
-    POSE_COLUMNS,
-    Corners,
-    write_corners,
-    write_table,
-)
+from rig.recording.recording_tables import DISTANCE, POSE_COLUMNS, Corners, write_corners, write_table
 from synthetic import secret_machine_and_truth_file as worlds
 from synthetic.image_sensor_and_occlusion import is_occluded
 from synthetic.secret_machine_and_truth_file import remount_cubes

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text_parsing import Kinds
+from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
 from rig.errors import RigError
 from rig.formats import machine_geometry_and_effects_json_file
 from rig.formats.output_files import write_text

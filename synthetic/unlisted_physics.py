@@ -23,7 +23,7 @@ from rig.model.effect_places_and_part_tolerances import Place
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import exp, transform_points
-from rig.recording.recording_table_loading_and_writing import Corners
+from rig.recording.recording_tables import Corners
 
 WAVES = 4  # sinusoids of a smooth random course
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from rig.driving import emulators
 from rig.driving.clock import SystemClock
 from rig.driving.emulators import controller_emulator_opening_and_ports
-from rig.driving.emulators.controller_faults import Faults
+from rig.driving.emulators.emulated_axes_and_faults import Faults
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
 

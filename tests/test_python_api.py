@@ -17,7 +17,7 @@ from rig.cli.command_line import module_of_command
 from rig.cli.command_list import COMMANDS
 from rig.errors import RigError
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
-from rig.recording.recording_table_loading_and_writing import write_poses
+from rig.recording.recording_tables import write_poses
 from tests import source_trees
 from tests.cli import run
 
@@ -45,7 +45,7 @@ CALLS = {
     "run": "calib.api.machine_run:plan_run",
     "view": "calib.api.view:view",
     "go": "calib.api.pose_move:plan_pose_move",
-    **dict.fromkeys(("home", "jog", "status", "stop"), "rig.driving.driver_opening_and_settled_status:open_driver"),
+    **dict.fromkeys(("home", "jog", "status", "stop"), "rig.driving.driver_opening_and_settling:open_driver"),
     "lens": "vision.lenses.lens_calibration_from_photographs:calibrate_photographs",
     "doctor": "rig.compute.installation_inventory:installation_inventory",
     "effects": "rig.effects.texts.effect_file_from_formula:new_effect_from_suggestion_or_example",

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
@@ -197,7 +198,10 @@ class _Problem:
         weighed = (self.whiten @ columns)[good].reshape(-1, columns.shape[2])
         stated = np.zeros(len(prior))
         stated[: len(p)] = (nominal - p) / PRIOR
-        Q, R = np.linalg.qr(np.vstack([weighed, np.diag(prior)]))
+        whole = np.vstack([weighed, np.diag(prior)])
+        scale = np.linalg.norm(whole, axis=0)
+        whole = whole / scale
+        factor = cho_factor(whole.T @ whole)  # a decomposition of `whole` itself takes twenty times as long
 
         def closures(values: Floats) -> Floats:
             off = self._commanded(values[0], values[1] if with_lag else 0.0) - inverse
@@ -205,7 +209,7 @@ class _Problem:
 
         def projected(values: Floats) -> Floats:
             b = np.r_[closures(values)[good].ravel(), -stated]
-            return b - Q @ (Q.T @ b)
+            return b - whole @ cho_solve(factor, whole.T @ b)
 
         def slopes(values: Floats) -> Floats:
             steps = STEP * np.eye(len(values))
@@ -215,12 +219,12 @@ class _Problem:
         begun = [start, LAG_AT_FIRST] if with_lag else [start]
         fit = least_squares(projected, begun, slopes, bounds=bounds, x_scale=STEP)
         squares = float(fit.fun @ fit.fun)
-        scale = float(np.sqrt(squares / max(len(fit.fun) - len(prior) - len(fit.x), 1)))
-        sigma = scale * np.sqrt(np.diag(np.linalg.pinv(fit.jac.T @ fit.jac)))
-        step = -np.linalg.solve(R, Q.T @ np.r_[closures(fit.x)[good].ravel(), -stated])
+        excess = float(np.sqrt(squares / max(len(fit.fun) - len(prior) - len(fit.x), 1)))
+        sigma = excess * np.sqrt(np.diag(np.linalg.pinv(fit.jac.T @ fit.jac)))
+        step = -cho_solve(factor, whole.T @ np.r_[closures(fit.x)[good].ravel(), -stated]) / scale
         left = closures(fit.x) + np.einsum("nij,j->ni", self.whiten @ columns, step)
         lag, lag_sigma = (float(fit.x[1]), float(sigma[1])) if with_lag else (0.0, np.inf)
-        return _Fitted(float(fit.x[0]), float(sigma[0]), lag, lag_sigma, p + step[: len(p)], left, squares, scale)
+        return _Fitted(float(fit.x[0]), float(sigma[0]), lag, lag_sigma, p + step[: len(p)], left, squares, excess)
 
     def _commanded(self, offset: float, lag: float) -> Floats:
         t = np.maximum(self.t + offset, self.commands.t[0])

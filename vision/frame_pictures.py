@@ -15,8 +15,7 @@ from rig.array_and_json_types import Floats, Pixels
 from rig.errors import FileError, RigError
 from rig.formats.output_files import write_bytes
 from rig.model.design import Camera
-from rig.recording.exposure_table import Exposures
-from rig.recording.image_file_check_and_reading import read_image
+from rig.recording.exposures_and_image_files import Exposures, read_image
 from rig.recording.recording_folder import Recording
 from vision import lens
 from vision.corners.marker_detection_and_corner_fit import grey_images_for_reader_and_fit

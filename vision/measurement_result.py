@@ -17,12 +17,19 @@ from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model.arm_branches_and_hands import hand_names, seen_hand
 from rig.model.design import Camera
 from rig.model.pose import pose_to_vector, rms_uncertainty
-from rig.recording import recording_table_loading_and_writing
-from rig.recording.poses_as_roll_pitch_yaw import write_poses_as_roll_pitch_yaw
+from rig.recording import recording_tables
 from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
-from rig.recording.recording_table_loading_and_writing import Poses
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations import AGREES, Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.recording.recording_tables import Poses
+from rig.recording.wanted_poses_and_roll_pitch_yaw import write_poses_as_roll_pitch_yaw
+from rig.report.verdict_and_display import (
+    AGREES,
+    Evidence,
+    MissingEvidence,
+    OneLineRepr,
+    Verdict,
+    judge_evidence,
+    result_html,
+)
 from vision.bundle.adjustment_validation_and_determinacy import DeterminedUnknowns, HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places, adjusted_markers
 from vision.bundle.priors_of_unknowns import stated_lens_prior_sigmas
@@ -91,12 +98,12 @@ class MeasurementResult(OneLineRepr):
         hands = hand_names(recording.design.mechanism)
         hand = np.full(len(m.frames), hands.index(seen_hand(recording.design.mechanism))) if hands else None
         poses = Poses(m.frames, m.T_base_platform, m.covariance, hand=hand)
-        recording_table_loading_and_writing.write_poses(folder / "poses.csv", poses, hands)
+        recording_tables.write_poses(folder / "poses.csv", poses, hands)
         write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
-        recording_table_loading_and_writing.write_corners(folder / "corners.csv", m.corners())
+        recording_tables.write_corners(folder / "corners.csv", m.corners())
         copy_frames_commands_and_sensors(recording.folder, folder, recording.exposures, recording.origin)
         for number, stage in m.stages.items():
-            recording_table_loading_and_writing.write_poses(
+            recording_tables.write_poses(
                 folder / f"poses_stage{number}.csv", Poses(stage.frames, stage.T_base_platform, stage.covariance)
             )
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.errors import FileError, RigError
 from rig.model.design import Camera, Design
-from rig.recording.image_file_check_and_reading import MOST_OF_A_PHOTOGRAPH, read_image
+from rig.recording.exposures_and_image_files import MOST_OF_A_PHOTOGRAPH, read_image
 from vision.corners.marker_detection_and_corner_fit import detect_markers
 from vision.predict import MarkerMap, marker_map
 

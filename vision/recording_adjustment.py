@@ -20,8 +20,8 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Camera, Design
 from rig.model.pose import adjoint
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_table_loading_and_writing import Corners
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
+from rig.recording.recording_tables import Corners
+from rig.report.verdict_and_display import OneLineRepr, result_html
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.printing_error_variance_estimation import adjust_with_estimated_printing_errors
 from vision.bundle.robust_adjustment import adjust_robustly, inflate_repeated_corner_covariance

@@ -14,7 +14,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_table_loading_and_writing import Corners
+from rig.recording.recording_tables import Corners
 from vision import recording_adjustment, rolling_shutter_motion
 from vision.bundle.bundle_adjustment import NoOptimum
 from vision.bundle.marker_displacements import (

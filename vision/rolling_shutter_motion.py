@@ -18,7 +18,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.model.design import Design
 from rig.model.motion_simulation import simulate_machine_run
 from rig.model.pose import exp
-from rig.recording.exposure_table import SIMULTANEOUS
+from rig.recording.exposures_and_image_files import SIMULTANEOUS
 from rig.recording.recording_folder import Recording
 from vision.camera_time_offsets import camera_time_offsets
 from vision.clocks_of_moving_exposures import Clocks, are_moving, clocks_of_recording, recording_with_clocks

@@ -52,7 +52,7 @@ from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from calib.samples.poses_on_one_clock import clocks_of_samples, recording_and_poses_on_one_clock
 from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
-from rig.effects.texts.effect_text_parsing import Kinds
+from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
 from rig.errors import RigError
 from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Design
@@ -63,10 +63,9 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_parallel,
 )
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_table_loading_and_writing import write_table
+from rig.recording.recording_tables import write_table
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations import Verdict
+from rig.report.verdict_and_display import OneLineRepr, Verdict, result_html
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 from vision.clocks_of_moving_exposures import Clocks
 

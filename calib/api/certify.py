@@ -51,8 +51,7 @@ from rig.recording.frame_selection_and_content_hashes import (
 )
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations import Evidence, Refutation, Verdict
+from rig.report.verdict_and_display import Evidence, OneLineRepr, Refutation, Verdict, result_html
 
 UNSTATED, STANDARD = Issuer(), CertifyOptions()  # nobody is named; 95 % of poses with 95 %
 KINDS, POINTING_KINDS = (".json", ".html", ".pdf", ".xml"), (".json", ".html")

@@ -23,9 +23,9 @@ from calib.models.wanted_pose_commands import (
     poses_to_command,
 )
 from rig.array_and_json_types import Floats, Integers, Json
-from rig.driving.protocols.gcs_hexapod import AXES as HEXAPOD_AXES
-from rig.driving.protocols.gcs_hexapod import PoseFrames as PoseFrames
-from rig.driving.protocols.gcs_hexapod import gcs_values_of_pose
+from rig.driving.protocols.gcs import AXES as HEXAPOD_AXES
+from rig.driving.protocols.gcs import PoseFrames as PoseFrames
+from rig.driving.protocols.gcs import gcs_values_of_pose
 from rig.errors import RigError, Unreachable
 from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, TableFormat
 from rig.formats.output_files import write_text
@@ -33,9 +33,9 @@ from rig.model import mechanisms
 from rig.model.arm_branches_and_hands import hand_names
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Sensors
-from rig.recording.recording_table_loading_and_writing import POSE_COLUMNS, POSE_UNITS, Poses
-from rig.recording.wanted_poses import WantedPoses
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
+from rig.recording.recording_tables import POSE_COLUMNS, POSE_UNITS, Poses
+from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses
+from rig.report.verdict_and_display import OneLineRepr, result_html
 
 APPROACHES = ("auto", "always", "never")
 

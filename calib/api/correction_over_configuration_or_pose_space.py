@@ -64,7 +64,7 @@ from calib.models.platform.identification import inverse_strut_length_jacobian
 from calib.samples.pose_samples import Sampled, Samples
 from rig.array_and_json_types import Booleans, Json
 from rig.errors import NotEnoughData, RigError
-from rig.formats.number_parsing_and_rounding import parse_number
+from rig.formats.numbers_and_units import parse_number
 from rig.model import mechanisms
 from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.design import Design

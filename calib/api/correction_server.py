@@ -26,8 +26,8 @@ from rig.errors import RigError, Unreachable
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.model.pose import pose, pose_to_vector
 from rig.recording.recording_folder import Sensors
-from rig.recording.recording_table_loading_and_writing import Poses
-from rig.recording.wanted_poses import WantedPoses
+from rig.recording.recording_tables import Poses
+from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses
 
 LONGEST = 1 << 24  # bytes of a request's line
 CLIENTS = 64  # at a time

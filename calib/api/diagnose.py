@@ -31,15 +31,14 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
 from calib.files import calibration_file
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
-from rig.effects.texts.effect_text_parsing import Kinds, parse_effect_and_place, require_known_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import Kinds, parse_effect_and_place, require_known_effect
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.model.arm_branches_and_hands import hand_names
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations import State, Verdict
+from rig.report.verdict_and_display import OneLineRepr, State, Verdict, result_html
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice, recorded_or_sampled_corners
 
 AN_HOUR = ExperimentOptions()

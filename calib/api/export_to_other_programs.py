@@ -23,7 +23,7 @@ from calib.models.arm.correction import ArmCorrection
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats.exporters import geometry_and_camera_files, recording_as_rerun_tum_parquet, urdf_and_sdf
-from rig.formats.number_parsing_and_rounding import quantity_text
+from rig.formats.numbers_and_units import quantity_text
 from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
@@ -31,8 +31,8 @@ from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_arm, require_hexapod
 from rig.recording.recording_folder import Sensors, load_recording
-from rig.recording.recording_table_loading_and_writing import COVARIANCE_COLUMNS, POSE_COLUMNS
-from rig.recording.wanted_poses import WantedPoses, load_wanted_poses
+from rig.recording.recording_tables import COVARIANCE_COLUMNS, POSE_COLUMNS
+from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses, load_wanted_poses
 
 LARGEST = 100_000  # rows
 Point = tuple[float, ...]  # a value of each channel

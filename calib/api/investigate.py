@@ -38,10 +38,9 @@ from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan
-from rig.planning.timed_plan_and_plan_csv import write_plan_table
-from rig.recording.recording_table_loading_and_writing import Poses, write_poses
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations import Verdict
+from rig.planning.timed_plan_and_visiting_order import write_plan_table
+from rig.recording.recording_tables import Poses, write_poses
+from rig.report.verdict_and_display import OneLineRepr, Verdict, result_html
 
 REACH = 0.7  # of the strokes, over which new poses lie: what is corrected has to be reached as well
 VERIFYING = 1000  # added to the seed for the new poses

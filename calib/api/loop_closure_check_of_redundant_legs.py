@@ -24,8 +24,8 @@ from rig.model.mechanisms.best_six_legs_and_closures import (
 )
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_table_loading_and_writing import write_table
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
+from rig.recording.recording_tables import write_table
+from rig.report.verdict_and_display import OneLineRepr, result_html
 
 EXACT = 1e-7  # m, of a commanded length: controllers resolve steps, and a calibration's scatter may be none
 STRANGE = 5.0  # standard deviations, RMS over the poses, beyond which a closure is not what is expected

@@ -23,11 +23,11 @@ from calib.online.run_options_cameras_sensors_and_observer import (
 )
 from calib.online.run_state import RunDisplay
 from rig.array_and_json_types import Floats
-from rig.driving import trapezoidal_move_profile_and_path_check
-from rig.driving.cameras.camera_interface_and_synchronised_grabbing import SynchronisedCameras
+from rig.driving import move_profiles_and_path_check
+from rig.driving.cameras.camera_interface_and_user_cameras import SynchronisedCameras
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_status_and_limits import TRUST, ControllerStatus, require_goals_within_limits
-from rig.driving.driver_opening_and_settled_status import open_driver, settled_status
+from rig.driving.driver_opening_and_settling import Settling, open_driver, parse_settling, settled_status
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.driving.move_and_record_loop import RunOperator
 from rig.driving.run_journal import Began, CameraExposures, Journal
@@ -41,9 +41,8 @@ from rig.driving.run_steps_and_progress import (
     steps_in_motion,
     steps_of_plan,
 )
-from rig.driving.settling_check import Settling, parse_settling
 from rig.driving.strut_driver import Driver
-from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
+from rig.driving.user_classes_and_sensor_reader import require_own_rig_toml
 from rig.errors import ControllerFault, PositionLost, RigError, Unreachable
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes
@@ -251,8 +250,8 @@ def move_checker(design: Design) -> Callable[[Floats, Floats], None]:
     c, m = design.driver(), require_struts(design.mechanism)
 
     def check(start: Floats, goal: Floats) -> None:
-        trapezoidal_move_profile_and_path_check.require_safe_path(
-            start, trapezoidal_move_profile_and_path_check.require_lengths_in_range(goal, m), m, c.margin, c.max_step
+        move_profiles_and_path_check.require_safe_path(
+            start, move_profiles_and_path_check.require_lengths_in_range(goal, m), m, c.margin, c.max_step
         )
 
     return check

@@ -28,13 +28,12 @@ from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes
 from rig.model import mechanisms
 from rig.model.pose import rms_uncertainty
-from rig.recording import recording_table_loading_and_writing
-from rig.recording.poses_as_roll_pitch_yaw import write_poses_as_roll_pitch_yaw
+from rig.recording import recording_tables
 from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
-from rig.recording.recording_table_loading_and_writing import Poses, write_poses
+from rig.recording.recording_tables import Poses, write_poses
+from rig.recording.wanted_poses_and_roll_pitch_yaw import write_poses_as_roll_pitch_yaw
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations import Verdict
+from rig.report.verdict_and_display import OneLineRepr, Verdict, result_html
 from vision.api import Progress
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
@@ -216,7 +215,7 @@ class MeasuredLimbPoses(OneLineRepr):
         recording, found = self.recording, self.poses
         write_bytes(folder / "rig.toml", read_bytes(recording.folder / "rig.toml"))
         poses = Poses(found.frames, found.T_base_platform, found.covariance)
-        recording_table_loading_and_writing.write_poses(folder / "poses.csv", poses)
+        recording_tables.write_poses(folder / "poses.csv", poses)
         write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
         copy_frames_commands_and_sensors(recording.folder, folder, recording.exposures, recording.origin)
 

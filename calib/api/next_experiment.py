@@ -25,10 +25,10 @@ from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model.design import PERMITTED, TURN, Design, Permission, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import parse_cube_turn_permission, turning_instructions
-from rig.planning import timed_plan_and_plan_csv
+from rig.planning import timed_plan_and_visiting_order
 from rig.planning.plan import build_plan
-from rig.planning.timed_plan_and_plan_csv import Plan
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
+from rig.planning.timed_plan_and_visiting_order import Plan
+from rig.report.verdict_and_display import OneLineRepr, result_html
 
 PARTS = ("sobol:12", "ladder:1", "axes:3", "repeat:12", "sobol:30", "sobol:90")  # at whose exposures the struts rest
 CHOSEN = (8, 16, 32, 64)  # configurations where the likeliest names come apart, see `discriminating_configurations`
@@ -235,7 +235,7 @@ class NextExperiment(OneLineRepr):
         """
         if not self.experiments:
             raise ValueError("there is no experiment to write")
-        timed_plan_and_plan_csv.write_plan_table(path, self.experiments[0].plan, self.axes)
+        timed_plan_and_visiting_order.write_plan_table(path, self.experiments[0].plan, self.axes)
 
     def tree(self) -> Json:
         """What next.json holds."""

@@ -32,8 +32,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations import Refutation, Verdict
+from rig.report.verdict_and_display import OneLineRepr, Refutation, Verdict, result_html
 from vision.api import Progress
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 

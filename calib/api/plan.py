@@ -45,19 +45,18 @@ from calib.samples.confounded_conditions import confounds_of_configurations
 from rig import api
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text_parsing import parse_effect, require_existing_place
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect, require_existing_place
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import quantity_text
+from rig.formats.numbers_and_units import quantity_text
 from rig.model import mechanisms
 from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.base_and_link_tilts import GRAVITY_SIGMA
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, has_axes, has_links, is_hexapod, require_arm
-from rig.planning.balanced_visiting_order_and_approach import time_balanced_order
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan, sensors_with_payload
-from rig.planning.timed_plan_and_plan_csv import Plan
+from rig.planning.timed_plan_and_visiting_order import Plan, time_balanced_order
 from rig.recording.recording_folder import Sensors
 from vision.predict import marker_map, visible_marker_counts_over_all_cameras
 

@@ -19,10 +19,9 @@ from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 from rig.recording.recording_folder import Sensors
-from rig.recording.recording_table_loading_and_writing import write_configurations, write_table
+from rig.recording.recording_tables import write_configurations, write_table
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_display import Evidence, MissingEvidence, OneLineRepr, Verdict, judge_evidence, result_html
 
 SEED = 0
 SHOWN = 8  # combinations that are listed

@@ -39,7 +39,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 from rig.model.pose import exp
 from rig.recording.combined_recordings import is_measured_by_instrument
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_table_loading_and_writing import Corners
+from rig.recording.recording_tables import Corners
 from vision.checks import find_corner_mistakes
 from vision.checks.recording_refusal_and_cube_layout_remarks import (
     Notice,

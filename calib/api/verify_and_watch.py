@@ -52,10 +52,9 @@ from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model.pose import rms_uncertainty
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_table_loading_and_writing import Poses
+from rig.recording.recording_tables import Poses
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations import Refutation, State, Verdict
+from rig.report.verdict_and_display import OneLineRepr, Refutation, State, Verdict, result_html
 from vision.clocks_of_moving_exposures import Clocks
 
 

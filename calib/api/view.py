@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.report.recording_and_plan_pages import write_recording_page
-from rig.effects.texts.effect_text_parsing import parse_effect, require_nonzero_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect, require_nonzero_effect
 from rig.formats.exporters import recording_as_rerun_tum_parquet
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link

@@ -14,7 +14,7 @@ import numpy as np
 from calib.api.calibrate import CalibrateOptions, CalibrationResult, calibrate
 from calib.api.diagnose import DiagnoseOptions, DiagnosisResult, diagnose
 from calib.api.next_experiment import NextExperiment
-from calib.api.why_options_and_data_import import WhyOptions, recording_of_data
+from calib.api.why_options_and_data_import import WhyOptions, recording_of_data, require_data
 from calib.certification.calibration_dataclass_and_claim_sentences import ratio_interval_text
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.certification.platform_certification import Progress, silent_progress
@@ -25,13 +25,11 @@ from calib.models.arm.certification import CertifiedArm
 from calib.samples.confounded_conditions import confound_sentences
 from rig.array_and_json_types import Json
 from rig.errors import RigError
-from rig.formats.importers.import_recipe_of_path import require_data
 from rig.model.arm_branches_and_hands import require_one_hand
 from rig.model.pose import direction_difference
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.result_in_console_and_notebook import result_html
-from rig.report.verdict_and_refutations import WORST, Verdict
+from rig.report.verdict_and_display import WORST, Verdict, result_html
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
 QUESTIONS = ("how wrong", "why", "how sure", "what to do", "measure next")

@@ -1,21 +1,146 @@
 """Options of why, and import of its data.
 
-WhyOptions states what is known of the data, which are read, or imported as a recording.
+WhyOptions states what is known of the data of one machine: a table, a bag, or a folder of either or of images. They are
+read, or imported as a recording.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from rig.api import import_recording, load
-from rig.errors import RigError
+from rig.errors import FileError, RigError
+from rig.formats.checked_entries import nearest_known_word
 from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions, read_arm_file
-from rig.formats.importers.import_recipe_of_path import import_recipe_of_path, is_recording_folder
+from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
+from rig.formats.importers.foreign_table_columns import Cells
+from rig.formats.importers.import_recipe import TABLES, ForeignTable, Recipe, recipe_of_options
+from rig.formats.importers.units_and_timestamps import split_header
 from rig.formats.json_toml_and_yaml_loading import toml_entries
-from rig.formats.local_and_remote_input_files import list_folder, read_bytes, read_text
+from rig.formats.local_and_remote_input_files import exists, is_empty, is_folder, list_folder, read_bytes, read_text
+from rig.formats.numbers_and_units import ANGLES, LENGTHS
 from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml.design_from_rig_toml import LARGEST, design_of_entries
+from rig.model.design import Design
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
 from rig.recording.recording_folder import Recording
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice
+
+TABULAR = (".csv", ".tsv", ".txt", ".dat", ".parquet")
+BAGS = (".bag", ".mcap", ".db3")
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+WANTED = (
+    "a recording (rig.toml, frames.csv ..), one table of joint values and measured poses, two named commands.csv and "
+    "poses.csv, a ROS bag, or folders of images"
+)
+LISTED = 8
+MOST_RADIANS = 6.5  # that joint values reach; so few degrees of travel calibrate nothing
+
+
+def require_data(data: Path) -> None:
+    """Require data at a path, else raise FileError.
+
+    With the nearest that there is, and for an empty folder.
+    """
+    if not exists(data):
+        parent = data.parent
+        near = nearest_known_word(data.name, list_folder(parent)) if is_folder(parent) else None
+        raise FileError(data, "no such file or folder" + (f"; is {str(parent / near)!r} meant?" if near else ""))
+    if is_folder(data) and is_empty(data):
+        raise FileError(data, f"is an empty folder; it takes {WANTED}")
+
+
+def is_recording_folder(data: Path) -> bool:
+    """Whether a path is a recording's folder, though its rig.toml may be missing."""
+    return is_folder(data) and "frames.csv" in list_folder(data)
+
+
+def import_recipe_of_path(
+    data: Path, rig: Path, design: Design, joint_names: Sequence[str] = (), settings: Sequence[str] = ()
+) -> Recipe:
+    """Recipe of data at a path.
+
+    rig : file of the machine, design : the same; joint_names : its axes' in other files
+    settings : "KEY=VALUE" as of `rig import --set`, which decide against what is found out
+    Raises FileError for what is no data, RigError where several tables could be meant
+    """
+    if is_folder(data):
+        return _of_folder(data, rig, design, joint_names, settings)
+    if data.suffix.lower() in BAGS:
+        return recipe_of_options(rig, [], {}, tuple(settings), bags=[data])
+    if data.suffix.lower() in TABULAR:
+        return _of_tables({"commands": data, "poses": data}, rig, design, joint_names, settings)
+    raise FileError(data, f"is of no kind that is known; there are {', '.join((*TABULAR, *BAGS))}; or {WANTED}")
+
+
+def _of_folder(data: Path, rig: Path, design: Design, joint_names: Sequence[str], settings: Sequence[str]) -> Recipe:
+    names = list_folder(data)
+    bags = [data / name for name in names if Path(name).suffix.lower() in BAGS]
+    if bags:
+        return recipe_of_options(rig, [], {}, tuple(settings), bags=[data] if "metadata.yaml" in names else bags)
+    tables = [name for name in names if Path(name).suffix.lower() in TABULAR]
+    known = {Path(name).stem: data / name for name in tables if Path(name).stem in TABLES}
+    if "poses" in known:
+        known.setdefault("commands", known["poses"])
+        return _of_tables(known, rig, design, joint_names, settings)
+    folders = [name for name in names if is_folder(data / name)]
+    pictures = any(Path(name).suffix.lower() in PICTURES for name in names) or folders
+    if pictures:
+        return recipe_of_options(rig, [data], dict(known), tuple(settings))
+    if len(tables) == 1:
+        return _of_tables(
+            {name: data / tables[0] for name in ("commands", "poses")}, rig, design, joint_names, settings
+        )
+    listed = ", ".join(names[:LISTED]) + (", .." if len(names) > LISTED else "")
+    if not tables:
+        raise FileError(data, f"holds no data that are known ({listed}); it takes {WANTED}")
+    raise RigError(
+        f"{data} holds several tables ({listed}): name one that has joint values and poses, or call the two "
+        "commands.csv and poses.csv"
+    )
+
+
+def _of_tables(
+    tables: dict[str, Path], rig: Path, design: Design, joint_names: Sequence[str], settings: Sequence[str]
+) -> Recipe:
+    """Recipe of tables, columns of commands found by the joints' names where they have them."""
+    if not design.mechanism.axes:
+        raise RigError(
+            f'nothing can be commanded of a mechanism of kind "{design.mechanism.kind}", so that a table of commands '
+            "calibrates nothing"
+        )
+    cells = read_foreign_table_header_and_cells(ForeignTable(tables["commands"]), "commands")
+    found = _columns_by_joint_name(cells, design.mechanism.axes, joint_names)
+    added = [f"commands.columns.{axis}={header}" for axis, header in found.items()]
+    if _is_radians(cells, design, found):
+        added.append("commands.unit=rad")
+    stated = {setting.partition("=")[0].strip() for setting in settings}
+    kept = [setting for setting in added if setting.partition("=")[0] not in stated]
+    return recipe_of_options(rig, [], dict(tables), (*kept, *settings))
+
+
+def _columns_by_joint_name(cells: Cells, axes: Sequence[str], joint_names: Sequence[str]) -> dict[str, str]:
+    """{axis: header} of the columns whose headers are the joints' names, but for capitals and units."""
+    headers = {_bare(header): header for header in cells.header}
+    return {axis: headers[_bare(name)] for axis, name in zip(axes, joint_names) if _bare(name) in headers}
+
+
+def _bare(header: str) -> str:
+    return (
+        split_header(header)[0].strip().lower().removesuffix("_pos").removesuffix("_position").removesuffix("/position")
+    )
+
+
+def _is_radians(cells: Cells, design: Design, found: dict[str, str]) -> bool:
+    """Whether turning joints' values, of which no header states the unit, are too small for degrees."""
+    if not has_links(design.mechanism) or design.mechanism.slides.any():
+        return False
+    headers = {header: k for k, header in enumerate(cells.header)}
+    columns = [headers[found.get(axis, axis)] for axis in design.mechanism.axes if found.get(axis, axis) in headers]
+    if not columns or any(cells.unit(k) in (*ANGLES, *LENGTHS) for k in columns):
+        return False
+    return max(abs(value) for k in columns for value in cells.numbers(k)) <= MOST_RADIANS
+
 
 NOISE = (2e-5, 2e-4)  # m, rad; of a laser tracker and its six-degree-of-freedom probe, where nobody states any
 

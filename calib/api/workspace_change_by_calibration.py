@@ -28,10 +28,9 @@ from rig.formats.checked_entries import Entries
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
-from rig.recording.recording_table_loading_and_writing import write_table
+from rig.recording.recording_tables import write_table
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations import Verdict
+from rig.report.verdict_and_display import OneLineRepr, Verdict, result_html
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
 

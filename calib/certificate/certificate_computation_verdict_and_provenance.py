@@ -52,8 +52,7 @@ from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, hashes_of_frames
 from rig.recording.recording_folder import Recording
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
-from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_display import Evidence, MissingEvidence, OneLineRepr, Verdict, judge_evidence, result_html
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -19,7 +19,7 @@ from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model.arm_branches_and_hands import hand_names, seen_hand
 from rig.recording.recording_folder import Recording
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
+from rig.report.verdict_and_display import OneLineRepr, result_html
 
 WHERE = {"base": "base, or the instrument,", "platform": "target on the platform"}
 

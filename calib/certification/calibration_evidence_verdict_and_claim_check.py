@@ -26,15 +26,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
 from calib.samples.confounded_conditions import Confounds, confound_sentences
 from calib.samples.pose_samples import Samples
 from rig.effects.framework.unmodelled_curve import TIME
-from rig.report.verdict_and_refutations import (
-    LOOK,
-    Evidence,
-    MissingEvidence,
-    Refutation,
-    State,
-    Verdict,
-    judge_evidence,
-)
+from rig.report.verdict_and_display import LOOK, Evidence, MissingEvidence, Refutation, State, Verdict, judge_evidence
 
 MORE = (
     "Record more distinct configurations: `rig plan RIG.toml --for parameters --out plan.csv` chooses those that "

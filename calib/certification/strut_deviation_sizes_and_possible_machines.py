@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.certification.strut_deviation_covariance_functions import CONDITION, CONFIGURATION, PLACE, SAMPLE, Component
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.formats.number_parsing_and_rounding import number_text
+from rig.formats.numbers_and_units import number_text
 
 SOUND, ALIKE, MIXED = 0.3, 0.4, 0.3  # probabilities, before the poses, of the three kinds
 CLEARLY = 3.0  # of logarithms of probabilities

@@ -21,7 +21,7 @@ from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
 from rig.effects.framework.unmodelled_curve import TIME
 from rig.errors import NotConverged, RigError
-from rig.formats.number_parsing_and_rounding import quantity_text
+from rig.formats.numbers_and_units import quantity_text
 from rig.model import mechanisms, motion_simulation
 from rig.model import motion_simulation as machine
 from rig.model.base_and_link_tilts import GRAVITY, BaseTilt, has_gravity

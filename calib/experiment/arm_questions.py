@@ -45,7 +45,7 @@ from calib.experiment.predicted_recording_of_plan import predicted_sensor_log
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Arm
-from rig.planning.timed_plan_and_plan_csv import Plan
+from rig.planning.timed_plan_and_visiting_order import Plan
 
 WEAK = 1e-10  # of the greatest singular value; directions below are none
 

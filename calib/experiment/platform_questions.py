@@ -53,7 +53,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.effect_places_and_part_tolerances import SEAT
-from rig.planning.timed_plan_and_plan_csv import Plan
+from rig.planning.timed_plan_and_visiting_order import Plan
 
 WEAK = 1e-12  # of the greatest eigenvalue; directions below are none
 

@@ -19,9 +19,9 @@ from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.model.pose import exp
 from rig.planning.plan import sensors_with_payload
-from rig.planning.timed_plan_and_plan_csv import Plan
+from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.recording.recording_folder import PAYLOAD, Sensors
-from rig.recording.recording_table_loading_and_writing import Corners
+from rig.recording.recording_tables import Corners
 from vision.corner_observations import observations_from_corners
 from vision.predict import State, is_inside_image, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 

@@ -43,19 +43,19 @@ from calib.samples.pose_samples import Sampled
 from calib.workspace.workspace_map_and_lost_poses import workspace_dict, workspace_from_entries
 from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.texts.effect_text_parsing import Kinds
+from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
 from rig.formats import json_toml_and_yaml_loading, local_and_remote_input_files
 from rig.formats.checked_entries import Entries
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model.arm_branches_and_hands import hand_names
+from rig.recording.exposures_and_image_files import LARGEST_IMAGE_FILE
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,
     frames_with_known_hashes,
     hashes_of_frames,
 )
-from rig.recording.image_file_check_and_reading import LARGEST_IMAGE_FILE
 from rig.recording.recording_folder import Recording
 
 PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "rig")

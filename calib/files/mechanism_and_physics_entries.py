@@ -17,14 +17,18 @@ from rig.array_and_json_types import Booleans, Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.framework.unmodelled_curve import curve_classes_by_covariate
-from rig.effects.texts.effect_text_parsing import Kinds
+from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.machine_geometry_and_effects_json_file import effect_to_dict, effects_from_entries
-from rig.formats.rig_toml.arm_branch_and_hand_entries import branch_and_hand_dicts, branches_of_tables, hands_of_tables
 from rig.formats.rig_toml.design_from_rig_toml import base_tilt_of_table
-from rig.formats.rig_toml.mechanism_entries import mechanism_of_file
+from rig.formats.rig_toml.mechanism_entries import (
+    branch_and_hand_dicts,
+    branches_of_tables,
+    hands_of_tables,
+    mechanism_of_file,
+)
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
 from rig.model.effect_places_and_part_tolerances import Place

@@ -19,7 +19,7 @@ from rig.model.design import Camera, Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 from rig.model.pose import pose_to_vector, transform_points
 from rig.report.pages.run_page_server import PageServer
-from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_display import Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.frame_pictures import encode_jpeg
 from vision.predict import MarkerMap, marker_map
 

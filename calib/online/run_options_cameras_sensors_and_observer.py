@@ -19,14 +19,14 @@ from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, Live
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from rig.array_and_json_types import Floats
 from rig.driving.cameras import open_camera
-from rig.driving.cameras.camera_interface_and_synchronised_grabbing import SynchronisedCameras, set_exposure_for_markers
+from rig.driving.cameras.camera_interface_and_user_cameras import SynchronisedCameras, set_exposure_for_markers
 from rig.driving.clock import Clock
+from rig.driving.driver_opening_and_settling import Settling
 from rig.driving.move_and_record_loop import RunEquipment
+from rig.driving.move_profiles_and_path_check import Way, trapezoidal_profile
 from rig.driving.run_steps_and_progress import Step
-from rig.driving.sensor_reader import open_sensors
-from rig.driving.settling_check import Settling
 from rig.driving.strut_driver import Driver
-from rig.driving.trapezoidal_move_profile_and_path_check import Way, trapezoidal_profile
+from rig.driving.user_classes_and_sensor_reader import open_sensors
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.design import Design

@@ -29,7 +29,7 @@ from rig.recording.frame_selection_and_content_hashes import (
     select_hand,
 )
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_table_loading_and_writing import Corners, Poses
+from rig.recording.recording_tables import Corners, Poses
 
 if TYPE_CHECKING:
     from vision.reading.recording_corners import Collected

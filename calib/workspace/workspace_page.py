@@ -12,7 +12,7 @@ import numpy as np
 from calib.workspace.workspace_map_and_lost_poses import SHORT, Workspace
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect_parameters_and_covariates import PLOT_UNITS
-from rig.formats.number_parsing_and_rounding import number_text
+from rig.formats.numbers_and_units import number_text
 from rig.report.pages.html_and_svg_elements import (
     captioned_html,
     heading_html,
@@ -26,7 +26,7 @@ from rig.report.pages.html_and_svg_elements import (
 )
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import panel_row_html
-from rig.report.verdict_and_refutations import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_and_display import Evidence, MissingEvidence, Verdict, judge_evidence
 
 
 def workspace_lines(workspace: Workspace, unit: str) -> list[str]:

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import rig
-from rig.formats.length_and_angle_units import parse_length_and_angle_units
+from rig.formats.numbers_and_units import parse_length_and_angle_units
 
 options = rig.LayoutOptions(
     radius=0.3,  # m, of the circle of base joints

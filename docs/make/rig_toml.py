@@ -14,7 +14,7 @@ import tomlkit
 from docs.make.told import fields_told, headline
 from rig.formats.checked_entries import REQUIRED, Entries, Key
 from rig.formats.json_toml_and_yaml_loading import toml_value_positions
-from rig.formats.length_and_angle_units import UnitNames
+from rig.formats.numbers_and_units import UnitNames
 from rig.formats.rig_toml import arm_dynamics_entries, design_from_rig_toml
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
 from rig.formats.rig_toml.mechanism_entries import Joint

@@ -13,8 +13,8 @@ from rig.array_and_json_types import Json
 from rig.checks import mistake_dataclass_and_clock_mistakes, unit_and_convention_mistakes
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.formats import local_and_remote_input_files
-from rig.formats.length_and_angle_units import stated_units
 from rig.formats.local_and_remote_input_files import read_text
+from rig.formats.numbers_and_units import stated_units
 from rig.formats.output_files.atomic_file_and_manifest import file_digest
 from rig.model.design import Camera, Design
 from rig.model.mechanism_geometry_classes import Arm

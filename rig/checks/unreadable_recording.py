@@ -15,8 +15,8 @@ from rig.checks import implausible_design_values_and_image_mistakes, mistake_dat
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
-from rig.formats.length_and_angle_units import SI, stated_units
 from rig.formats.local_and_remote_input_files import read_text
+from rig.formats.numbers_and_units import SI, stated_units
 from rig.formats.rig_toml import design_from_rig_toml
 
 SPREAD = {

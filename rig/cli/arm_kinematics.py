@@ -39,7 +39,7 @@ def run(arguments: Namespace) -> None:
     """
     from calib.api.arm_kinematics import load_arm_kinematics
     from rig.formats import csv_and_parquet_tables_and_time_origin
-    from rig.recording import recording_table_loading_and_writing
+    from rig.recording import recording_tables
 
     machine = load_arm_kinematics(arguments.arm)
     if machine.left_out is not None:
@@ -48,7 +48,7 @@ def run(arguments: Namespace) -> None:
         rows = csv_and_parquet_tables_and_time_origin.read_csv_table(arguments.forward, ("frame", *machine.arm.axes))
         tree = machine.forward(rows.whole("frame"), rows.matrix(machine.arm.axes), arguments.steps)
     else:
-        poses = recording_table_loading_and_writing.load_poses(arguments.inverse)
+        poses = recording_tables.load_poses(arguments.inverse)
         tree = machine.inverse(poses.frame, poses.T_base_platform, arguments.steps)
     if arguments.json:
         print_json(tree)

@@ -20,7 +20,7 @@ from rig.cli.shared.common_options import (
 )
 from rig.cli.shared.option_value_parsing import parse_numbers
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_number
+from rig.formats.numbers_and_units import parse_number
 from rig.formats.output_files import write_text
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout
-from rig.formats.number_parsing_and_rounding import parse_number
+from rig.formats.numbers_and_units import parse_number
 
 if TYPE_CHECKING:
     from rig.posture.external_wrench_from_torque_table import WrenchResult

@@ -21,7 +21,7 @@ from rig.cli.shared.input_options import (
 )
 from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_number
+from rig.formats.numbers_and_units import parse_number
 
 if TYPE_CHECKING:
     from calib.api.online_learning import LearningResult, LearnOptions

@@ -28,8 +28,8 @@ from rig.cli.shared.option_value_parsing import parse_tolerance
 from rig.cli.shared.output_display import Progress
 from rig.cli.shared.printing_of_held_out_errors import print_frames_without_pose
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_number
-from rig.report.verdict_and_refutations import exit_status
+from rig.formats.numbers_and_units import parse_number
+from rig.report.verdict_and_display import exit_status
 
 if TYPE_CHECKING:
     from calib.api.certify import CertificationResult
@@ -157,7 +157,7 @@ def run(arguments: Namespace) -> int:
     from calib.api.certify import certify
     from calib.certificate.certificate_computation_verdict_and_provenance import certificate_provenance
     from calib.files import calibration_file
-    from rig.report.verdict_and_refutations import refutations_of_file
+    from rig.report.verdict_and_display import refutations_of_file
 
     calibration = calibration_file.load(arguments.calibration, several_hands=True)
     whole = arguments.outputs.folder(arguments.out) if suffix == "" else arguments.outputs.file(arguments.out)

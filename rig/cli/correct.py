@@ -14,15 +14,15 @@ from rig.cli.shared import input_options, refutation_printing_and_writing
 from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout
 from rig.cli.shared.hand_option import add_hand_option, calibration_of_chosen_hand
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_numbers
+from rig.formats.numbers_and_units import parse_numbers
 
 if TYPE_CHECKING:
     from calib.api.correct import CorrectionResult, CorrectOptions, PoseFrames
     from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
     from rig.array_and_json_types import Floats
     from rig.formats.csv_and_parquet_tables_and_time_origin import TableFormat
-    from rig.formats.length_and_angle_units import LengthAndAngleUnits
-    from rig.recording.wanted_poses import WantedPoses
+    from rig.formats.numbers_and_units import LengthAndAngleUnits
+    from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -118,8 +118,8 @@ def run(arguments: Namespace) -> None:
     Write corrected commands for wanted poses, or corrected poses of readings.
     """
     from calib.api.correct import correct
-    from rig.recording.recording_table_loading_and_writing import write_poses
-    from rig.recording.wanted_poses import load_wanted_poses
+    from rig.recording.recording_tables import write_poses
+    from rig.recording.wanted_poses_and_roll_pitch_yaw import load_wanted_poses
 
     if arguments.forward and (
         arguments.uncorrected
@@ -154,7 +154,7 @@ def run(arguments: Namespace) -> None:
 def _format(arguments: Namespace) -> TableFormat:
     """Format of the tables of poses and commands. Raises RigError for what are no units."""
     from rig.formats.csv_and_parquet_tables_and_time_origin import TableFormat
-    from rig.formats.length_and_angle_units import SI, parse_length_and_angle_units
+    from rig.formats.numbers_and_units import SI, parse_length_and_angle_units
 
     try:
         units = SI if arguments.units is None else parse_length_and_angle_units(arguments.units)

@@ -10,7 +10,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from rig.cli.shared import input_options, refutation_printing_and_writing
-from rig.formats.number_parsing_and_rounding import parse_whole_number
+from rig.formats.numbers_and_units import parse_whole_number
 
 
 def arguments(parser: ArgumentParser) -> None:

@@ -16,7 +16,7 @@ from rig.cli.shared.input_options import add_anyway_option, add_recordings_argum
 from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 from rig.formats.local_and_remote_input_files import json_files_in_same_folders_as
-from rig.formats.number_parsing_and_rounding import parse_number
+from rig.formats.numbers_and_units import parse_number
 
 if TYPE_CHECKING:
     from calib.api.diagnose import DiagnoseOptions

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
+from rig.formats.numbers_and_units import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
     from synthetic.emulated_cameras import EmulatedCameraProcess
@@ -107,7 +107,7 @@ def run(arguments: Namespace) -> None:
 
 def _list_faults() -> None:
     """Print the kinds of faults."""
-    from rig.driving.emulators.controller_faults import KINDS
+    from rig.driving.emulators.emulated_axes_and_faults import KINDS
 
     for kind, text in KINDS.items():
         print(f"{kind:17} {text}")

@@ -15,7 +15,7 @@ from pathlib import Path
 from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout
 from rig.cli.shared.input_options import add_earlier_option
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
+from rig.formats.numbers_and_units import parse_number, parse_whole_number
 
 MOST_VALUES = 1000  # of a channel, of a lookup table
 LISTED = ("camera-info", "opencv", "parquet")  # of which the files are named

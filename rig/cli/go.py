@@ -19,13 +19,13 @@ from rig.cli.shared.common_options import (
 )
 from rig.cli.shared.option_value_parsing import require_share
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_numbers
+from rig.formats.numbers_and_units import parse_numbers
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
     from calib.api.pose_move import PoseMove
-    from rig.formats.length_and_angle_units import LengthAndAngleUnits
+    from rig.formats.numbers_and_units import LengthAndAngleUnits
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -60,8 +60,8 @@ def run(arguments: Namespace) -> None:
     """
     from calib.api.pose_move import plan_pose_move, require_same_rig
     from rig.cli.shared.run_display_and_controller_status import print_status
-    from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
-    from rig.formats.length_and_angle_units import SI
+    from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
+    from rig.formats.numbers_and_units import SI
 
     require_share(arguments.speed)
     design = design_with_controller_port(arguments.rig, arguments.port)

@@ -20,7 +20,7 @@ def run(arguments: Namespace) -> None:
     Home all struts and print their positions.
     """
     from rig.cli.shared.run_display_and_controller_status import print_status
-    from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
+    from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
 
     design = design_with_controller_port(arguments.design, arguments.port)
     with open_driver(design, arguments.trace, print) as driver:

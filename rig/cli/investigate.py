@@ -9,7 +9,7 @@ from pathlib import Path
 
 from calib.experiment import FIRST, LOADED, STANDING
 from rig.cli.shared.common_options import SEED, add_json_result_option
-from rig.formats.number_parsing_and_rounding import parse_whole_number
+from rig.formats.numbers_and_units import parse_whole_number
 
 
 def parse_minutes(text: str) -> float:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from rig.cli.shared.common_options import add_controller_arguments, add_speed_option, add_trust_unhomed_position_option
 from rig.cli.shared.option_value_parsing import require_share
 from rig.errors import PositionLost, RigError
-from rig.formats.number_parsing_and_rounding import parse_number, parse_numbers, parse_whole_number
+from rig.formats.numbers_and_units import parse_number, parse_numbers, parse_whole_number
 
 if TYPE_CHECKING:
     from rig.array_and_json_types import Floats
@@ -47,7 +47,7 @@ def run(arguments: Namespace) -> None:
     import numpy as np
 
     from rig.cli.shared.run_display_and_controller_status import print_status
-    from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
+    from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
 
     design = design_with_controller_port(arguments.design, arguments.port)
     count = len(design.mechanism.axes)

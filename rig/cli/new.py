@@ -51,7 +51,7 @@ def run(arguments: Namespace) -> None:
 
     Prompts for missing values and prints next steps. Raises RigError where something must be asked and nobody is there.
     """
-    from rig.formats.length_and_angle_units import SI
+    from rig.formats.numbers_and_units import SI
     from rig.formats.output_files import write_text
     from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, new_rig_toml, shipped_arm_names
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared.common_options import add_overwrite_option, add_units_option, file_or_stdout
 from rig.cli.shared.option_value_parsing import parse_length
-from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
+from rig.formats.numbers_and_units import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
     from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions
@@ -112,7 +112,7 @@ def run(arguments: Namespace) -> None:
     Write the rig.toml of a new design.
     """
     from rig.formats.importers.arm_of_urdf_or_dh_table import read_arm_file
-    from rig.formats.length_and_angle_units import SI
+    from rig.formats.numbers_and_units import SI
     from rig.formats.output_files import write_text
     from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, new_rig_toml
 

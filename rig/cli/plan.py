@@ -21,7 +21,7 @@ from rig.cli.shared.common_options import (
 from rig.cli.shared.option_value_parsing import parse_length
 from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
+from rig.formats.numbers_and_units import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
     from calib.api.plan_options_and_result import PlanOptions

@@ -14,7 +14,7 @@ from rig.cli.shared.common_options import SEED, add_controller_arguments
 from rig.cli.shared.input_options import add_limb_options, limb_source
 from rig.cli.shared.option_value_parsing import length_and_angle
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
+from rig.formats.numbers_and_units import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
     from calib.api.machine_run import PlannedRun, RunOptions
@@ -103,7 +103,7 @@ def run(arguments: Namespace) -> None:
     Run a plan on the machine and record it, or resume such a run.
     """
     from calib.api.machine_run import plan_run
-    from rig.driving.driver_opening_and_settled_status import design_with_controller_port
+    from rig.driving.driver_opening_and_settling import design_with_controller_port
 
     design = design_with_controller_port(arguments.design, arguments.port)
     planned = plan_run(design, arguments.design, arguments.plan, _options(arguments))

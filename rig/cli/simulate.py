@@ -13,7 +13,7 @@ from rig.cli.shared import input_options
 from rig.cli.shared.common_options import add_overwrite_option
 from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
+from rig.formats.numbers_and_units import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
     from synthetic.api import SimulateOptions

@@ -16,7 +16,7 @@ from rig.cli.shared.common_options import add_json_result_option, add_overwrite_
 from rig.cli.shared.worker_options_and_pool import results_with_progress, worker_pool
 from rig.compute.worker_processes import run_child_process
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_whole_number
+from rig.formats.numbers_and_units import parse_whole_number
 
 ONE_THREAD = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
 ROOT = Path(__file__).parents[2]  # children run the code that runs here, wherever they stand

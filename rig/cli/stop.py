@@ -30,7 +30,7 @@ def run(arguments: Namespace) -> None:
     clock = SystemClock()
     address = controller_address_in_rig_toml(arguments.design, arguments.port)
     if address is None:
-        from rig.driving.driver_opening_and_settled_status import address_of_controller, design_with_controller_port
+        from rig.driving.driver_opening_and_settling import address_of_controller, design_with_controller_port
 
         stated = design_with_controller_port(arguments.design, arguments.port)
         address = address_of_controller(stated.driver(), stated.mechanism)
@@ -39,7 +39,7 @@ def run(arguments: Namespace) -> None:
         print(f"process {other}, which drove them, was stopped")
     with urgently_stopped_controller(address, clock) as stopped:
         from rig.cli.shared.run_display_and_controller_status import print_status
-        from rig.driving.driver_opening_and_settled_status import design_with_controller_port, open_driver
+        from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
 
         design = design_with_controller_port(arguments.design, arguments.port)
         with open_driver(design, arguments.trace, print, clock, stopped) as driver:

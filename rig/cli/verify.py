@@ -16,12 +16,12 @@ from rig.cli.shared.hand_option import add_hand_option, recording_of_chosen_hand
 from rig.cli.shared.input_options import add_recording_argument, read_recording
 from rig.cli.shared.output_display import Progress
 from rig.cli.shared.printing_of_held_out_errors import print_frames_without_pose, print_held_out_errors
-from rig.report.verdict_and_refutations import exit_status
+from rig.report.verdict_and_display import exit_status
 
 if TYPE_CHECKING:
     from calib.api.verify_and_watch import VerificationResult
     from rig.recording.recording_folder import Recording
-    from rig.recording.recording_table_loading_and_writing import Poses
+    from rig.recording.recording_tables import Poses
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -46,7 +46,7 @@ def run(arguments: Namespace) -> int:
     Exit status 3 where the verdict is bad.
     """
     from calib.api.verify_and_watch import verify
-    from rig.report.verdict_and_refutations import refutations_of_file
+    from rig.report.verdict_and_display import refutations_of_file
 
     progress = Progress()
     progress("reading the recording", 0, 1)
@@ -76,7 +76,7 @@ def _wanted_poses(path: Path | None, recording: Recording) -> Poses | None:
     """Poses that a recording's frames were intended to take. Raises RigError where it shows several hands."""
     from rig.model.arm_branches_and_hands import hand_names, seen_hand
     from rig.recording.frame_selection_and_content_hashes import require_one_hand_shown
-    from rig.recording.recording_table_loading_and_writing import load_poses
+    from rig.recording.recording_tables import load_poses
 
     if path is None:
         return None

@@ -12,7 +12,7 @@ from rig.cli.shared.common_options import add_overwrite_option, file_or_stdout, 
 from rig.cli.shared.input_options import add_recording_argument, read_recording
 from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
+from rig.formats.numbers_and_units import parse_number, parse_whole_number
 
 
 def arguments(parser: ArgumentParser) -> None:

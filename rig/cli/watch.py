@@ -20,8 +20,8 @@ from rig.cli.shared.common_options import (
 )
 from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_whole_number
-from rig.report.verdict_and_refutations import exit_status, refutations_of_file
+from rig.formats.numbers_and_units import parse_whole_number
+from rig.report.verdict_and_display import exit_status, refutations_of_file
 
 POSES = 12
 
@@ -119,7 +119,7 @@ def _plan(arguments: Namespace) -> None:
     from calib.drift.visit_configurations import SIGMAS, choose_visit_configurations
     from calib.files import calibration_file
     from rig.formats.rig_toml import design_from_rig_toml
-    from rig.recording import recording_table_loading_and_writing
+    from rig.recording import recording_tables
 
     calibration = calibration_file.load(arguments.calibration)
     design = design_from_rig_toml.load_design(arguments.rig) if arguments.rig else None
@@ -129,7 +129,7 @@ def _plan(arguments: Namespace) -> None:
         calibration, design, arguments.count, SEED, lambda done, of: progress("choosing", done, of)
     )
     progress.close()
-    recording_table_loading_and_writing.write_configurations(out, calibration.correction.fitted.axes, chosen.commands)
+    recording_tables.write_configurations(out, calibration.correction.fitted.axes, chosen.commands)
     print(
         f"{arguments.count} poses; a pose measured to {SIGMAS[0] * 1e6:g} um and {SIGMAS[1] * 1e6:g} urad, "
         "one visit knows, all "

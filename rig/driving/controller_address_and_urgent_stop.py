@@ -11,12 +11,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from rig.driving.channel_access_port import ChannelAccessPort
 from rig.driving.clock import Clock
 from rig.driving.controller_lock import ControllerLock
-from rig.driving.numbered_frames_with_checksum import encode_frame
-from rig.driving.port_opening import open_port
-from rig.driving.serial_port import SerialPort
+from rig.driving.ports_and_numbered_frames import ChannelAccessPort, SerialPort, encode_frame, open_port
 from rig.errors import FileError
 from rig.formats.user_python_file import class_literal, read_user_text
 
@@ -32,7 +29,8 @@ STOPS = {
 
 
 def stop_of_motor_records(motors: Iterable[str]) -> bytes:
-    """Bytes that stop EPICS motor records, as rig.driving.channel_access_port takes them: all of those that are there.
+    """Bytes that stop EPICS motor records, as a ChannelAccessPort takes them: all of those that are there.
+
     What is not there is named when the protocol's own stop follows.
     """
     return encode_frame(">", 0, f"PUT {' '.join(f'{motor}.STOP=1' for motor in motors)}")

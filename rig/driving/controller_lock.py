@@ -256,7 +256,7 @@ def lock_names(port: str, usb_id: str = "") -> list[str]:
     """Names of all locks of the controller at a port: by device, path, network address and USB number."""
     words = set()
     if usb_id:
-        from rig.driving.serial_port import find_usb_port
+        from rig.driving.ports_and_numbered_frames import find_usb_port
 
         words.add(f"usb {usb_id.lower()}")
         try:

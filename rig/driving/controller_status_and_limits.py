@@ -11,7 +11,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.errors import FileError, Unreachable
 from rig.formats.local_and_remote_input_files import read_bytes
-from rig.formats.number_parsing_and_rounding import parse_number
+from rig.formats.numbers_and_units import parse_number
 from rig.model.design import Controller
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
 
@@ -148,7 +148,7 @@ def limits_of_linuxcnc_ini(path: Path, count: int) -> ControllerLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ControllerStatus:
-    """activity : as rig.driving.protocols.protocol_interface.State; lengths : (n,) m; known : whether the lengths can
+    """activity : as rig.driving.protocols.protocol_bases.State; lengths : (n,) m; known : whether the lengths can
     be believed; fault, said : text; homing_required : as of a State"""
 
     activity: str

@@ -9,12 +9,12 @@ from types import TracebackType
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving.cameras.camera_interface_and_synchronised_grabbing import CameraError, Frame, SynchronisedCameras
+from rig.driving.cameras.camera_interface_and_user_cameras import CameraError, Frame, SynchronisedCameras
 from rig.driving.clock import Clock
 from rig.driving.controller_status_and_limits import PositionReport
 from rig.driving.run_journal import PositionReports
 from rig.errors import RigError
-from rig.recording.exposure_table import ONE_FRAME
+from rig.recording.exposures_and_image_files import ONE_FRAME
 
 ACCIDENTS = 4  # frames in a row
 LOOK = 0.005  # s between looks at whether the move is over, and whether a report has come

@@ -13,11 +13,12 @@ from typing import Protocol
 import numpy as np
 
 from rig.array_and_json_types import Floats, Pixels
-from rig.driving.cameras.camera_interface_and_synchronised_grabbing import Frame, SynchronisedCameras
+from rig.driving.cameras.camera_interface_and_user_cameras import Frame, SynchronisedCameras
 from rig.driving.clock import Clock
 from rig.driving.controller_status_and_limits import PositionReport
+from rig.driving.driver_opening_and_settling import Settling
 from rig.driving.exposures_in_motion import FramesDuringMove, lengths_reported_at, row_of_reports
-from rig.driving.move_profile_from_position_reports import profile_of_reports
+from rig.driving.move_profiles_and_path_check import Way, profile_of_reports
 from rig.driving.recording_from_run_journal import GrowingRecording
 from rig.driving.run_journal import (
     Arrival,
@@ -32,8 +33,6 @@ from rig.driving.run_journal import (
     Row,
 )
 from rig.driving.run_steps_and_progress import Progress, Step, interrupted_move_result, progress_from_journal
-from rig.driving.settling_check import Settling
-from rig.driving.trapezoidal_move_profile_and_path_check import Way
 from rig.errors import MotionError, RigError, Stopped
 from rig.formats.output_files.locks_of_files_and_folders import sync_folder
 

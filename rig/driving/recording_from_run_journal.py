@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.driving.cameras.user_camera_class_and_image_program import ELSEWHERE
+from rig.driving.cameras.camera_interface_and_user_cameras import ELSEWHERE
 from rig.driving.run_journal import (
     Arrival,
     Began,

@@ -24,7 +24,7 @@ from rig.driving.run_journal import (
     Row,
 )
 from rig.errors import RigError, Unreachable
-from rig.planning.timed_plan_and_plan_csv import Plan
+from rig.planning.timed_plan_and_visiting_order import Plan
 
 STANDING = 1e-9  # m; commands that differ by less are one place
 INSTANT = 1e-6  # s about an exposure in which the struts must not move

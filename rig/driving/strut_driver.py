@@ -12,7 +12,7 @@ from typing import TextIO, TypeVar, cast
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving import protocols, trapezoidal_move_profile_and_path_check
+from rig.driving import move_profiles_and_path_check, protocols
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_status_and_limits import (
     ANEW,
@@ -27,10 +27,10 @@ from rig.driving.controller_status_and_limits import (
     limits_of_linuxcnc_ini,
     operator_advice,
 )
-from rig.driving.port_opening import open_port
-from rig.driving.protocols.protocol_interface import Dialogue, Segment, State, Verdict
+from rig.driving.move_profiles_and_path_check import speed_share_of_move, straight_move_segment
+from rig.driving.ports_and_numbered_frames import open_port
+from rig.driving.protocols.protocol_bases import Dialogue, Segment, State, Verdict
 from rig.driving.request_and_answer_exchange_with_controller import Link, Port
-from rig.driving.trapezoidal_move_profile_and_path_check import speed_share_of_move, straight_move_segment
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
 from rig.model import mechanisms
 from rig.model.design import Design
@@ -144,9 +144,7 @@ class Driver:
         """
         self._asked(self._protocol.hello)
         try:
-            self._left = trapezoidal_move_profile_and_path_check.require_lengths_in_range(
-                self.lengths(), self.mechanism
-            )
+            self._left = move_profiles_and_path_check.require_lengths_in_range(self.lengths(), self.mechanism)
         except Unreachable as error:
             raise Unreachable(
                 "what the controller reports cannot be trusted", error.index, [str(error), OUT_OF_RANGE]
@@ -186,8 +184,8 @@ class Driver:
         """Lengths (n,) m that may be gone to from start (n,) m: ranges, step, workspace, singularities. Raises
         Unreachable.
         """
-        lengths = trapezoidal_move_profile_and_path_check.require_lengths_in_range(lengths, self.mechanism)
-        trapezoidal_move_profile_and_path_check.require_safe_path(
+        lengths = move_profiles_and_path_check.require_lengths_in_range(lengths, self.mechanism)
+        move_profiles_and_path_check.require_safe_path(
             start, lengths, self.mechanism, self.controller.margin, self.controller.max_step
         )
         return lengths
@@ -210,7 +208,7 @@ class Driver:
         """
         if not 0 < share <= 1:
             raise ValueError(f"share must be above 0 and at most 1, got {share}")
-        target = trapezoidal_move_profile_and_path_check.require_lengths_in_range(lengths, self.mechanism)
+        target = move_profiles_and_path_check.require_lengths_in_range(lengths, self.mechanism)
         with self._busy:
             start = self._ready()
             self.check(target, start)

@@ -16,8 +16,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.errors import FileError
-from rig.formats.length_and_angle_units import SI, LengthAndAngleUnits, UnitNames, parse_length_and_angle_units
 from rig.formats.local_and_remote_input_files import require_schema, short_repr
+from rig.formats.numbers_and_units import SI, LengthAndAngleUnits, UnitNames, parse_length_and_angle_units
 from rig.model.pose import pose
 
 LARGEST_RIG = 50.0  # m; nothing on struts or arms is larger, so a larger figure is in another unit

@@ -23,9 +23,15 @@ import numpy as np
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError, MissingLibrary
 from rig.formats.checked_entries import LARGEST_NUMBER, LARGEST_WHOLE
-from rig.formats.length_and_angle_units import SI, LengthAndAngleUnits
 from rig.formats.local_and_remote_input_files import open_regular_file, read_text, short_repr
-from rig.formats.number_parsing_and_rounding import LONGEST_NUMBER, NotFinite, parse_number, parse_numbers
+from rig.formats.numbers_and_units import (
+    LONGEST_NUMBER,
+    SI,
+    LengthAndAngleUnits,
+    NotFinite,
+    parse_number,
+    parse_numbers,
+)
 
 DIGITS = Context(prec=60, traps=[])
 LATEST = 1e11  # s, in the year 5138; a greater figure is in another unit

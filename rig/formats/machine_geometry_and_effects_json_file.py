@@ -15,7 +15,7 @@ from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
-from rig.effects.texts.effect_text_parsing import Kinds, named_effect, require_existing_place
+from rig.effects.texts.effect_texts_and_user_effect_files import Kinds, named_effect, require_existing_place
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import LARGEST_RIG, Entries

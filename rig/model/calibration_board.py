@@ -9,8 +9,7 @@ import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import RigError
-from rig.formats.length_and_angle_units import SI, LengthAndAngleUnits
-from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
+from rig.formats.numbers_and_units import SI, LengthAndAngleUnits, parse_number, parse_whole_number
 
 DICTIONARIES = {  # how many identities each dictionary of OpenCV holds
     **{f"DICT_{bits}X{bits}_{count}": count for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},

@@ -31,7 +31,7 @@ from rig.planning.configuration_generators import (
     single_axis_pose_moves,
     sobol_configurations,
 )
-from rig.planning.timed_plan_and_plan_csv import (
+from rig.planning.timed_plan_and_visiting_order import (
     MOST,
     STEP,
     ApproachSettings,
@@ -83,7 +83,7 @@ def build_plan(
 
     Scattered configurations (sobol, division, grid, simplices, axes, combined, payload, warmup, repeat) are shuffled
     and approached from sides so that neither time nor direction is a function of place (see
-    rig.planning.balanced_visiting_order_and_approach). A ladder, iso9283 and commands keep their
+    rig.planning.timed_plan_and_visiting_order). A ladder, iso9283 and commands keep their
     order and go straight.
     Parts: sobol:N, division:Q (see rig.planning.configuration_generators.divided_grid_configurations), grid:PER_AXIS,
     simplices:SHELLS, axes:PER_AXIS, combined:PER_PAIR, ladder:STEPS,

@@ -26,8 +26,8 @@ from rig.posture.arm_force_transmission_and_exertable_wrench import (
 )
 from rig.posture.null_space_search import SearchResult
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_table_loading_and_writing import write_table
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
+from rig.recording.recording_tables import write_table
+from rig.report.verdict_and_display import OneLineRepr, result_html
 
 STARTS = 24  # joint solutions of the pose from which self-motions are searched for
 SEED = 0

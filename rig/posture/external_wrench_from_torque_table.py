@@ -29,8 +29,8 @@ from rig.posture.wrench_estimation_from_torques import (
     most_likely_random_walk_rates,
     observe_wrench,
 )
-from rig.recording.recording_table_loading_and_writing import COVARIANCE_COLUMNS, write_table
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
+from rig.recording.recording_tables import COVARIANCE_COLUMNS, write_table
+from rig.report.verdict_and_display import OneLineRepr, result_html
 
 SETTLED = 0.1  # of a record, after which figures are given: a filter begins with knowing nothing
 

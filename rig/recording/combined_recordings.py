@@ -21,9 +21,9 @@ from rig.model.design_comparison_and_cube_turning_instructions import (
     design_contradictions,
     is_same_lens_sensor_and_mount,
 )
-from rig.recording.exposure_table import Exposures
+from rig.recording.exposures_and_image_files import Exposures
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording, RecordingPart, Sensors
-from rig.recording.recording_table_loading_and_writing import Corners, Poses
+from rig.recording.recording_tables import Corners, Poses
 
 GAP = 60.0  # s on the common timeline between the end of a recording and the next one's beginning
 HELD = 30.0  # s of it for which the axes are where the next recording begins

@@ -20,10 +20,9 @@ from rig.model.arm_branches_and_hands import hand_names
 from rig.model.base_and_link_tilts import GRAVITY, BaseTilt, gravity_channels, has_gravity, times_between_small_turns
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
-from rig.recording.exposure_table import ONE_FRAME, SIMULTANEOUS, Exposures, load_exposures
-from rig.recording.image_file_check_and_reading import UnreadableImage
-from rig.recording.recording_table_loading_and_writing import Corners, Poses, load_corners, load_instrument_poses
-from rig.report.result_in_console_and_notebook import OneLineRepr, result_html
+from rig.recording.exposures_and_image_files import ONE_FRAME, SIMULTANEOUS, Exposures, UnreadableImage, load_exposures
+from rig.recording.recording_tables import Corners, Poses, load_corners, load_instrument_poses
+from rig.report.verdict_and_display import OneLineRepr, result_html
 
 LIMB = re.compile(r"m[1-9]\d*")  # a channel of a measuring limb, m, read only where there are rows about an exposure
 PAYLOAD = "payload_mass_kg"  # channel of sensors.csv, column of a plan in time: what the platform carries

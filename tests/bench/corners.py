@@ -18,8 +18,8 @@ from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Marker, Sensor, Target
 from rig.model.pose import pose, pose_difference
 from rig.planning.layout import hexapod_layout_and_camera_placement
-from rig.recording import recording_folder, recording_table_loading_and_writing
-from rig.recording.image_file_check_and_reading import read_image
+from rig.recording import recording_folder, recording_tables
+from rig.recording.exposures_and_image_files import read_image
 from tests.bench import corner_bound
 from tests.cli import RIG
 from tests.conftest import SHARED
@@ -87,7 +87,7 @@ def _first_light(out):
     yield "first-light: bias per axis", ", ".join(f"{v:+.4f}" for v in error.mean(axis=0)) + " px", "<= 0.005 px"
     yield "first-light: bias along the marker's own diagonal, outward", f"{along.mean():+.4f} px", "<= 0.005 px"
     yield "first-light: true corners in their stated 95 % ellipse", f"{100 * inside.mean():.1f} %", "93-97 %"
-    poses = recording_table_loading_and_writing.load_poses(out / "poses.csv")
+    poses = recording_tables.load_poses(out / "poses.csv")
     errors = pose_difference(
         poses.T_base_platform, RigidTransform.from_matrix(np.array(truth["poses"]).reshape(-1, 4, 4))[poses.frame]
     )

@@ -20,7 +20,7 @@ from calib.correction.interpolation_methods_and_correction_summand_fields import
 )
 from calib.diagnosis.findings_refit import findings_of_diagnosis
 from calib.samples.pose_samples import sample_recording
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib.diagnose_recording import diagnosis_of

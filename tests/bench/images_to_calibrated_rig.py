@@ -19,7 +19,7 @@ from calib.models.platform.identification import pose_parameter_jacobian
 from calib.samples.pose_samples import sample_recording
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from rig.recording import recording_folder, recording_table_loading_and_writing
+from rig.recording import recording_folder, recording_tables
 from tests.cli import RIG
 from tests.conftest import SHARED
 
@@ -59,7 +59,7 @@ def _measured(folder, name, wanted, clock, limit):
     seconds = time.perf_counter() - start
     if clock:
         yield clock, f"{seconds:.1f} s", limit
-    poses = recording_table_loading_and_writing.load_poses(folder / name / "poses.csv")
+    poses = recording_tables.load_poses(folder / name / "poses.csv")
     true = RigidTransform.from_matrix(np.array(_truth(name)["poses"]).reshape(-1, 4, 4))
     errors = pose_difference(poses.T_base_platform, true[poses.frame])
     position, rotation = _rms(errors)

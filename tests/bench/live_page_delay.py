@@ -17,12 +17,12 @@ from calib.online.live_learner_and_limb_agreement import Learner
 from calib.online.live_run_page import RunPage
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run
-from rig.driving.cameras.camera_interface_and_synchronised_grabbing import Frame, SynchronisedCameras
+from rig.driving.cameras.camera_interface_and_user_cameras import Frame, SynchronisedCameras
 from rig.driving.clock import SystemClock
+from rig.driving.driver_opening_and_settling import parse_settling
 from rig.driving.move_and_record_loop import RunEquipment, RunOperator
 from rig.driving.run_journal import Began, Journal
 from rig.driving.run_steps_and_progress import steps_of_plan
-from rig.driving.settling_check import parse_settling
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Sensor
 from rig.planning.layout import hexapod_layout_and_camera_placement

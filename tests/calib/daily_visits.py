@@ -8,7 +8,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.correction.correction import calibrate_correction
 from calib.drift.visit_configurations import choose_visit_configurations
 from calib.samples.pose_samples import sample_recording
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.planning import plan
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors

@@ -9,7 +9,7 @@ from calib.api.correct import CorrectionResult, CorrectOptions, correct
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from rig.model.mechanisms import axis_place_texts
 from rig.recording.recording_folder import Recording, load_recording, load_sensors
-from rig.recording.wanted_poses import load_wanted_poses
+from rig.recording.wanted_poses_and_roll_pitch_yaw import load_wanted_poses
 from tests.truth import Case, draw, drive_in_time, errors, oddities, record, rms, wanted, write_sensors, write_wanted
 from tests.truth import case as cases
 from tests.truth.laws import Law

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.planning import plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.model.pose import exp
 from rig.planning import plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
-from rig.recording.recording_table_loading_and_writing import Poses
+from rig.recording.recording_tables import Poses
 from synthetic import recording_simulation, secret_machine_and_truth_file
 
 POSE = np.array([5e-6] * 3 + [3e-5] * 3)  # m, rad; noise of a pose, as stated

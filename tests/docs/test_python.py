@@ -15,7 +15,7 @@ import rig
 import synthetic
 import vision
 from rig.errors import FileError
-from rig.report.result_in_console_and_notebook import result_html
+from rig.report.verdict_and_display import result_html
 from tests.docs.told import ROOT
 
 PACKAGES = (rig, synthetic, vision, calib)

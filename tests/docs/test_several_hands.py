@@ -7,7 +7,7 @@ import pytest
 
 from rig.recording.frame_selection_and_content_hashes import select_hand
 from rig.recording.recording_folder import load_recording
-from rig.recording.recording_table_loading_and_writing import Poses, write_poses
+from rig.recording.recording_tables import Poses, write_poses
 from tests.cli import run
 from tests.conftest import ROOT
 from tests.docs.told import commands, words

@@ -14,7 +14,7 @@ from calib.models import machine_models
 from rig.driving.cameras.opencv_camera import gstreamer_pipeline_problem
 from rig.errors import RigError
 from rig.formats.json_toml_and_yaml_loading import Places, first_repeated_key, toml_entries
-from rig.formats.number_parsing_and_rounding import parse_number, parse_whole_number
+from rig.formats.numbers_and_units import parse_number, parse_whole_number
 from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Actuator

@@ -14,7 +14,11 @@ from calib.correction.correction import Correction
 from calib.files import calibration_file
 from calib.online.information_filter import Online
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.texts.effect_text_parsing import parse_effect, require_existing_place, require_known_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import (
+    parse_effect,
+    require_existing_place,
+    require_known_effect,
+)
 from rig.errors import RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin, importers
 from rig.formats.importers import exposures_from_image_names as frames
@@ -26,9 +30,8 @@ from rig.model.pose import TRIANGLE
 from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
-from rig.recording.exposure_table import load_exposures
-from rig.recording.image_file_check_and_reading import image_file_problem
-from rig.recording.recording_table_loading_and_writing import COVARIANCE_COLUMNS, load_corners, load_poses
+from rig.recording.exposures_and_image_files import image_file_problem, load_exposures
+from rig.recording.recording_tables import COVARIANCE_COLUMNS, load_corners, load_poses
 from synthetic import diagnosis_score, recording_simulation, secret_machine_and_truth_file
 from synthetic.blind_campaign import Campaign, parse_case_numbers
 from tests.fuzz.laws import laws

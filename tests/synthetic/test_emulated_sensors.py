@@ -10,7 +10,7 @@ import pytest
 
 from rig.driving.cameras import CameraError, open_camera
 from rig.driving.clock import SimulatedClock, SystemClock
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.errors import RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Sensor

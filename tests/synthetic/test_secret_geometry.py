@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.cli import command_line
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference

@@ -12,7 +12,7 @@ import pytest
 
 from calib.models.platform.identification import pose_parameter_jacobian
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.model import motion_simulation
 from rig.model.base_and_link_tilts import BaseTilt
 from rig.model.pose import exp

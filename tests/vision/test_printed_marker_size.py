@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rig.cli.command_line import main
-from rig.recording.image_file_check_and_reading import PNG
+from rig.recording.exposures_and_image_files import PNG
 from vision.predict import marker_cells
 
 PIXEL, WIDTH, HEIGHT = 5.0, 210.0, 297.0  # px per mm of the flat drawing; mm

@@ -12,7 +12,7 @@ from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model.design import Marker
 from rig.model.pose import log
 from rig.recording.recording_folder import load_recording as load
-from rig.recording.recording_table_loading_and_writing import Corners, write_corners
+from rig.recording.recording_tables import Corners, write_corners
 from tests.vision.tagged_block import Block, drawn_block, placed_corners
 from vision.api import measure
 from vision.bundle.adjustment_validation_and_determinacy import determined_combinations

@@ -3,7 +3,7 @@
 From the recording itself: variance components by restricted likelihood.
 
 Source: Harville, Maximum likelihood approaches to variance component estimation, JASA 72, 1977; fixed point: MacKay,
-    Neural Computation 4, 1992
+    Neural Computation 4, 1992; extrapolated as by Varadhan and Roland, Scandinavian Journal of Statistics 35, 2008
 """
 
 from dataclasses import dataclass, replace
@@ -42,6 +42,7 @@ TRIAL = Printing(1.0, 1.0, 1.0, 1.0)
 PROOF = 12.1
 FEWEST = 16  # markers, from which a variance is told to a third of itself
 ROUNDS, SETTLED = 200, 1e-3  # of the fixed point; relative change of a standard deviation at which it ends
+LONGEST = 16.0  # times two rounds of the fixed point, a step that is extrapolated from them
 LEAST = 1e-3  # of what is tolerated, below which there is nothing
 SORTED, AGAIN, FALLS = (
     2,
@@ -165,23 +166,19 @@ def _likeliest(told: _PrintInformation, there: Floats, start: Floats | None = No
     constant).
     """
     sigma = np.where(there, 1.0 if start is None else start, 0.0)
-    noise, part = told.cost / told.dof, _of(told, sigma)
+    walked = [np.append(sigma, told.cost / told.dof)]
     for _ in range(ROUNDS):
-        width = sigma[part.kind]
-        inverse = _inverse(noise * np.eye(len(width)) + width[:, None] * part.information * width)
-        x = width * (inverse @ (width * part.right))
-        known = 1 - noise * np.diag(inverse)
-        left = told.cost - 2 * part.right @ x + x @ part.information @ x
-        new = sigma.copy()
-        for k in np.flatnonzero(sigma > 0):
-            own = part.kind == k
-            new[k] = min(np.sqrt((x[own] ** 2).sum() / max(known[own].sum(), 1e-9)), MOST)
-        new[new < LEAST] = 0.0
-        noise, done = float(left / (told.dof - known.sum())), (np.abs(new - sigma) <= SETTLED * sigma).all()
-        part = part if ((new > 0) == (sigma > 0)).all() else _of(told, new)
-        sigma = new
+        part = _of(told, walked[-1][:-1])
+        new, old = _round(part, walked[-1]), walked[-1]
+        done = (np.abs(new - old)[:-1] <= SETTLED * old[:-1]).all()
+        new[:-1][new[:-1] < LEAST] = 0.0
+        walked = [*walked, new] if ((new > 0) == (old > 0)).all() else [new]
         if done:
             break
+        if len(walked) == 3:
+            walked = [_extrapolated(*walked)]
+    sigma, noise = walked[-1][:-1], float(walked[-1][-1])
+    part = _of(told, sigma)
     width = sigma[part.kind]
     M = noise * np.eye(len(width)) + width[:, None] * part.information * width
     z = width * part.right
@@ -189,6 +186,35 @@ def _likeliest(told: _PrintInformation, there: Floats, start: Floats | None = No
         np.linalg.slogdet(M / noise)[1] + told.dof * np.log(noise) + (told.cost - z @ np.linalg.solve(M, z)) / noise
     )
     return sigma, float(likelihood)
+
+
+def _round(part: _PrintInformation, now: Floats) -> Floats:
+    """(kinds + 1,) standard deviations and the noise's variance after one round of the fixed point from others `now`.
+
+    part : of the numbers on prints whose standard deviation is not zero
+    """
+    sigma, noise = now[:-1], now[-1]
+    width = sigma[part.kind]
+    inverse = _inverse(noise * np.eye(len(width)) + width[:, None] * part.information * width)
+    x = width * (inverse @ (width * part.right))
+    known = 1 - noise * np.diag(inverse)
+    left = part.cost - 2 * part.right @ x + x @ part.information @ x
+    new = np.append(sigma, left / (part.dof - known.sum()))
+    for k in np.flatnonzero(sigma > 0):
+        own = part.kind == k
+        new[k] = min(np.sqrt((x[own] ** 2).sum() / max(known[own].sum(), 1e-9)), MOST)
+    return new
+
+
+def _extrapolated(first: Floats, second: Floats, third: Floats) -> Floats:
+    """(kinds + 1,) where three rounds of the fixed point lead to, in logarithms; what is zero stays so."""
+    out, on = third.copy(), third > 0
+    one, two, three = (np.log(x[on]) for x in (first, second, third))
+    step, bend = two - one, three - 2 * two + one
+    length = np.clip(np.linalg.norm(step) / max(float(np.linalg.norm(bend)), 1e-300), 1.0, LONGEST)
+    out[on] = np.exp(one + 2 * length * step + length**2 * bend)
+    out[:-1][on[:-1]] = np.clip(out[:-1][on[:-1]], LEAST, MOST)  # what vanishes does so by a round of its own
+    return out
 
 
 def _of(told: _PrintInformation, sigma: Floats) -> _PrintInformation:

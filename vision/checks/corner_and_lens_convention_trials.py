@@ -12,7 +12,7 @@ import numpy as np
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera, Design, Target, move_edges_inward
-from rig.recording.recording_table_loading_and_writing import Corners
+from rig.recording.recording_tables import Corners
 from vision import lens
 from vision.corner_observations import observations_from_corners
 from vision.predict import marker_map

@@ -13,7 +13,7 @@ from rig.array_and_json_types import Pixels
 from rig.checks import Mistake
 from rig.errors import FileError
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_table_loading_and_writing import Corners
+from rig.recording.recording_tables import Corners
 from vision.checks.corner_and_lens_convention_trials import FRAMES
 from vision.corners.marker_detection_and_corner_fit import Detection, detect_markers, opencv_detector
 from vision.predict import MarkerMap, marker_map

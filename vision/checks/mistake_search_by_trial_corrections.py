@@ -12,7 +12,7 @@ from rig.checks import Mistake, command_and_pose_disagreements, sort_mistakes
 from rig.model.design import Camera, Design
 from rig.recording.frame_selection_and_content_hashes import first_seen_hand
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_table_loading_and_writing import Corners
+from rig.recording.recording_tables import Corners
 from vision.checks import camera_mistake_trials as cameras
 from vision.checks import corner_and_lens_convention_trials as conventions
 from vision.checks import target_mistake_trials as targets

@@ -19,7 +19,7 @@ from rig.errors import RigError
 from rig.model.design import Design, Target, markers_of_target, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import WORDS
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_table_loading_and_writing import Corners
+from rig.recording.recording_tables import Corners
 from vision.checks.mistake_search_by_trial_corrections import find_corner_mistakes
 from vision.predict import MarkerMap, marker_map, markers_expected_in_image
 

@@ -14,7 +14,7 @@ from rig.array_and_json_types import Floats, Pixels
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.model.calibration_board import Board
 from rig.model.design import Camera
-from rig.recording.image_file_check_and_reading import MOST_OF_A_PHOTOGRAPH, read_image
+from rig.recording.exposures_and_image_files import MOST_OF_A_PHOTOGRAPH, read_image
 from vision.corner_observations import Observations
 from vision.lenses.board_corners_in_photograph import BoardView, find_board_corners
 from vision.lenses.lens_calibration import (

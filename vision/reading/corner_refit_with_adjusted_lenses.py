@@ -13,9 +13,9 @@ import numpy as np
 
 from rig.compute.parallel_map_and_dask_cluster import path_on_workers
 from rig.model.design import Camera
-from rig.recording.image_file_check_and_reading import read_image
+from rig.recording.exposures_and_image_files import read_image
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_table_loading_and_writing import Corners
+from rig.recording.recording_tables import Corners
 from vision.corners import local_lens
 from vision.corners.edge_spread_function import PLAIN_EDGE_SPREAD
 from vision.corners.marker_detection_and_corner_fit import (

@@ -15,7 +15,7 @@ from rig.model import mechanisms
 from rig.model.design import Camera, Design
 from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_table_loading_and_writing import Corners
+from rig.recording.recording_tables import Corners
 from vision.corner_observations import observations_from_corners
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_and_camera_poses import UndistortedCorners, locate_frames

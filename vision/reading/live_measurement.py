@@ -22,7 +22,7 @@ from rig.compute.worker_processes import worker_count
 from rig.errors import NotEnoughData
 from rig.model.design import Camera, Design
 from rig.model.pose import adjoint
-from rig.recording.recording_table_loading_and_writing import Corners
+from rig.recording.recording_tables import Corners
 from vision.corner_observations import Observations, empty_observations, observations_from_corners
 from vision.corners.edge_spread_function import PLAIN_EDGE_SPREAD, EdgeSpread
 from vision.corners.marker_detection_and_corner_fit import (

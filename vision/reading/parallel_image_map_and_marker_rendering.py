@@ -17,7 +17,7 @@ from rig.array_and_json_types import Pixels
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.compute.worker_processes import executor_map, worker_count
 from rig.driving.cameras import CameraError
-from rig.driving.cameras.camera_interface_and_synchronised_grabbing import CLIPPED
+from rig.driving.cameras.camera_interface_and_user_cameras import CLIPPED
 from rig.errors import RigError
 from rig.formats.output_files import write_bytes
 from rig.model.design import Camera

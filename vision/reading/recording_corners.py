@@ -16,10 +16,9 @@ from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.compute.parallel_map_and_dask_cluster import path_on_workers
 from rig.errors import FileError
 from rig.model.design import Camera, Design
-from rig.recording.exposure_table import undecodable_images
-from rig.recording.image_file_check_and_reading import read_image, unusable_images_error
+from rig.recording.exposures_and_image_files import read_image, undecodable_images, unusable_images_error
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_table_loading_and_writing import Corners
+from rig.recording.recording_tables import Corners
 from vision.corner_observations import correlations_of_whitened_marker_corners
 from vision.corners.edge_spread_function import PLAIN_EDGE_SPREAD, EdgeSpread, empty_residual_profile, learn_edge_spread
 from vision.corners.marker_detection_and_corner_fit import (

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Generic
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion, scan_p_value
 from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import C, Candidate, Node, Role, UsualRange
@@ -16,12 +17,13 @@ from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares impor
     Solved,
     normal_equations_by_direction_weights,
 )
-from calib.diagnosis.engine.linear_model import LinearModel
+from calib.diagnosis.engine.linear_model import RANK, LinearModel, Projection
 from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
-from rig.array_and_json_types import Floats
+from rig.array_and_json_types import Booleans, Floats
 
 BEYOND = 0.3  # standard deviation of the logarithm of a parameter above what rigs show
 WRONG_SIGN = 12.0  # minus twice the logarithm of the chance that a parameter has the sign that rigs do not show
+NOTHING = 1e-3  # of what a scan found, a size that columns have beside others and that is none
 SEVERAL = 3  # axes that show a name, from which it is asked whether all together explain more than any other
 
 
@@ -118,18 +120,48 @@ def best_scores_at_axes(promising: list[Score[C]], name: str, size: int) -> list
     return sorted(best.values(), key=lambda s: -s.raw_delta_bic(size))
 
 
-def scores_with_best_effect_at_several_axes_first(promising: list[Score[C]], size: int) -> list[Score[C]]:
-    """Scores with those of the effect first that explains most at several axes together, if more than the first score.
+def best_effect_at_several_axes(
+    promising: list[Score[C]], scores: list[Score[C]], size: int, project: Callable[[list[Score[C]]], Projection]
+) -> list[Score[C]]:
+    """Scores of the effect that explains most at several axes together, the most convincing first; none where one
+    score alone explains more.
 
     Axes that are built alike fail alike, and what one hypothesis explains of all is less than what each does of its
-    own.
+    own. An axis that shows nothing alone may do so beside the others: what all have in common, a hypothesis about the
+    whole machine may have taken up already, and of lags that have one sign only the longer ones are left to be seen.
+    scores : all of a scan; project : a function of scores at several axes, the Projection of a column for each
     """
-    groups = [best_scores_at_axes(promising, name, size) for name in dict.fromkeys(s.candidate.name for s in promising)]
-    several = [group for group in groups if len(group) >= SEVERAL]
-    best = max(several, key=lambda group: sum(s.raw_delta_bic(size) for s in group), default=[])
-    if sum(s.raw_delta_bic(size) for s in best) <= promising[0].raw_delta_bic(size):
-        return promising
-    return best + [s for s in promising if not any(s is other for other in best)]
+    found: list[Score[C]] = []
+    most = promising[0].raw_delta_bic(size)
+    for name in dict.fromkeys(s.candidate.name for s in promising if s.candidate.site.is_axis):
+        group = [s for s in best_scores_at_axes(scores, name, size) if s.delta_chi2 > 0]
+        if len(group) < SEVERAL:
+            continue
+        sizes, gain = joint_gain(project(group), np.array([_may_be_opposite(s) for s in group]))
+        worth = gain - sum(s.freedom for s, there in zip(group, sizes != 0, strict=True) if there) * np.log(size)
+        if np.count_nonzero(sizes) >= SEVERAL and worth > most:
+            most, found = worth, [s for s, there in zip(group, sizes != 0, strict=True) if there]
+    return found
+
+
+def joint_gain(projected: Projection, signed: Booleans) -> tuple[Floats, float]:
+    """(sizes (k,) of columns that together explain most of a residual, what they explain of its sum of squares).
+
+    signed : (k,) whether a column's size may be below zero
+    """
+    values, vectors = np.linalg.eigh(projected.gram)
+    there = values > RANK * max(values.max(initial=0.0), 1e-300)
+    root = np.sqrt(values[there])[:, None] * vectors[:, there].T
+    low = np.where(signed, -np.inf, 0.0)
+    sizes = lsq_linear(root, (vectors[:, there].T @ projected.right) / np.sqrt(values[there]), (low, np.inf)).x
+    sizes = np.where(~signed & (sizes < NOTHING), 0.0, sizes)
+    return sizes, float(2 * projected.right @ sizes - sizes @ projected.gram @ sizes)
+
+
+def _may_be_opposite(score: Score[C]) -> bool:
+    """Whether what a Score's candidate does may be done the other way round as well."""
+    theta = score.coefficients
+    return bool(len(theta)) and bool((score.candidate.allowed(-theta) == -theta).all())
 
 
 def best_node_score(

@@ -6,7 +6,7 @@ from typing import Generic
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_score import Alternative, Score, score_raised_to_likelihood_ratio
+from calib.diagnosis.engine.candidate_score import SEVERAL, Alternative, Score, score_raised_to_likelihood_ratio
 from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import C, SelectionPolicy
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import column_cosine
@@ -142,10 +142,12 @@ def refit_alternatives(
         return problem.likelihood_ratio(new, fit) + score.complexity(size) - finding_score.complexity(size)
 
     for a in close:
-        chosen, new = a.score, problem.add_term(bare, a.score)
+        chosen, new = a.score, problem.exchange_term(fit, number, a.score)
+        if behind(chosen, new) > a.behind + problem.policy.alike:
+            new = min(new, problem.add_term(bare, a.score), key=lambda fit: behind(a.score, fit))
         if behind(chosen, new) > a.behind + problem.policy.alike:
             members = [
-                (s, problem.add_term(bare, s))
+                (s, problem.exchange_term(fit, number, s))
                 for s in _scores_of_other_members(problem, residual, a.score.candidate)[: problem.policy.members]
             ]
             chosen, new = min([(chosen, new), *members], key=lambda one: behind(*one))
@@ -239,9 +241,7 @@ def confirm_terms(
         tries = refit_alternatives(problem, fit, number, scanned, found, own is not scanned)
         rest = [a for a in found if not any(a is t.scanned for t in tries)]
         ranked = sorted([*(t.alternative for t in tries), *rest], key=lambda a: a.behind)
-        better = next(
-            (t for t in tries if t.alternative is ranked[0] and t.alternative.behind < -policy.takes_over), None
-        )
+        better = next((t for t in tries if t.alternative is ranked[0] and _takes_over(problem, fit, number, t)), None)
         if (
             better is not None
             and replaces
@@ -263,6 +263,19 @@ def confirm_terms(
             continue
         findings.append(Finding(number, own, [a for a in ranked if is_indistinguishable(a, policy)]))
     return fit, sorted(findings, key=lambda f: -f.score.delta_chi2)
+
+
+def _takes_over(problem: Problem[Fit, Model, C], fit: Fit, number: int, tried: Refit[Fit, C]) -> bool:
+    """Whether an alternative takes the place of a term of a Fit: it leads by what the policy asks; where the term's
+    name stands at several axes and the alternative is one of the whole machine, by the data alone, since together with
+    the name at the other axes it does the same."""
+    least, term, other = problem.policy.takes_over, problem.terms(fit)[number], tried.alternative.score.candidate
+    if tried.alternative.behind >= -least:
+        return False
+    alike = sum(c.name == term.name and c.site.is_axis for c in problem.terms(fit))
+    if alike < SEVERAL or not term.site.is_axis or other.site.is_axis:
+        return True
+    return problem.likelihood_ratio(tried.fit, fit) < -least
 
 
 def _outdone(problem: Problem[Fit, Model, C], model: Model, fit: Fit, score: Score[C]) -> bool:
@@ -310,7 +323,7 @@ def _likelier_member(
     for score in others[: policy.refitted]:
         if score.evidence(size) < scanned.evidence(size) - policy.alike:
             break
-        new = problem.add_term(problem.remove_term(fit, number), score)
+        new = problem.exchange_term(fit, number, score)
         cost = score.complexity(size) - scanned.complexity(size)
         if problem.likelihood_ratio(fit, new) > cost + policy.takes_over:
             return new
@@ -323,7 +336,7 @@ def _at_likelier_node(problem: Problem[Fit, Model, C], fit: Fit, number: int, sc
     """
     if not isinstance(problem, UnfittedNodes) or not problem.is_at_other_node(fit, number, scanned):
         return None
-    new = problem.add_term(problem.remove_term(fit, number), scanned)
+    new = problem.exchange_term(fit, number, scanned)
     return new if problem.likelihood_ratio(fit, new) > problem.policy.takes_over else None
 
 
@@ -341,7 +354,7 @@ def refit_with_other_member_of_law(
         if any(score.candidate is c for c in but):
             continue
         if is_significant(score, len(problem.candidates), size, problem.policy):
-            new = problem.add_term(problem.remove_term(fit, number), score)
+            new = problem.exchange_term(fit, number, score)
             left = problem.lack_of_fit(problem.residual(new))
             if not any(u.dispersion and problem.within(u, site) for u in left):
                 return new
@@ -368,7 +381,8 @@ def is_insignificant_beside_smooth_functions(
     """Whether a Finding is insignificant beside smooth functions of what the unexplained residuals, or those left at
     its own place, depend on.
 
-    after : the residuals with all findings
+    after : the residuals with all findings. Axes may differ in what a law of the whole machine makes of them: what a
+    single axis leaves says nothing against its form unless that would be a finding itself.
     """
     assert isinstance(problem, SmoothCover)
     place, known = finding.score.candidate.site, {(u.place, u.depends_on) for u in unexplained}
@@ -378,7 +392,9 @@ def is_insignificant_beside_smooth_functions(
     doubts = [
         u
         for u in problem.lack_of_fit(after, place)
-        if (u.place, u.depends_on) not in known and u.evidence(size) > 0  # what pays for its own numbers
+        if (u.place, u.depends_on) not in known
+        and u.evidence(size) > 0  # what pays for its own numbers
+        and (place.is_axis or not u.place.is_axis)
     ]
     if not doubts or _stays(problem, finding, fit, unexplained + doubts, asked):
         return False

@@ -85,6 +85,9 @@ class Problem(Protocol[Fit, Model, C]):
     def remove_term(self, fit: Fit, number: int) -> Fit:
         """The Fit with one term less."""
 
+    def exchange_term(self, fit: Fit, number: int, score: Score[C]) -> Fit:
+        """The Fit with a Score's term, the last, in place of an admitted one; the others start from where they are."""
+
     def in_place(self, fit: Fit, number: int) -> Fit:
         """The Fit with its last term moved to a number."""
 

@@ -3,6 +3,7 @@
 Forward steps, backward removal, held-out tests, confirmation against alternatives.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Generic
 
@@ -11,9 +12,8 @@ import numpy as np
 from calib.diagnosis.engine.candidate_score import (
     SEVERAL,
     Score,
-    best_scores_at_axes,
+    best_effect_at_several_axes,
     score_raised_to_likelihood_ratio,
-    scores_with_best_effect_at_several_axes_first,
 )
 from calib.diagnosis.engine.data_types_of_candidates_thresholds_and_outliers import C
 from calib.diagnosis.engine.finding_confirmation_against_alternatives import (
@@ -27,6 +27,7 @@ from calib.diagnosis.engine.finding_confirmation_against_alternatives import (
     refit_with_other_member_of_law,
 )
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
+from calib.diagnosis.engine.linear_model import Projection, join_columns
 from calib.diagnosis.engine.problem_interface import (
     AdmissionRules,
     Companions,
@@ -40,6 +41,7 @@ from calib.diagnosis.engine.problem_interface import (
     Tolerances,
 )
 
+SEARCHED_AGAIN = 2  # times that terms are searched for beside those confirmed, where confirmation changed them
 DIGITS = 3  # of a node's values, by which hypotheses are told apart
 
 
@@ -64,7 +66,16 @@ def select_terms(problem: Problem[Fit, Model, C], progress: Progress | None = No
     """
     before = problem.start()
     problem, fit, scans = _chosen(problem, before, progress)
+    searched = problem.terms(fit)
     fit, findings = confirm_terms(problem, fit, scans, progress)
+    for _ in range(SEARCHED_AGAIN):
+        if {id(c) for c in problem.terms(fit)} == {id(c) for c in searched}:
+            break
+        more = _steps(problem, fit, scans, progress)
+        if more is None:
+            break
+        searched = problem.terms(more)
+        fit, findings = confirm_terms(problem, more, scans, progress)
     return Selection(problem, before, fit, findings, len(problem.candidates))
 
 
@@ -154,13 +165,16 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress:
             return fit
         if admitted and _smooth_beyond(problem, model, promising[0]):
             break
-        promising = scores_with_best_effect_at_several_axes_first(promising, model_size)
+        alike = best_effect_at_several_axes(promising, scores, model_size, _projection_of_scores(problem, model))
+        promising = [s for s in promising if any(s is one for one in alike)] + [
+            s for s in promising if not any(s is one for one in alike)
+        ]
         step = _step(problem, fit, promising, scores, refused)
         if step is None:
             break
         fit, score = step
         taken.add(_hypothesis_key(score))
-        fit = _same_name_elsewhere(problem, fit, score, promising, taken)
+        fit = _same_name_elsewhere(problem, fit, score, alike, taken)
         fit = _companions(problem, fit, score, promising, taken, size)
         fit = remove_redundant_terms(problem, _refined(problem, fit))
         site = score.candidate.name, score.candidate.place
@@ -189,6 +203,12 @@ def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: lis
     ]
     found = [s for s in fitted if is_significant(s, len(problem.candidates), linear.size, policy)]
     return sorted(found, key=lambda s: -s.delta_bic(linear.size))
+
+
+def _projection_of_scores(problem: Problem[Fit, Model, C], model: Model) -> Callable[[list[Score[C]]], Projection]:
+    """A function of Scores, the Projection on a model of a column for each."""
+    linear = problem.linear(model)
+    return lambda scores: linear.project(join_columns([problem.column(model, s) for s in scores]))
 
 
 def _hypothesis_key(score: Score[C]) -> tuple[object, ...]:
@@ -249,19 +269,14 @@ def _exchanged(
 
 
 def _same_name_elsewhere(
-    problem: Problem[Fit, Model, C],
-    fit: Fit,
-    admitted: Score[C],
-    promising: list[Score[C]],
-    taken: set[tuple[object, ...]],
+    problem: Problem[Fit, Model, C], fit: Fit, admitted: Score[C], alike: list[Score[C]], taken: set[tuple[object, ...]]
 ) -> Fit:
     """The Fit with a name that was admitted at one of several axes admitted at the others too, each where it convinces
-    beside those before it."""
+    beside those before it. alike : the Scores that explain most together"""
     policy, size = problem.policy, problem.size(fit)
-    group = best_scores_at_axes(promising, admitted.candidate.name, size)
-    if len(group) < SEVERAL or not admitted.candidate.site.is_axis or isinstance(problem, Companions):
+    if isinstance(problem, Companions) or all(s.candidate.name != admitted.candidate.name for s in alike):
         return fit
-    for score in group:
+    for score in alike:
         place = score.candidate.place
         if place == admitted.candidate.place or len(problem.terms(fit)) >= policy.most:
             continue

@@ -17,7 +17,7 @@ from calib.diagnosis.report.diagnosis_json_entries import (
     RemarkEntry,
     SuggestionEntry,
 )
-from rig.formats.number_parsing_and_rounding import UNITS, number_text, separating_digits
+from rig.formats.numbers_and_units import UNITS, number_text, separating_digits
 
 SCALES = {unit: UNITS[unit][0] for unit in ("m", "rad", "1/K", "N/m")}  # one unit for all sizes, so that they compare
 LONG_TIME = 1000.0  # s; times from there on, and clocks, are written to a tenth of a second

@@ -25,7 +25,7 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
-from rig.recording.recording_table_loading_and_writing import write_table
+from rig.recording.recording_tables import write_table
 from rig.report.pages.html_and_svg_elements import svg_figure, svg_text, svg_tooltip
 from rig.report.pages.image_plane_and_3d_views import Arrows, image_plane_figure, patch_means
 from rig.report.pages.plots import COLOURS, Series, bar_chart_svg, panel_row_html, plot_panel_svg

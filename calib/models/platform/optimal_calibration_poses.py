@@ -24,8 +24,8 @@ from rig.errors import NotConverged, RigError
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod as mechanism
 from rig.planning import configuration_generators
-from rig.planning.balanced_visiting_order_and_approach import time_balanced_order
 from rig.planning.configuration_generators import FILL as WORKSPACE
+from rig.planning.timed_plan_and_visiting_order import time_balanced_order
 
 CANDIDATES = 2000
 FILL = 0.9  # of the strokes

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.errors import MissingLibrary
-from rig.formats.number_parsing_and_rounding import parse_number
+from rig.formats.numbers_and_units import parse_number
 from rig.formats.output_files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
-    from rig.formats.length_and_angle_units import LengthAndAngleUnits
+    from rig.formats.numbers_and_units import LengthAndAngleUnits
     from rig.report.pages.page_templates_and_index_page import Link
 
 
@@ -104,7 +104,7 @@ def add_units_option(parser: ArgumentParser, what: str) -> None:
 
 
 def _parse_units(text: str) -> LengthAndAngleUnits:
-    from rig.formats.length_and_angle_units import parse_length_and_angle_units
+    from rig.formats.numbers_and_units import parse_length_and_angle_units
 
     try:
         return parse_length_and_angle_units(text)

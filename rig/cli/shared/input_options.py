@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_whole_number
+from rig.formats.numbers_and_units import parse_whole_number
 
 if TYPE_CHECKING:
     from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
     from calib.online.measuring_limb_poses_checked_by_vision import LimbSource
     from rig.effects.catalogue.effect_list import Plugin
-    from rig.effects.texts.effect_text_parsing import Kinds
+    from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
     from rig.recording.recording_folder import Recording
 
 
@@ -164,7 +164,7 @@ def load_effect_files(arguments: Namespace) -> tuple[Plugin, ...]:
     """
     if not arguments.effects:
         return ()
-    from rig.effects.texts.user_effect_file_loading import load_effect_file
+    from rig.effects.texts.effect_texts_and_user_effect_files import load_effect_file
 
     return tuple(load_effect_file(path) for path in arguments.effects)
 

@@ -12,7 +12,7 @@ from rig.errors import RigError
 from rig.formats.output_files.atomic_file_and_manifest import file_digest
 
 if TYPE_CHECKING:
-    from rig.report.verdict_and_refutations import Refutation, State
+    from rig.report.verdict_and_display import Refutation, State
 
 
 def read_and_print_refutations(path: Path) -> tuple[Refutation, ...]:
@@ -20,7 +20,7 @@ def read_and_print_refutations(path: Path) -> tuple[Refutation, ...]:
 
     Raises FileError for an invalid list.
     """
-    from rig.report.verdict_and_refutations import refutations_of_file
+    from rig.report.verdict_and_display import refutations_of_file
 
     found = refutations_of_file(path)
     print_refutations(path, found)
@@ -45,7 +45,7 @@ def write_refutation(
 
     finding : a sentence without its full stop; state : BAD (None), or CHECK where it leaves something out
     """
-    from rig.report.verdict_and_refutations import NAME, Refutation, State, add_refutation
+    from rig.report.verdict_and_display import NAME, Refutation, State, add_refutation
 
     state = State.BAD if state is None else state
 

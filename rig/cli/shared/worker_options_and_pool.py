@@ -17,7 +17,7 @@ from rig.cli.shared.output_display import Progress
 from rig.compute import parallel_map_and_dask_cluster
 from rig.compute.worker_processes import temporary_worker_limit, terminate_child_processes, worker_count
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_whole_number
+from rig.formats.numbers_and_units import parse_whole_number
 
 MOST = 1024  # processes
 R = TypeVar("R")

@@ -2,7 +2,7 @@
 exposed.
 """
 
-from rig.driving.cameras.camera_interface_and_synchronised_grabbing import CameraError, Frame, Source
+from rig.driving.cameras.camera_interface_and_user_cameras import CameraError, Frame, Source
 from rig.driving.cameras.camera_opening import KINDS, open_camera
 
 __all__ = ["KINDS", "CameraError", "Frame", "Source", "open_camera"]

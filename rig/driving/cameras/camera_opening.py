@@ -16,15 +16,21 @@ from typing import Any
 import numpy as np
 
 from rig.array_and_json_types import Pixels
-from rig.driving.cameras.camera_interface_and_synchronised_grabbing import UNIFORM, CameraError, Frame, Source
+from rig.driving.cameras.camera_interface_and_user_cameras import (
+    UNIFORM,
+    CameraError,
+    CommandSource,
+    Frame,
+    Source,
+    UserSource,
+)
 from rig.driving.cameras.genicam_camera import open_genicam_camera
 from rig.driving.cameras.opencv_camera import open_network_camera, open_opencv_camera
-from rig.driving.cameras.user_camera_class_and_image_program import CommandSource, UserSource
 from rig.driving.clock import Clock
 from rig.errors import FileError
 from rig.model.design import Camera
 from rig.model.protocol_and_port_names import is_user_program
-from rig.recording.image_file_check_and_reading import JPEG, PNG, image_file_problem, image_size_from_header, read_image
+from rig.recording.exposures_and_image_files import JPEG, PNG, image_file_problem, image_size_from_header, read_image
 
 EVERY = 0.02  # s between looks
 QUIET = 0.2  # s without growth after which a file without an end mark of its own counts as whole

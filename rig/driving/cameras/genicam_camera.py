@@ -13,7 +13,7 @@ from typing import Protocol, cast
 import numpy as np
 
 from rig.array_and_json_types import Integers
-from rig.driving.cameras.camera_interface_and_synchronised_grabbing import CameraError, ClockOffset, Frame
+from rig.driving.cameras.camera_interface_and_user_cameras import CameraError, ClockOffset, Frame
 from rig.driving.clock import Clock
 from rig.errors import MissingLibrary
 from rig.model.design import AS_IT_IS, CaptureSettings

@@ -10,7 +10,7 @@ import re
 import sys
 from typing import TYPE_CHECKING, cast
 
-from rig.driving.cameras.camera_interface_and_synchronised_grabbing import UNIFORM, CameraError, ClockOffset, Frame
+from rig.driving.cameras.camera_interface_and_user_cameras import UNIFORM, CameraError, ClockOffset, Frame
 from rig.driving.clock import Clock
 from rig.model.design import AS_IT_IS, CaptureSettings
 

@@ -16,19 +16,16 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock, SimulatedClock
-from rig.driving.emulators.controller_emulator import Emulator
-from rig.driving.emulators.controller_faults import Faults, parse_faults
-from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine, MovingAxes
+from rig.driving.emulators.controller_emulator import Emulator, load_user_emulator
+from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults, MovingAxes, parse_faults
 from rig.driving.emulators.epics import EpicsMotors
-from rig.driving.emulators.gcs import GCS
-from rig.driving.emulators.gcs_hexapod import GCSHexapod
+from rig.driving.emulators.gcs import GCS, GCSHexapod
 from rig.driving.emulators.grblhal import GrblHAL
 from rig.driving.emulators.linuxcnc import LinuxCNC
 from rig.driving.emulators.own_strut_protocol import Struts
-from rig.driving.emulators.user_line_emulator_base import load_user_emulator
-from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
+from rig.driving.user_classes_and_sensor_reader import require_own_rig_toml
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import parse_numbers
+from rig.formats.numbers_and_units import parse_numbers
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2

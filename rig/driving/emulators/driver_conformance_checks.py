@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
-from rig.driving.emulators.controller_faults import ALWAYS, KINDS
+from rig.driving.emulators.emulated_axes_and_faults import ALWAYS, KINDS
 from rig.driving.emulators.fault_trials import (
     ARRIVED,
     LONGEST,
@@ -21,7 +21,7 @@ from rig.driving.emulators.fault_trials import (
     move_counts_with_faults,
     times_executed,
 )
-from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
+from rig.driving.user_classes_and_sensor_reader import require_own_rig_toml
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stopped
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.rig_toml.design_from_rig_toml import design_of_entries, load_design

@@ -1,4 +1,4 @@
-"""Emulated EPICS motor records behind the lines of rig.driving.channel_access_port, sound or with faults."""
+"""Emulated EPICS motor records behind the lines of rig.driving.ports_and_numbered_frames, sound or with faults."""
 
 from urllib.parse import quote
 
@@ -7,9 +7,8 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator import Emulator
-from rig.driving.emulators.controller_faults import Faults
-from rig.driving.emulators.emulated_axis_motion_and_homing import MOTOR, EmulatedMachine
-from rig.driving.numbered_frames_with_checksum import encode_frame, last_valid_frame_in_line
+from rig.driving.emulators.emulated_axes_and_faults import MOTOR, EmulatedMachine, Faults
+from rig.driving.ports_and_numbered_frames import encode_frame, last_valid_frame_in_line
 
 MM = 1e3
 PROBLEM, HOMED, MAJOR = 1 << 9, 1 << 14, 2

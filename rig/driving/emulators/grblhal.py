@@ -13,8 +13,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator import Emulator
-from rig.driving.emulators.controller_faults import Faults
-from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine
+from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults
 
 MM = 1e3
 INCH = 25.4

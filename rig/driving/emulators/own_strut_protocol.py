@@ -10,9 +10,8 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator import Emulator
-from rig.driving.emulators.controller_faults import Faults
-from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine
-from rig.driving.numbered_frames_with_checksum import encode_frame, last_valid_frame_in_line
+from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults
+from rig.driving.ports_and_numbered_frames import encode_frame, last_valid_frame_in_line
 from rig.driving.protocols.own_strut_protocol import NM, VERSION
 
 

@@ -1,4 +1,4 @@
-"""EPICS motor records, one for each strut, by Channel Access (rig.driving.channel_access_port).
+"""EPICS motor records, one for each strut, by Channel Access (rig.driving.ports_and_numbered_frames).
 
 A move sets VELO and ACCL so that all motors start and arrive together, then VAL. What the records read back says
 whether it is done: RBV, DMOV and MSTA. Source: motorRecord.html of the synApps motor module.
@@ -11,9 +11,9 @@ import numpy as np
 from rig.array_and_json_types import Booleans, Floats
 from rig.driving.controller_address_and_urgent_stop import stop_of_motor_records
 from rig.driving.controller_status_and_limits import ControllerLimits
-from rig.driving.numbered_frames_with_checksum import encode_frame, last_valid_frame_in_line
+from rig.driving.ports_and_numbered_frames import encode_frame, last_valid_frame_in_line
 from rig.driving.protocols.own_strut_protocol import NUMBERS
-from rig.driving.protocols.protocol_interface import (
+from rig.driving.protocols.protocol_bases import (
     POLL,
     TRIES,
     Dialogue,
@@ -48,7 +48,7 @@ EXACT = 1e-6  # share by which a figure may differ that a record reads back
 
 
 class Epics:
-    """See rig.driving.protocols.protocol_interface.Protocol. motors : names of the records, without a field"""
+    """See rig.driving.protocols.protocol_bases.Protocol. motors : names of the records, without a field"""
 
     name = "epics"
 

@@ -1,21 +1,31 @@
-"""Protocol PI General Command Set (GCS) 2.0.
+"""PI GCS protocol, for single axes and for hexapods.
 
 Struts are closed-loop axes, errors are read by `ERR?`.
 
 Answers carry no number. After a silence the line is brought in step by `*IDN?`, whose answer cannot be taken for
 another. Source: PI GCS 2.0 manuals (e.g. SM151E, MS204E): `#5`, `#7`, `#24` are single bytes; an answer of several
 lines has a blank before all line feeds but the last.
+
+C-887: GCS 2.0 with poses, X Y Z in mm and U V W in degrees.
+
+The controller computes strut lengths from a pose by its nominal geometry, that of rig.toml. So lengths that are wanted
+are commanded as the pose of which this geometry makes them, in the controller's frames and about its pivot point, and
+the pose that is read back stands for lengths. The pivot point (SPI) is asked of the controller before every move.
+Source: PI MS204E (C-887), MOV, POS?, SPI, VLS; poses: PI MS207E (H-820), 3.7.4; work and tool frames: C887T0007
 """
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.driving.controller_address_and_urgent_stop import STOPS
 from rig.driving.controller_status_and_limits import ControllerLimits
-from rig.driving.protocols.protocol_interface import (
+from rig.driving.protocols.protocol_bases import (
     POLL,
     REST,
     TRIES,
@@ -30,6 +40,9 @@ from rig.driving.protocols.protocol_interface import (
     query_dialogue,
 )
 from rig.errors import ControllerFault, NoAnswer
+from rig.model import mechanisms
+from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.pose import pose
 
 UNITS = {"M": 1.0, "MM": 1e3, "UM": 1e6, "µM": 1e6}  # of a metre
 STOPPED = 10  # the error that every stop leaves
@@ -53,7 +66,7 @@ ERRORS = {
 
 
 class GCS:
-    """See rig.driving.protocols.protocol_interface.Protocol. axes : the controller's names, () for the first `count`
+    """See rig.driving.protocols.protocol_bases.Protocol. axes : the controller's names, () for the first `count`
     that it lists itself.
     """
 
@@ -264,3 +277,115 @@ def _is_error(lines: Sequence[str]) -> bool:
 
 def _reason(error: int) -> str:
     return f"error {error} ({ERRORS.get(error, 'see its manual')})"
+
+
+AXES = ("X", "Y", "Z", "U", "V", "W")
+PIVOT = ("R", "S", "T")  # names of the pivot point's coordinates
+HEXAPOD_UNITS = ("MM",) * 3 + ("DEG",) * 3
+NONE = pose([0, 0, 0], [0, 0, 0])
+ORDER, MM = "XYZ", 1e3  # of SciPy: about axes that move along, in the order U, V, W; per m
+
+
+def gcs_values_of_pose(T: RigidTransform) -> Floats:
+    """GCS values (..., 6) of poses (...), as a hexapod's controller takes them.
+
+    X, Y, Z in mm and U, V, W in degrees.
+    """
+    return np.concatenate([MM * T.translation, T.rotation.as_euler(ORDER, degrees=True)], axis=-1)
+
+
+def pose_of_gcs_values(values: ArrayLike) -> RigidTransform:
+    """Poses (...) of (..., 6) X, Y, Z in mm and U, V, W in degrees."""
+    values = np.asarray(values, float)
+    return RigidTransform.from_components(
+        values[..., :3] / MM, Rotation.from_euler(ORDER, values[..., 3:], degrees=True)
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseFrames:
+    """Frames in which a controller takes poses. work : T_base_work; tool : T_platform_tool; pivot : (3,) m in the
+    tool's frame: the point that a turn leaves where it is (SPI); gcs : whether poses are written as MOV takes them
+    """
+
+    work: RigidTransform = NONE
+    tool: RigidTransform = NONE
+    pivot: Floats = field(default_factory=lambda: np.zeros(3))
+    gcs: bool = False
+
+    def command_of_pose(self, T_base_platform: RigidTransform) -> RigidTransform:
+        """What is commanded for poses (...): the pose of the tool in the work frame, its translation (m) that of the
+        pivot.
+        """
+        matrix = np.linalg.inv(self.work.as_matrix()) @ T_base_platform.as_matrix() @ self.tool.as_matrix()
+        matrix[..., :3, 3] += matrix[..., :3, :3] @ self.pivot - self.pivot
+        return RigidTransform(matrix, normalize=False)
+
+    def pose_of_command(self, command: RigidTransform) -> RigidTransform:
+        """T_base_platform (...) that a commanded pose (...) means."""
+        matrix = command.as_matrix()
+        matrix[..., :3, 3] += self.pivot - matrix[..., :3, :3] @ self.pivot
+        whole = self.work.as_matrix() @ matrix @ np.linalg.inv(self.tool.as_matrix())
+        return RigidTransform(whole, normalize=False)
+
+
+class GCSHexapod(GCS):
+    """See rig.driving.protocols.protocol_bases.Protocol; its positions are the struts' lengths.
+
+    hexapod : the geometry by which the controller computes; zero : (6,) m, lengths that are called 0
+    work : T_base_work, None for the platform at home; tool : T_platform_tool, None for the platform itself
+    """
+
+    name = "gcs-hexapod"
+
+    def __init__(
+        self, hexapod: Hexapod, zero: Floats, work: RigidTransform | None, tool: RigidTransform | None
+    ) -> None:
+        super().__init__(AXES, len(AXES))
+        self.hexapod, self.zero = hexapod, zero
+        self.frames = PoseFrames(hexapod.home if work is None else work, NONE if tool is None else tool)
+
+    def hello(self) -> Dialogue[str]:
+        said = yield from super().hello()
+        yield from self._learn_pivot()
+        return f"{said}, pivot point {' '.join(f'{MM * value:g}' for value in self.frames.pivot)} mm"
+
+    def fence(self) -> Dialogue[bool]:
+        same = yield from super().fence()
+        yield from self._learn_pivot()
+        return same
+
+    def move(self, segment: Segment) -> Dialogue[Verdict]:
+        ends = np.stack([segment.start, segment.target]) + self.zero
+        start, T = mechanisms.hexapod.forward(ends, self.hexapod)
+        way = max(np.linalg.norm(T.translation - start.translation), np.abs(np.diff(ends, axis=0)).max())
+        if way > 0:  # the platform's velocity, with which the fastest strut has the speed that is asked for
+            verdict = yield from self._command(f"VLS {MM * way / segment.duration:.6f}")
+            if not verdict.accepted:
+                return verdict
+        values = gcs_values_of_pose(self.frames.command_of_pose(T))
+        return (yield from self._command("MOV " + " ".join(f"{a} {value:.6f}" for a, value in zip(AXES, values))))
+
+    def limits(self) -> Dialogue[ControllerLimits | None]:
+        yield from ()
+        return None  # what TMN? and TMX? say is of each coordinate alone, the others at 0, and not of struts
+
+    def _positions(self) -> Dialogue[Floats]:
+        values = yield from self._values("POS?")
+        T = self.frames.pose_of_command(pose_of_gcs_values(values))
+        return mechanisms.hexapod.inverse(T, self.hexapod) - self.zero
+
+    def _learn_unit(self) -> Dialogue[None]:
+        stated = yield from self._readings("PUN?", AXES, r"\S+")
+        found = tuple(stated[axis].upper() for axis in AXES)
+        if found != HEXAPOD_UNITS:
+            raise ControllerFault(
+                f"its axes X Y Z U V W count in {' '.join(found)}, and those of a hexapod's controller in "
+                f"{' '.join(HEXAPOD_UNITS)}: is [controller] protocol right?"
+            )
+
+    def _learn_pivot(self) -> Dialogue[None]:
+        """Learn about which point the platform turns: it may be another since."""
+        found = yield from self._readings("SPI?", PIVOT)
+        at = np.array([float(found[name]) for name in PIVOT]) / MM
+        self.frames = PoseFrames(self.frames.work, self.frames.tool, at)

@@ -17,7 +17,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving.controller_address_and_urgent_stop import CLIENT, STOPS
 from rig.driving.controller_status_and_limits import ControllerLimits
-from rig.driving.protocols.protocol_interface import (
+from rig.driving.protocols.protocol_bases import (
     POLL,
     REST,
     Dialogue,
@@ -39,7 +39,7 @@ _NUMBER = r"-?\d+\.\d+"
 
 
 class LinuxCNC:
-    """See rig.driving.protocols.protocol_interface.Protocol. axes : letters, in the struts' order; kinematics : "joint"
+    """See rig.driving.protocols.protocol_bases.Protocol. axes : letters, in the struts' order; kinematics : "joint"
     or "world".
     """
 

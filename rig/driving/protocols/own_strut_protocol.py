@@ -9,8 +9,8 @@ import numpy as np
 
 from rig.driving.controller_address_and_urgent_stop import STOPS
 from rig.driving.controller_status_and_limits import ControllerLimits
-from rig.driving.numbered_frames_with_checksum import Frame, encode_frame, last_valid_frame_in_line
-from rig.driving.protocols.protocol_interface import (
+from rig.driving.ports_and_numbered_frames import Frame, encode_frame, last_valid_frame_in_line
+from rig.driving.protocols.protocol_bases import (
     TRIES,
     Dialogue,
     Exchange,
@@ -45,7 +45,7 @@ FAULTS = {
 
 
 class Struts:
-    """See rig.driving.protocols.protocol_interface.Protocol. count : axes; watchdog : s of silence after which the
+    """See rig.driving.protocols.protocol_bases.Protocol. count : axes; watchdog : s of silence after which the
     controller stops.
     """
 

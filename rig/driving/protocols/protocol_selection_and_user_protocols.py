@@ -10,19 +10,12 @@ from pathlib import Path
 from typing import ParamSpec, cast
 
 from rig.driving.protocols.epics import Epics
-from rig.driving.protocols.gcs import GCS
-from rig.driving.protocols.gcs_hexapod import GCSHexapod
+from rig.driving.protocols.gcs import GCS, GCSHexapod
 from rig.driving.protocols.grblhal import GrblHAL
 from rig.driving.protocols.linuxcnc import LinuxCNC
 from rig.driving.protocols.own_strut_protocol import Struts
-from rig.driving.protocols.protocol_interface import Dialogue, Protocol, State, Verdict
-from rig.driving.protocols.user_line_protocol_base import LineProtocol, state_problem
-from rig.driving.user_protocol_camera_and_sensor_classes import (
-    fail_at_class,
-    guard_call,
-    load_user_class,
-    missing_member,
-)
+from rig.driving.protocols.protocol_bases import Dialogue, LineProtocol, Protocol, State, Verdict, state_problem
+from rig.driving.user_classes_and_sensor_reader import fail_at_class, guard_call, load_user_class, missing_member
 from rig.errors import ControllerFault, FileError
 from rig.formats.user_python_file import class_literal, read_user_text
 from rig.model.design import Controller

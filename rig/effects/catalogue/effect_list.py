@@ -51,7 +51,7 @@ from rig.effects.catalogue.warm_up import WarmUp
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_parameters_and_covariates import Parameter, replace_axis_placeholder_in_text
 from rig.errors import FileError
-from rig.formats.number_parsing_and_rounding import range_text
+from rig.formats.numbers_and_units import range_text
 from rig.model.effect_places_and_part_tolerances import AXES, Tolerance
 
 ALL: tuple[type[Effect], ...] = (

@@ -21,7 +21,7 @@ from rig.effects.framework.effect_parameters_and_covariates import (
 )
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
-from rig.model.mechanisms.hexapod_singularity_and_cardan_twist import cardan_plate_axes
+from rig.model.mechanisms.hexapod import cardan_plate_axes
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 
 BALL = "cardan-ball"

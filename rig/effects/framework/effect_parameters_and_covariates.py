@@ -12,7 +12,7 @@ import numpy as np
 from rig.array_and_json_types import Booleans, Floats
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
-from rig.formats.number_parsing_and_rounding import quantity_text
+from rig.formats.numbers_and_units import quantity_text
 from rig.model.design import Camera, Design
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.recording.recording_folder import Sensors
@@ -112,6 +112,7 @@ class Parameter:
 SEARCHED = ("size", "log", "even", "moment")  # roles of parameters of which a grid of values is tried
 LOG_STEPS, EVEN_STEP = 14, 0.01  # values of a "log" parameter over its usual range; steps of an "even" one
 SIZES = 16  # values of a "size" parameter over its usual range
+SMALLER = 4  # values of one below that range, as far from each other
 EDGE = 4  # frames at either end that a moment leaves
 
 
@@ -124,7 +125,7 @@ def parameter_grid(parameter: Parameter, t: Floats) -> list[float]:
     if parameter.tried:
         return list(parameter.tried)
     if parameter.role in ("size", "log"):
-        return np.geomspace(low, high, SIZES if parameter.role == "size" else LOG_STEPS).tolist()
+        return _sizes(low, high) if parameter.role == "size" else np.geomspace(low, high, LOG_STEPS).tolist()
     if parameter.role == "even":
         return np.arange(max(low * 0.3, parameter.bounds[0]), min(high * 2.5, parameter.bounds[1]), EVEN_STEP).tolist()
     return ((t[EDGE - 1 : -EDGE] + t[EDGE : len(t) - EDGE + 1]) / 2).tolist()
@@ -136,8 +137,13 @@ Node = dict[str, Any]  # {parameter: value} of the nonlinear ones: a number each
 def signed_size_nodes(parameters: Sequence[Parameter], name: str) -> list[Node]:
     """Nodes {parameter: value} of usual sizes of either sign of the parameter of a name."""
     usual = next(p.usual for p in parameters if p.name == name)
-    sizes = np.geomspace(*usual, SIZES).tolist()
-    return [{name: sign * size} for sign in (-1, 1) for size in sizes]
+    return [{name: sign * size} for sign in (-1, 1) for size in _sizes(*usual)]
+
+
+def _sizes(low: float, high: float) -> list[float]:
+    """Sizes over a usual range, and below it as far as `SMALLER`: what is not linear cannot be seen from far above."""
+    usual = np.geomspace(low, high, SIZES)
+    return [*(low / (usual[1] / low) ** np.arange(SMALLER, 0, -1)).tolist(), *usual.tolist()]
 
 
 def derivative_step(parameter: Parameter) -> float:

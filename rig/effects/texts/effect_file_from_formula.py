@@ -13,7 +13,7 @@ import numpy as np
 
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.formula_quantities import POSE, Quantity, quantity_by_name
-from rig.effects.texts.user_effect_file_loading import effect_name_problem, effects_of_source
+from rig.effects.texts.effect_texts_and_user_effect_files import effect_name_problem, effects_of_source
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries

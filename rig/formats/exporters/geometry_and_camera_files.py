@@ -22,7 +22,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.design import Camera
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
-from rig.model.mechanisms.hexapod_singularity_and_cardan_twist import cardan_twist_angles_about_struts
+from rig.model.mechanisms.hexapod import cardan_twist_angles_about_struts
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 from rig.model.pose import pose_to_entry, pose_to_vector
 

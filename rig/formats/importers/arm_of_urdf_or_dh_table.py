@@ -18,16 +18,16 @@ from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cell
 from rig.formats.importers.foreign_table_columns import Cells
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.units_and_timestamps import split_header
-from rig.formats.importers.urdf_arm_with_several_hands import urdf_arm_with_several_hands
-from rig.formats.importers.urdf_joint_chain import MOVING, limits_text, load_joint_chain
-from rig.formats.length_and_angle_units import ANGLES, LENGTHS, SI, parse_length_and_angle_units
-from rig.formats.local_and_remote_input_files import short_repr
-from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms.denavit_hartenberg_rows_of_joint_axes import (
+from rig.formats.importers.urdf_hands_and_denavit_hartenberg_rows import (
     PlacedRows,
     denavit_hartenberg_rows_of_joint_axes,
     distal_rows_of_modified_rows,
+    urdf_arm_with_several_hands,
 )
+from rig.formats.importers.urdf_joint_chain import MOVING, limits_text, load_joint_chain
+from rig.formats.local_and_remote_input_files import short_repr
+from rig.formats.numbers_and_units import ANGLES, LENGTHS, SI, parse_length_and_angle_units
+from rig.model.mechanism_geometry_classes import Arm
 
 FIGURES = ("theta", "d", "a", "alpha")
 KNOWN = (*FIGURES, "beta", "joint", "name", "lower", "upper")

@@ -34,7 +34,7 @@ from rig.formats.importers.units_and_timestamps import (
     likely_length_units,
     split_header,
 )
-from rig.formats.length_and_angle_units import ANGLES, LENGTHS
+from rig.formats.numbers_and_units import ANGLES, LENGTHS
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from rig.errors import FileError
 from rig.formats.csv_and_parquet_tables_and_time_origin import is_parquet, read_parquet_cells
-from rig.formats.importers.array_cells import APART, cells_with_arrays_as_columns, is_array_cell
 from rig.formats.importers.foreign_table_columns import (
     LONGEST,
     NUMBER,
@@ -20,7 +19,15 @@ from rig.formats.importers.foreign_table_columns import (
 )
 from rig.formats.importers.import_recipe import DECIMALS, SEPARATORS, ForeignTable
 from rig.formats.importers.units_and_timestamps import ambiguity_error
-from rig.formats.importers.yaml_and_matlab_tables import is_matlab, is_yaml, read_matlab_rows, read_yaml_rows
+from rig.formats.importers.yaml_and_matlab_tables_and_array_cells import (
+    APART,
+    cells_with_arrays_as_columns,
+    is_array_cell,
+    is_matlab,
+    is_yaml,
+    read_matlab_rows,
+    read_yaml_rows,
+)
 from rig.formats.local_and_remote_input_files import read_bytes, short_repr
 
 LARGEST = 1 << 27  # bytes

@@ -14,7 +14,7 @@ from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_text, short_repr
-from rig.formats.number_parsing_and_rounding import parse_number
+from rig.formats.numbers_and_units import parse_number
 
 SCHEMA = "import/1"
 LARGEST = 1 << 20  # bytes

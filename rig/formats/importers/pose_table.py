@@ -23,8 +23,8 @@ from rig.formats.importers.foreign_table_columns import (
 )
 from rig.formats.importers.import_recipe import EULER, ForeignTable
 from rig.formats.importers.units_and_timestamps import ambiguity_error
-from rig.formats.length_and_angle_units import ANGLES, LENGTHS
 from rig.formats.local_and_remote_input_files import short_repr
+from rig.formats.numbers_and_units import ANGLES, LENGTHS
 from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Design
 from rig.model.mechanisms import hexapod, kinematics_of

@@ -40,8 +40,8 @@ from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model.arm_branches_and_hands import hand_names
 from rig.model.design import Design
-from rig.recording.image_file_check_and_reading import image_file_problem
-from rig.recording.recording_table_loading_and_writing import Poses, write_poses, write_table
+from rig.recording.exposures_and_image_files import image_file_problem
+from rig.recording.recording_tables import Poses, write_poses, write_table
 
 LARGEST_IMAGE_FILE = 1 << 31  # bytes
 SAME_MOMENT = 0.05  # s that a pose may be from its frame

@@ -18,7 +18,7 @@ from rig.array_and_json_types import ImageBytes, Pixels
 from rig.errors import FileError, RigError
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.output_files import write_bytes
-from rig.recording.image_file_check_and_reading import JPEG, PNG
+from rig.recording.exposures_and_image_files import JPEG, PNG
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 JOINTS = ("sensor_msgs/msg/JointState",)

@@ -22,7 +22,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import FileError
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.output_files import write_text
-from rig.recording.recording_table_loading_and_writing import write_table
+from rig.recording.recording_tables import write_table
 
 LARGEST = 1 << 24  # bytes of a file
 HARMLESS = ("NODA", "ALLSKY", "ROTL", "ROTR", "ROTNL", "ROTNR")  # options that do not change what is read here

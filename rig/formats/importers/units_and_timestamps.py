@@ -14,8 +14,8 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
-from rig.formats.length_and_angle_units import ANGLES, LENGTHS
 from rig.formats.local_and_remote_input_files import short_repr
+from rig.formats.numbers_and_units import ANGLES, LENGTHS
 
 
 class UnclearInput(RigError):

@@ -18,7 +18,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import FileError
 from rig.formats.checked_entries import LARGEST_RIG, nearest_known_word
 from rig.formats.local_and_remote_input_files import read_bytes, short_repr
-from rig.formats.number_parsing_and_rounding import parse_numbers
+from rig.formats.numbers_and_units import parse_numbers
 
 LARGEST = 1 << 26  # bytes
 DEEPEST = 100  # elements within each other

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.formats.checked_entries import Entries
-from rig.formats.length_and_angle_units import SI, LengthAndAngleUnits, stated_units
+from rig.formats.numbers_and_units import SI, LengthAndAngleUnits, stated_units
 from rig.model.design import (
     DISTORTION_TERMS,
     PERMITTED,

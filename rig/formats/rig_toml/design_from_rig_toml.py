@@ -15,9 +15,12 @@ from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries, Required
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import camera_instrument_and_cube_entries
-from rig.formats.rig_toml.arm_branch_and_hand_entries import bodies_by_word, refuse_tables_unsuited_to_several_hands
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table, user_program_text
-from rig.formats.rig_toml.mechanism_entries import mechanism_of_table
+from rig.formats.rig_toml.mechanism_entries import (
+    bodies_by_word,
+    mechanism_of_table,
+    refuse_tables_unsuited_to_several_hands,
+)
 from rig.model.base_and_link_tilts import ANGLE_UNITS, BaseTilt, TiltSensor
 from rig.model.calibration_board import parse_board
 from rig.model.design import (

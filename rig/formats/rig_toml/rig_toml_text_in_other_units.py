@@ -16,7 +16,7 @@ import numpy as np
 from rig.array_and_json_types import Json
 from rig.formats.checked_entries import Key
 from rig.formats.json_toml_and_yaml_loading import toml_entries
-from rig.formats.length_and_angle_units import SI, LengthAndAngleUnits, UnitNames
+from rig.formats.numbers_and_units import SI, LengthAndAngleUnits, UnitNames
 from rig.formats.rig_toml.arm_dynamics_entries import dynamics_of_table
 from rig.formats.rig_toml.design_from_rig_toml import design_of_entries
 from rig.formats.rig_toml.mechanism_entries import ROW_UNITS

@@ -26,13 +26,13 @@ from calib.files import calibration_file
 from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose_difference
 from rig.planning import configuration_generators, plan
-from rig.recording import recording_folder, recording_table_loading_and_writing
+from rig.recording import recording_folder, recording_tables
 from rig.recording.recording_folder import Sensors
-from rig.recording.recording_table_loading_and_writing import Poses
+from rig.recording.recording_tables import Poses
 from synthetic import secret_machine_and_truth_file
 from tests.conftest import ROOT
 
@@ -60,16 +60,16 @@ def _made(folder, secret, rig_text, design, route, seed):
     folder.mkdir()
     (folder / "rig.toml").write_text(rig_text)
     frames = np.arange(len(done.t))
-    recording_table_loading_and_writing.write_table(
+    recording_tables.write_table(
         folder / "frames.csv", ("frame", "t", "camera", "image"), [f"{k},{t:.4f},cam0," for k, t in zip(frames, done.t)]
     )
-    recording_table_loading_and_writing.write_table(
+    recording_tables.write_table(
         folder / "commands.csv",
         ("t", *design.mechanism.axes),
         [",".join(f"{v:.9f}" for v in (t, *row)) for t, row in zip(done.commands.t, done.commands.values)],
     )
     seen = T * exp(OWN * rng.normal(size=(len(frames), 6)))
-    recording_table_loading_and_writing.write_poses(
+    recording_tables.write_poses(
         folder / "poses.csv", Poses(frames, seen, np.tile(np.diag(OWN**2), (len(frames), 1, 1)))
     )
     return folder

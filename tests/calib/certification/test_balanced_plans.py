@@ -10,7 +10,11 @@ import pytest
 from calib.certification.held_out_errors import errors_before_and_after_correction
 from calib.certification.platform_certification import certify_platform, platform_workspace_claim
 from calib.samples.pose_samples import Samples, sample_recording
-from rig.effects.texts.effect_text_parsing import parse_effect, require_existing_place, require_nonzero_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import (
+    parse_effect,
+    require_existing_place,
+    require_nonzero_effect,
+)
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning import plan
 from rig.recording import recording_folder

@@ -21,7 +21,7 @@ from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import divided_grid_configurations, sobol_configurations
-from rig.recording import recording_table_loading_and_writing
+from rig.recording import recording_tables
 from tests.calib.noisy_samples import real, rms, sampled, workspace
 
 OWN = np.array([1e-7, 1e-7, 1e-7, 1e-6, 1e-6, 1e-6])  # m, rad; so little that what is left is the way's own
@@ -162,7 +162,7 @@ def test_readings_become_the_poses_that_they_stand_for(gridded, design, tmp_path
     assert main(
         ["correct", str(tmp_path / "c.json"), "--forward", str(tmp_path / "r.csv"), "--out", str(tmp_path / "p.csv")]
     ) in (0, None)
-    got = recording_table_loading_and_writing.load_poses(tmp_path / "p.csv")
+    got = recording_tables.load_poses(tmp_path / "p.csv")
     T = real(read, true, coupled)
     error, before = pose_difference(got.T_base_platform, T), pose_difference(hexapod.forward(read, design.mechanism), T)
     assert rms(error)[0] < 0.05 * rms(before)[0]

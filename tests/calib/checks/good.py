@@ -10,7 +10,7 @@ from rig.model.design import Arm
 from rig.planning import configuration_generators, plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording.recording_folder import Poses
-from rig.recording.recording_table_loading_and_writing import write_poses
+from rig.recording.recording_tables import write_poses
 from synthetic import recording_simulation, secret_machine_and_truth_file
 from tests.calib import secret_arms
 from tests.conftest import BENCH

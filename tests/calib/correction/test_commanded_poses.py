@@ -12,14 +12,13 @@ from calib.models.wanted_pose_commands import poses_to_command
 from rig.cli.command_line import main
 from rig.driving.clock import SimulatedClock
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
-from rig.driving.emulators.controller_faults import Faults
-from rig.driving.emulators.emulated_axis_motion_and_homing import EmulatedMachine, MovingAxes
-from rig.driving.emulators.gcs_hexapod import GCSHexapod
-from rig.driving.protocols.gcs_hexapod import AXES, PoseFrames, gcs_values_of_pose, pose_of_gcs_values
+from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults, MovingAxes
+from rig.driving.emulators.gcs import GCSHexapod
+from rig.driving.protocols.gcs import AXES, PoseFrames, gcs_values_of_pose, pose_of_gcs_values
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.pose import pose, pose_difference
-from rig.recording.recording_table_loading_and_writing import Poses, write_poses
+from rig.recording.recording_tables import Poses, write_poses
 from synthetic import secret_machine_and_truth_file
 from tests.rig.arms import random_arm
 

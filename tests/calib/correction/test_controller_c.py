@@ -26,7 +26,7 @@ from calib.files import calibration_file
 from calib.models.wanted_pose_commands import commands_along_route
 from rig.cli.command_line import main
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Chain
 from rig.model.mechanisms import hexapod

@@ -17,7 +17,7 @@ from calib.correction.physics_compensation import Physics
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.identification_and_joint_profiles import Profile
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.errors import RigError
 from rig.model.mechanisms import arm as mechanism
 from rig.planning.configuration_generators import sobol_configurations

@@ -24,8 +24,8 @@ from rig.cli.command_line import main
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose, pose_to_vector
-from rig.recording.recording_table_loading_and_writing import Poses
-from rig.recording.wanted_poses import WantedPoses
+from rig.recording.recording_tables import Poses
+from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses
 from tests.calib.controllers_in_c import CALIBRATIONS, WARM, sensors_of, wanted
 from tests.cli import RIG
 

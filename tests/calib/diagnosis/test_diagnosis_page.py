@@ -20,11 +20,11 @@ from calib.diagnosis.report.residual_figures_and_finding_contributions import (
 )
 from calib.diagnosis.report.rig_and_arm_outline_figures import MARKS, rig_outline_figure
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.planning import plan
 from rig.recording import recording_folder
-from rig.recording.recording_table_loading_and_writing import write_poses
+from rig.recording.recording_tables import write_poses
 from synthetic import recording_simulation, secret_machine_and_truth_file
 from tests.calib.diagnose_recording import diagnosis_of, page_text
 

@@ -5,7 +5,7 @@ import pytest
 
 from calib.diagnosis.effect_signal_to_noise_and_separation import effect_separation
 from rig.cli import command_line
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.planning.plan import build_plan, sensors_with_payload
 from synthetic.secret_machine_and_truth_file import draw_temperatures
 

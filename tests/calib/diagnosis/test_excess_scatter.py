@@ -19,8 +19,8 @@ from calib.samples.pose_samples import sample_recording
 from rig.model.design import Arm
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.recording import recording_folder
-from rig.recording.recording_table_loading_and_writing import Poses
-from rig.report.verdict_and_refutations import State
+from rig.recording.recording_tables import Poses
+from rig.report.verdict_and_display import State
 from tests.calib import secret_arms
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.recordings_with_effects import recorded

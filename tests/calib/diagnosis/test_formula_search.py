@@ -27,7 +27,7 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report, r
 from rig.cli.command_line import main
 from rig.effects.framework.formula_quantities import quantities_of_motion
 from rig.effects.texts.effect_file_from_formula import Term, Written
-from rig.effects.texts.user_effect_file_loading import load_effect_file
+from rig.effects.texts.effect_texts_and_user_effect_files import load_effect_file
 from rig.errors import FileError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.rig_toml import design_from_rig_toml

@@ -22,7 +22,7 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import refine_ope
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from calib.samples.pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.planning import plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml

@@ -7,7 +7,7 @@ from calib.diagnosis.engine.frame_inner_products_and_reduced_least_squares impor
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit, delta_chi2_by_column_count
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.effect_places_and_part_tolerances import Place
 from rig.planning import plan

@@ -25,7 +25,7 @@ from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of
 from calib.diagnosis.report import report_sentences
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.model.effect_places_and_part_tolerances import SIDES
 from synthetic import blind_cases
 from tests.calib.recordings_with_effects import recorded

@@ -16,7 +16,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from calib.diagnosis.report.report_sentences import evidence_sentence
 from rig.cli import command_line
-from rig.effects.texts.effect_text_parsing import parse_effect_and_place
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect_and_place
 from rig.errors import NotEnoughData, RigError
 from rig.recording.frame_selection_and_content_hashes import remove_frames
 from tests.calib.diagnose_recording import diagnosis_of

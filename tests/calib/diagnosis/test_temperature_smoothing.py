@@ -12,7 +12,7 @@ from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives_of
     parameter_errors_by_temperature_logs,
 )
 from calib.diagnosis.problems.remainder_covariates_temperature_smoothing_and_repeatability import smooth_temperatures
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.recording.recording_folder import Sensors
 from synthetic.secret_machine_and_truth_file import draw_temperatures
 from tests.calib.diagnose_recording import diagnosis_of

@@ -19,7 +19,7 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
 )
 from rig.cli import command_line
 from rig.recording.recording_folder import load_recording
-from rig.report.verdict_and_refutations import State
+from rig.report.verdict_and_display import State
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.truth import Case, draw, matrices, record, rows_of
 from tests.truth.draw_machines import secret

@@ -18,8 +18,8 @@ from calib.samples.pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import effects_with_coordinates
 from rig.recording.recording_folder import load_recording
-from rig.recording.recording_table_loading_and_writing import Poses
-from rig.recording.wanted_poses import WantedPoses
+from rig.recording.recording_tables import Poses
+from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses
 from tests.calib.odd_machines import OddMachine, odd_laws, without_remainder
 from tests.truth import case as cases
 from tests.truth import draw, record, wanted

@@ -13,7 +13,7 @@ from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import l
 from calib.experiment.arm_questions import arm_questions
 from rig.cli.command_line import main
 from rig.effects.catalogue.time_offset import TimeOffset
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference

@@ -9,7 +9,7 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.planning.plan import build_plan
-from rig.planning.timed_plan_and_plan_csv import write_plan_table
+from rig.planning.timed_plan_and_visiting_order import write_plan_table
 
 
 def test_a_plan_in_time_comes_back_with_its_payload(design, tmp_path):

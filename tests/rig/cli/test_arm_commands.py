@@ -10,7 +10,7 @@ import pytest
 
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.model.pose import pose_difference
-from rig.recording import recording_table_loading_and_writing
+from rig.recording import recording_tables
 from tests.cli import command
 
 
@@ -62,10 +62,7 @@ def test_the_loop_of_an_arm_with_slides_closes(tmp_path, rig, name):
     assert (
         float(left[1]) == 0 and 0.05 < float(left[2]) < 0.3
     )  # the tracker's own 0.1 mrad, of which few joints can follow little
-    poses, asked = (
-        recording_table_loading_and_writing.load_poses(tmp_path / path)
-        for path in ("commands.poses.csv", "seen/poses.csv")
-    )
+    poses, asked = (recording_tables.load_poses(tmp_path / path) for path in ("commands.poses.csv", "seen/poses.csv"))
     rest = pose_difference(poses.T_base_platform, asked.T_base_platform)
     assert np.sqrt((rest[:, 3:] ** 2).sum(axis=1).mean()) * 1e3 == pytest.approx(float(left[2]), abs=1e-3)
     assert csv_and_parquet_tables_and_time_origin.read_csv_table(

@@ -184,7 +184,7 @@ def test_a_plan_of_an_arm_takes_what_is_seen_and_tells_most(tmp_path, capfd):
 
 def test_reversals_at_speed_tell_an_arms_lag_from_a_clock():
     from calib.diagnosis.effect_signal_to_noise_and_separation import effect_separation
-    from rig.effects.texts.effect_text_parsing import parse_effect
+    from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
     from rig.planning.layout import shipped_arms_and_layouts
     from rig.planning.plan import build_plan
 

@@ -30,7 +30,7 @@ from rig.formats.output_files import MANIFEST, atomic_file_and_manifest
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.recording import recording_folder
-from rig.report import verdict_and_refutations
+from rig.report import verdict_and_display
 from tests.conftest import ROOT
 from tests.source_trees import nodes
 
@@ -73,7 +73,7 @@ def suggesting(path: Path) -> None:
 
 def refuted(path: Path) -> None:
     """What was refuted in a folder whose list this is."""
-    verdict_and_refutations.load_refutations(path.rename(path.with_name(verdict_and_refutations.NAME)).parent)
+    verdict_and_display.load_refutations(path.rename(path.with_name(verdict_and_display.NAME)).parent)
 
 
 READERS = {  # schema: what reads such files

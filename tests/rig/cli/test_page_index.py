@@ -14,10 +14,10 @@ from calib.report.pose_and_effect_figures import (
     pose_displacements_by_effect_at_several_sizes,
 )
 from rig.cli.command_line import main
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.planning import plan
 from rig.report.pages.page_templates_and_index_page import Page, list_pages_below_folder, read_page_summary, write_page
-from rig.report.verdict_and_refutations import State, Verdict
+from rig.report.verdict_and_display import State, Verdict
 from tests.conftest import ROOT
 
 BENCH = ROOT / "tests" / "data" / "bench"

@@ -14,10 +14,10 @@ from rig.cli.command_line import main
 from rig.driving import emulators
 from rig.driving.clock import SystemClock
 from rig.driving.emulators import controller_emulator_opening_and_ports
-from rig.driving.emulators.controller_faults import Faults
+from rig.driving.emulators.emulated_axes_and_faults import Faults
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.pose import pose
-from rig.recording.recording_table_loading_and_writing import Poses, write_poses
+from rig.recording.recording_tables import Poses, write_poses
 from synthetic import secret_machine_and_truth_file
 from tests.calib.rigs_with_unmodelled_physics import measured_by
 from tests.conftest import ROOT

@@ -17,7 +17,7 @@ from calib.online.measuring_limb_poses_checked_by_vision import LiveLimbPoses
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run
 from rig.cli.shared.run_display_and_controller_status import PlainLineDisplay, TerminalBlockDisplay, run_state_lines
-from rig.driving.cameras.camera_interface_and_synchronised_grabbing import Frame
+from rig.driving.cameras.camera_interface_and_user_cameras import Frame
 from rig.driving.clock import SimulatedClock
 from rig.driving.move_and_record_loop import RecordedFrame
 from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Readings, Remark

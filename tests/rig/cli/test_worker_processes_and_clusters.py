@@ -264,7 +264,7 @@ def test_drawing_is_the_same_by_one_by_two_and_by_a_cluster_of_which_one_is_kill
 
 @pytest.mark.slow
 def test_diagnosing_two_recordings_is_the_same_on_a_cluster(design, rig_text, tmp_path):
-    from rig.effects.texts.effect_text_parsing import parse_effect
+    from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
     from tests.conftest import make_recording
 
     for name, seed in (("a", 1), ("b", 2)):

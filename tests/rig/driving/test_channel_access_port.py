@@ -10,10 +10,9 @@ import time
 import numpy as np
 import pytest
 
-from rig.driving.channel_access_port import ChannelAccessPort
 from rig.driving.clock import SystemClock
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
-from rig.driving.numbered_frames_with_checksum import encode_frame, last_valid_frame_in_line
+from rig.driving.ports_and_numbered_frames import ChannelAccessPort, encode_frame, last_valid_frame_in_line
 from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, FileError, LinkLost, MissingLibrary, PositionLost, Stopped

@@ -13,10 +13,10 @@ import threading
 import pytest
 
 from rig.driving import controller_lock
-from rig.driving import serial_port as ports
+from rig.driving import ports_and_numbered_frames as ports
 from rig.driving.clock import SystemClock
 from rig.driving.controller_lock import ControllerLock, lock_names, stop_lock_holder
-from rig.driving.serial_port import SerialPort
+from rig.driving.ports_and_numbered_frames import SerialPort
 from rig.errors import LinkLost, RigError
 from rig.model.protocol_and_port_names import port_problem
 from tests.conftest import ROOT

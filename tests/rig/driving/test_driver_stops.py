@@ -153,7 +153,7 @@ def test_a_port_that_comes_back_under_another_name_is_found(driven_design, monke
 
     from serial.tools import list_ports
 
-    from rig.driving.serial_port import find_usb_port
+    from rig.driving.ports_and_numbered_frames import find_usb_port
 
     driver, emulator, clock = emulated_bench(driven_design, "struts", (), 1)
     opened, here = (

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from rig.driving import move_and_record_loop
-from rig.driving.cameras.camera_interface_and_synchronised_grabbing import CameraError, SynchronisedCameras
-from rig.driving.cameras.user_camera_class_and_image_program import ELSEWHERE
+from rig.driving.cameras.camera_interface_and_user_cameras import ELSEWHERE, CameraError, SynchronisedCameras
 from rig.driving.controller_status_and_limits import PositionReport
 from rig.driving.exposures_in_motion import FramesDuringMove, lengths_reported_at
 from rig.driving.run_journal import (

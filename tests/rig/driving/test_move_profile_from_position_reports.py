@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rig.driving.controller_status_and_limits import PositionReport
-from rig.driving.emulators.emulated_axis_motion_and_homing import MovingAxes
-from rig.driving.move_profile_from_position_reports import profile_of_reports
+from rig.driving.emulators.emulated_axes_and_faults import MovingAxes
+from rig.driving.move_profiles_and_path_check import profile_of_reports
 
 SPEED = 0.02  # m/s
 WAY = np.array([1, 0.5, -0.3, 0.2, 0.9, -1])

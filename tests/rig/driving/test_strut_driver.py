@@ -9,7 +9,7 @@ import pytest
 
 from rig.driving.clock import SimulatedClock
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
-from rig.driving.emulators.controller_faults import ALWAYS, KINDS
+from rig.driving.emulators.emulated_axes_and_faults import ALWAYS, KINDS
 from rig.driving.emulators.fault_trials import emulated_bench, move_counts_with_faults
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, MotionError, PositionLost, RigError, Stalled, Unreachable

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.driving.trapezoidal_move_profile_and_path_check import trapezoidal_profile
+from rig.driving.move_profiles_and_path_check import trapezoidal_profile
 
 
 @pytest.mark.parametrize(

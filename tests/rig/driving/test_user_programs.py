@@ -10,7 +10,7 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.driving.controller_address_and_urgent_stop import controller_address_in_rig_toml
-from rig.driving.driver_opening_and_settled_status import design_with_controller_port
+from rig.driving.driver_opening_and_settling import design_with_controller_port
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement

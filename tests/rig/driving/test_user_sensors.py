@@ -3,8 +3,7 @@
 import pytest
 
 from rig.driving.clock import SimulatedClock
-from rig.driving.sensor_reader import open_sensors
-from rig.driving.user_protocol_camera_and_sensor_classes import require_own_rig_toml
+from rig.driving.user_classes_and_sensor_reader import open_sensors, require_own_rig_toml
 from rig.errors import FileError, NoAnswer, RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import SensorPort

@@ -8,7 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.effects.texts.effect_text_parsing import parse_effect, require_existing_place, require_known_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import (
+    parse_effect,
+    require_existing_place,
+    require_known_effect,
+)
 from rig.errors import RigError
 from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict
 from rig.model.design import Planar2

@@ -13,7 +13,7 @@ from rig.effects.framework.effect import MOTION_STAGES, Context
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.framework.effect_parameters_and_covariates import Drawing
 from rig.effects.framework.machine_motion_and_play import Path
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.errors import RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model.base_and_link_tilts import GRAVITY

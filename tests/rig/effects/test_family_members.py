@@ -12,7 +12,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import (
     coordinates_of_effects,
 )
 from rig.effects.framework.effect_parameters_and_covariates import Linear
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.model import motion_simulation
 from rig.recording.recording_folder import Commands, Sensors
 from tests.rig.effects.test_effect_formulas import home, moved, out_and_back

@@ -8,12 +8,11 @@ import pytest
 from rig.cli import certify
 from rig.cli.command_line import main
 from rig.cli.go import parse_pose
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.importers.foreign_table_columns import NUMBER
-from rig.formats.length_and_angle_units import SI, parse_length_and_angle_units
-from rig.formats.number_parsing_and_rounding import NotFinite, parse_number, parse_whole_number
+from rig.formats.numbers_and_units import SI, NotFinite, parse_length_and_angle_units, parse_number, parse_whole_number
 from rig.model import calibration_board
 from rig.recording.frame_selection_and_content_hashes import parse_frame_ranges
 

@@ -12,7 +12,7 @@ from rig.cli.command_line import main
 from rig.errors import FileError, MissingLibrary
 from rig.formats import local_and_remote_input_files
 from rig.formats.local_and_remote_input_files import read_text
-from rig.recording import image_file_check_and_reading
+from rig.recording import exposures_and_image_files
 from rig.recording import recording_folder as recording
 from tests.conftest import BENCH
 
@@ -60,8 +60,8 @@ def test_images_are_fetched_one_by_one_when_they_are_read(kept, monkeypatch):
     )
     found = recording.load_recording(address)
     assert found.has_images and not [name for name in fetched if name.endswith(".png")]
-    image = image_file_check_and_reading.read_image(found.folder / found.exposures.image[4])
-    assert np.array_equal(image, image_file_check_and_reading.read_image(BENCH / "check" / found.exposures.image[4]))
+    image = exposures_and_image_files.read_image(found.folder / found.exposures.image[4])
+    assert np.array_equal(image, exposures_and_image_files.read_image(BENCH / "check" / found.exposures.image[4]))
     assert [name for name in fetched if name.endswith(".png")] == [found.exposures.image[4].rsplit("/", 1)[1]]
 
 
@@ -77,7 +77,7 @@ def test_images_that_are_missing_empty_or_cut_off_are_named(kept, capsys, tmp_pa
     assert raised.value.path == f"memory://bucket/rec/{names[0]}" and "is an empty file" in str(raised.value)
     assert "cut off" not in str(raised.value)  # which is seen when it is fetched
     with pytest.raises(FileError, match="is cut off"):
-        image_file_check_and_reading.read_image(recording.Path(f"{address}/{names[2]}"))
+        exposures_and_image_files.read_image(recording.Path(f"{address}/{names[2]}"))
     left = recording.load_recording(address, skip_unreadable=True)
     assert [image.problem.split(" ")[:2] for image in left.skipped] == [["no", "such"], ["is", "an"], ["is", "cut"]]
 

@@ -12,7 +12,7 @@ from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import design_with_turned_cubes, rig_toml_with_turns
 from rig.planning.plan import build_plan
-from rig.planning.timed_plan_and_plan_csv import write_plan_table
+from rig.planning.timed_plan_and_visiting_order import write_plan_table
 from rig.recording import combined_recordings
 from vision.predict import marker_map
 

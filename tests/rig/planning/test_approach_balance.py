@@ -10,7 +10,7 @@ from calib.samples.exposure_conditions import approach_direction
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.planning import configuration_generators, plan
-from rig.planning.balanced_visiting_order_and_approach import REACHES, time_balanced_order
+from rig.planning.timed_plan_and_visiting_order import REACHES, time_balanced_order
 from rig.recording.recording_folder import PAYLOAD
 
 SCATTERED = (

@@ -12,12 +12,12 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.effects.framework.effect_parameters_and_covariates import Drawing
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose, pose_to_vector
 from rig.recording import recording_folder as recording
 from rig.recording.combined_recordings import first_recording_by_camera, join_recordings
-from rig.recording.exposure_table import Exposures
+from rig.recording.exposures_and_image_files import Exposures
 from rig.recording.recording_folder import Commands, Recording
 from tests.rig.effects.test_effects_of_all_machines import MOVING, context_of, setting_of
 

@@ -11,9 +11,9 @@ import pytest
 from rig.errors import FileError
 from rig.model.design import Camera
 from rig.model.pose import pose
-from rig.recording import image_file_check_and_reading
+from rig.recording import exposures_and_image_files
 from rig.recording import recording_folder as recording
-from rig.recording.image_file_check_and_reading import read_image
+from rig.recording.exposures_and_image_files import read_image
 
 CAMERA = Camera("cam0", 64, 48, np.diag([50.0, 50.0, 1.0]), np.zeros(5), pose([0, 0, 0], [0, 0, 0]))
 PICTURE = np.arange(48 * 64, dtype=np.uint8).reshape(48, 64)
@@ -21,11 +21,7 @@ HUGE_JPEG = (
     b"\xff\xd8\xff\xe0\x00\x04ab\xff\xc0\x00\x0b\x08" + struct.pack(">HH", 30000, 30000) + b"\x01\x01\x11\x00\xff\xd9"
 )
 HUGE_PNG = (
-    image_file_check_and_reading.PNG
-    + b"\0\0\0\rIHDR"
-    + struct.pack(">II", 30000, 30000)
-    + bytes(40)
-    + b"IEND\xaeB`\x82"
+    exposures_and_image_files.PNG + b"\0\0\0\rIHDR" + struct.pack(">II", 30000, 30000) + bytes(40) + b"IEND\xaeB`\x82"
 )
 
 
@@ -33,11 +29,9 @@ HUGE_PNG = (
 def test_the_size_of_every_format_is_seen_without_decoding(tmp_path, name):
     path = tmp_path / name
     cv2.imwrite(str(path), PICTURE)
-    assert image_file_check_and_reading.image_file_problem(path, CAMERA) is None
+    assert exposures_and_image_files.image_file_problem(path, CAMERA) is None
     cv2.imwrite(str(path), PICTURE.T.copy())
-    assert "is 48 x 64 px, but camera 'cam0' has 64 x 48" in image_file_check_and_reading.image_file_problem(
-        path, CAMERA
-    )
+    assert "is 48 x 64 px, but camera 'cam0' has 64 x 48" in exposures_and_image_files.image_file_problem(path, CAMERA)
 
 
 @pytest.mark.parametrize(
@@ -57,7 +51,7 @@ def test_the_size_of_every_format_is_seen_without_decoding(tmp_path, name):
 def test_what_an_image_claims_is_looked_at_first(tmp_path, name, data, says):
     path = tmp_path / name
     path.write_bytes(data)
-    assert says in image_file_check_and_reading.image_file_problem(path)
+    assert says in exposures_and_image_files.image_file_problem(path)
     with pytest.raises(FileError, match=says):
         read_image(path)
 
@@ -117,7 +111,7 @@ def test_what_only_decoding_shows_is_left_out_as_well(seen):
     name = (seen / "frames.csv").read_text().splitlines()[1].split(",")[3]
     data = b"\0\0\0\rIHDR" + struct.pack(">IIBBBBB", 1280, 1024, 8, 0, 0, 0, 0)
     (seen / name).write_bytes(
-        image_file_check_and_reading.PNG
+        exposures_and_image_files.PNG
         + data
         + struct.pack(">I", zlib.crc32(data[4:]))
         + b"\0\0\0\x04IDATxxxx\0\0\0\0"

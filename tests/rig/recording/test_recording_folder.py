@@ -10,7 +10,7 @@ from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.model.pose import pose, pose_difference
 from rig.recording import recording_folder as recording
-from rig.recording import recording_table_loading_and_writing
+from rig.recording import recording_tables
 from rig.recording.frame_selection_and_content_hashes import remove_frames
 from tests.conftest import BENCH, SHARED
 
@@ -178,7 +178,7 @@ def test_commands_are_linear_between_rows_and_dwell_after_the_last():
 
 
 def test_frames_that_are_masked_are_in_no_poses():
-    poses = recording_table_loading_and_writing.Poses(
+    poses = recording_tables.Poses(
         np.arange(4), pose(np.zeros((4, 3)), np.zeros((4, 3))), np.tile(np.eye(6), (4, 1, 1))
     )
     whole = replace(recording.load_recording(BENCH / "check"), poses=poses, stages={1: poses})
@@ -196,8 +196,8 @@ def test_poses_survive_writing(tmp_path):
     poses = recording.Poses(
         np.array([0, 2, 3, 9]), exp(rng.normal(size=(4, 6)) * 0.2), A @ np.swapaxes(A, 1, 2) + 1e-12 * np.eye(6)
     )
-    recording_table_loading_and_writing.write_poses(tmp_path / "poses.csv", poses)
-    again = recording_table_loading_and_writing.load_poses(tmp_path / "poses.csv", {0, 2, 3, 9})
+    recording_tables.write_poses(tmp_path / "poses.csv", poses)
+    again = recording_tables.load_poses(tmp_path / "poses.csv", {0, 2, 3, 9})
     assert again.frame.tolist() == [0, 2, 3, 9]
     assert np.abs(pose_difference(again.T_base_platform, poses.T_base_platform)).max() < 2e-10
     np.testing.assert_allclose(again.covariance, poses.covariance, rtol=1e-6)
@@ -216,20 +216,14 @@ def test_poses_survive_writing(tmp_path):
 def test_poses_that_are_none(tmp_path, rows, says):
     (tmp_path / "poses.csv").write_text(rows + "\n")
     with pytest.raises(FileError, match=says):
-        recording_table_loading_and_writing.load_poses(tmp_path / "poses.csv")
+        recording_tables.load_poses(tmp_path / "poses.csv")
 
 
 def test_a_covariance_must_be_one(tmp_path):
-    header = ",".join(
-        [
-            "frame",
-            *recording_table_loading_and_writing.POSE_COLUMNS,
-            *recording_table_loading_and_writing.COVARIANCE_COLUMNS,
-        ]
-    )
+    header = ",".join(["frame", *recording_tables.POSE_COLUMNS, *recording_tables.COVARIANCE_COLUMNS])
     (tmp_path / "poses.csv").write_text(header + "\n0" + ",0" * 6 + ",-1" + ",0" * 20 + "\n")
     with pytest.raises(FileError, match="not positive definite"):
-        recording_table_loading_and_writing.load_poses(tmp_path / "poses.csv")
+        recording_tables.load_poses(tmp_path / "poses.csv")
 
 
 def test_corners_survive_writing(recording_folder):
@@ -237,7 +231,7 @@ def test_corners_survive_writing(recording_folder):
     n = len(found.frame)
     covariance = np.tile(np.array([[4e-4, 1e-4], [1e-4, 9e-4]]), (n, 1, 1))
     again = recording.Corners(found.frame, found.camera, found.marker, found.corner, found.uv, covariance)
-    recording_table_loading_and_writing.write_corners(recording_folder / "corners.csv", again)
+    recording_tables.write_corners(recording_folder / "corners.csv", again)
     again = recording.load_recording(recording_folder).corners
     np.testing.assert_allclose(again.uv, found.uv, atol=1e-5)
     np.testing.assert_allclose(again.covariance, covariance, rtol=1e-3)

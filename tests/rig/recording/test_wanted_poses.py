@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.errors import FileError
-from rig.recording.wanted_poses import load_wanted_poses
+from rig.recording.wanted_poses_and_roll_pitch_yaw import load_wanted_poses
 from tests.two_armed import humanoid
 
 BOTH = """frame,hand,t,x,y,z,rx,ry,rz

@@ -132,6 +132,9 @@ class ArmProblem:
     def remove_term(self, fit: Fit, number: int) -> Fit:
         return self._weighed(fit, [t for i, t in enumerate(fit.terms) if i != number])
 
+    def exchange_term(self, fit: Fit, number: int, score: JointScore) -> Fit:
+        return self.add_term(self.remove_term(fit, number), score)
+
     def in_place(self, fit: Fit, number: int) -> Fit:
         return self._weighed(fit, [*fit.terms[:number], fit.terms[-1], *fit.terms[number:-1]])
 

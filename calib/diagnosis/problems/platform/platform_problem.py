@@ -38,6 +38,7 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import (
     operating_point_without_term,
     refine_at_fixed_repeated_error,
     refine_operating_point,
+    refinement_as_it_stands,
 )
 from calib.diagnosis.problems.platform.smooth_strut_camera_and_marker_functions import (
     model_with_smooth_functions,
@@ -139,7 +140,8 @@ class PlatformProblem:
 
     def covered(self, fit: PlatformFit, number: int, left: list[LackOfFit]) -> LinearisedModel:
         model = self.beside(fit, number)
-        return self.marginalised(model_with_smooth_functions(model, *smooth_function_columns(model, left)))
+        whole = not fit.terms[number].site.is_axis
+        return self.marginalised(model_with_smooth_functions(model, *smooth_function_columns(model, left, whole)))
 
     def linear(self, model: LinearisedModel) -> LinearModel:
         return model.linear
@@ -179,6 +181,13 @@ class PlatformProblem:
             ),
             fit.terms[:number] + fit.terms[number + 1 :],
         )
+
+    def exchange_term(self, fit: PlatformFit, number: int, score: PlatformScore) -> PlatformFit:
+        model = self.beside(fit, number)
+        refined = add_term(
+            refinement_as_it_stands(model, self.sensitivities), score, self.sensitivities.at(model.point)
+        )
+        return PlatformFit(refined, (*fit.terms[:number], *fit.terms[number + 1 :], score.candidate))
 
     def in_place(self, fit: PlatformFit, number: int) -> PlatformFit:
         k = fit.refined.point

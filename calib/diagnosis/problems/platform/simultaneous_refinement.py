@@ -265,6 +265,12 @@ def refine_at_fixed_repeated_error(
             break
     if model.corners.clip > CLIP:
         model = linearise(point, CLIP, model)
+    return refinement_as_it_stands(model, sensitivities)
+
+
+def refinement_as_it_stands(model: LinearisedModel, sensitivities: Sensitivities) -> Refinement:
+    """Refinement of a model's operating point with nothing moved: its optimum only where it was refined before."""
+    point = model.point
     coordinates, column = effect_parameter_directions(model, sensitivities)
     if column is None:
         return Refinement(point, model, coordinates, np.zeros(0), np.zeros((0, 0)), None)

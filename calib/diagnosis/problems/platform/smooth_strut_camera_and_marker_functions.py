@@ -145,11 +145,13 @@ def _distortions() -> Floats:
 
 
 def smooth_function_columns(
-    model: LinearisedModel, lacks_of_fit: list[LackOfFit]
+    model: LinearisedModel, lacks_of_fit: list[LackOfFit], whole: bool
 ) -> tuple[Floats | None, Floats | None]:
     """Columns of the smooth functions of a lack of fit.
 
     At all struts where it is struts, at all markers where it is one, else at the cameras themselves.
+    whole : whether they are to stand beside a law of the whole machine, which such functions at all struts would
+        replace: then at the struts alone where the lack of fit is
 
     Returns (pixels (n, 2, q) or None, weights (F, axes, r) or None)
     """
@@ -163,13 +165,16 @@ def smooth_function_columns(
         if k.axes
         else {}
     )  # the finest of each
-    named = {
-        "pose" if d.endswith("position") else d
-        for u in lacks_of_fit
-        if u.place.kind in ("strut", "rig")
-        for d in u.depends_on
-    }
-    parts = [w for d in sorted(named & weights.keys()) for _, w in weights[d]]
+    named: dict[str, set[Place]] = {}
+    for u in lacks_of_fit:
+        for d in u.depends_on if u.place.kind in ("strut", "rig") else ():
+            named.setdefault("pose" if d.endswith("position") else d, set()).add(u.place)
+    parts = [
+        w
+        for d in sorted(named.keys() & weights.keys())
+        for place, w in weights[d]
+        if not whole or any(one.includes(place) for one in named[d])
+    ]
     pixels = []
     for u in lacks_of_fit:
         at = u.place

@@ -17,9 +17,8 @@ from rig.formats.checked_entries import LARGEST_RIG, Entries, name_problem
 from rig.formats.importers.camera_calibrations.calibration_programs import PROGRAMS
 from rig.formats.importers.camera_calibrations.foreign_camera_checks_and_fisheye_conversion import ForeignCamera
 from rig.formats.importers.import_recipe import Cameras
-from rig.formats.length_and_angle_units import stated_units
 from rig.formats.local_and_remote_input_files import read_text, short_repr
-from rig.formats.number_parsing_and_rounding import parse_numbers
+from rig.formats.numbers_and_units import parse_numbers, stated_units
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import camera_toml, replace_cameras
 from rig.model.design import Camera
 from rig.model.pose import pose

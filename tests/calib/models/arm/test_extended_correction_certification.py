@@ -29,7 +29,7 @@ from rig.model.pose import exp, pose_difference
 from rig.planning.configuration_generators import divided_grid_configurations, sobol_configurations
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Poses
-from rig.recording.recording_table_loading_and_writing import write_poses
+from rig.recording.recording_tables import write_poses
 from tests.calib import secret_arms as worlds
 from tests.cli import command
 from tests.rig.arms import SEVEN, UR10

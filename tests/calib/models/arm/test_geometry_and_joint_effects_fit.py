@@ -22,7 +22,7 @@ from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
@@ -31,7 +31,7 @@ from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import shipped_arms_and_layouts
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Poses, Sensors
-from rig.recording.recording_table_loading_and_writing import write_poses
+from rig.recording.recording_tables import write_poses
 from synthetic import recording_simulation, secret_machine_and_truth_file
 
 MOVING = (

@@ -19,7 +19,7 @@ from rig.model.arm_branches_and_hands import Branch, Hand
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.pose import exp, pose, pose_difference
 from rig.recording.frame_selection_and_content_hashes import select_hand
-from rig.recording.recording_table_loading_and_writing import write_poses
+from rig.recording.recording_tables import write_poses
 from tests.cli import run
 from tests.two_armed import HUMANOID, NOISE, drawn, humanoid, observed
 

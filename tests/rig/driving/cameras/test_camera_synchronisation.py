@@ -3,14 +3,10 @@
 import numpy as np
 import pytest
 
-from rig.driving import settling_check
+from rig.driving import driver_opening_and_settling
 from rig.driving.cameras import CameraError
-from rig.driving.cameras.camera_interface_and_synchronised_grabbing import (
-    Frame,
-    SynchronisedCameras,
-    set_exposure_for_markers,
-)
-from rig.driving.settling_check import NotSettled, image_difference_relative_to_noise, parse_settling
+from rig.driving.cameras.camera_interface_and_user_cameras import Frame, SynchronisedCameras, set_exposure_for_markers
+from rig.driving.driver_opening_and_settling import NotSettled, image_difference_relative_to_noise, parse_settling
 from rig.errors import RigError
 from tests.rig.simulated_clock import SIZE, Ticking
 
@@ -103,4 +99,4 @@ def test_rest_is_told_by_limbs_and_by_time():
     for text in ("time:-1", "time:x", "images:3", "speed:1", "limbs:inf"):
         with pytest.raises(RigError, match="settling takes"):
             parse_settling(text)
-    assert settling_check.MOST < 60
+    assert driver_opening_and_settling.MOST < 60

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rig.driving.cameras import CameraError, genicam_camera, open_camera
-from rig.driving.cameras.camera_interface_and_synchronised_grabbing import ClockOffset
+from rig.driving.cameras.camera_interface_and_user_cameras import ClockOffset
 from rig.driving.cameras.camera_opening import EmulatedSource, FolderSource
 from rig.driving.cameras.genicam_camera import GenicamSource
 from rig.driving.cameras.opencv_camera import VideoSource

@@ -99,7 +99,7 @@ def test_an_entry_point_of_a_package_is_a_camera(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     point = SimpleNamespace(name="mine", value="mine_eyes:Mine", load=lambda: __import__("mine_eyes").Mine)
     monkeypatch.setattr(
-        "rig.driving.user_protocol_camera_and_sensor_classes.entry_points",
+        "rig.driving.user_classes_and_sensor_reader.entry_points",
         lambda group: [point] if group == "rig.cameras" else [],
     )
     assert open_camera(camera("package:mine"), Ticking()).grab().image.shape == SIZE[::-1]
@@ -134,7 +134,7 @@ def test_a_program_that_gives_no_image_is_named(tmp_path, command, said):
 
 
 def test_a_program_without_a_shell_gets_no_input_and_is_ended(tmp_path):
-    from rig.driving.cameras.user_camera_class_and_image_program import CommandSource
+    from rig.driving.cameras.camera_interface_and_user_cameras import CommandSource
 
     source = CommandSource(camera(), f"{sys.executable} -c 'import time; time.sleep(60)'", SystemClock(), wait=0.2)
     with pytest.raises(CameraError, match="gave no image in 0.2 s"):

@@ -8,7 +8,7 @@ from rig.cli.command_line import main
 from rig.driving.cameras import open_camera
 from rig.driving.clock import SystemClock
 from rig.driving.emulators.driver_conformance_checks import check_conformance, conformance_design
-from rig.driving.sensor_reader import open_sensors
+from rig.driving.user_classes_and_sensor_reader import open_sensors
 from rig.model.design import SensorPort
 from tests.conftest import ROOT
 from tests.rig.conftest import EVERY_PROTOCOL

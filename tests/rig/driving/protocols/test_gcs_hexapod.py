@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from rig.driving.clock import SimulatedClock
 from rig.driving.emulators.fault_trials import emulated_bench
-from rig.driving.protocols.gcs_hexapod import GCSHexapod
-from rig.driving.protocols.protocol_interface import Segment
+from rig.driving.protocols.gcs import GCSHexapod
+from rig.driving.protocols.protocol_bases import Segment
 from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.errors import ControllerFault, FileError, MotionError, PositionLost
 from rig.formats.rig_toml import design_from_rig_toml

@@ -77,7 +77,7 @@ def test_an_entry_point_of_a_package_is_a_protocol(tmp_path, driven_design, monk
 
     point = SimpleNamespace(name="acme", value="acme_rig:Acme", load=load)
     monkeypatch.setattr(
-        "rig.driving.user_protocol_camera_and_sensor_classes.entry_points",
+        "rig.driving.user_classes_and_sensor_reader.entry_points",
         lambda group: [point] if group == "rig.protocols" else [],
     )
     driver, emulator, clock = emulated_bench(driven_design, "package:acme")

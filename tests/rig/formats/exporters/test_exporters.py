@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.effects.texts.effect_text_parsing import parse_effect
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.errors import RigError
 from rig.formats.exporters import geometry_and_camera_files, urdf_and_sdf
 from rig.model import motion_simulation

@@ -13,7 +13,7 @@ from docs.make import rig_toml
 from docs.make.told import fields_told
 from rig.errors import FileError
 from rig.formats.json_toml_and_yaml_loading import json_data, toml_entries
-from rig.formats.length_and_angle_units import LengthAndAngleUnits, parse_length_and_angle_units
+from rig.formats.numbers_and_units import LengthAndAngleUnits, parse_length_and_angle_units
 from rig.formats.rig_toml.arm_dynamics_entries import dynamics_of_table
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import camera_toml, replace_cameras, replace_target_markers
 from rig.formats.rig_toml.design_from_rig_toml import design_of_entries

@@ -20,7 +20,7 @@ from rig.report.pages.html_and_svg_elements import (
 from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure
 from rig.report.pages.page_templates_and_index_page import Link, Page, page_html
 from rig.report.pages.plots import MOST, RIGHT, Series, axis_scale_of_values, bar_chart_svg, plot_panel_svg
-from rig.report.verdict_and_refutations import State, Verdict
+from rig.report.verdict_and_display import State, Verdict
 
 
 def test_a_page_says_its_verdict_first_and_needs_no_network():

@@ -1,15 +1,22 @@
-"""Denavit-Hartenberg rows of an arm's joint axes.
+"""Several hands of an arm read from a URDF, and Denavit-Hartenberg rows of joint axes.
 
-From the lines of its axes, and from a table in Craig's convention.
+Rows come from the lines of an arm's axes, and from a table in Craig's convention.
 """
 
+from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.array_and_json_types import Floats
-from rig.model.mechanisms.arm import link_transform
+from rig.array_and_json_types import Booleans, Floats
+from rig.errors import FileError
+from rig.formats.checked_entries import name_problem
+from rig.formats.importers.urdf_joint_chain import JointChain, UrdfJoint, load_joint_chain
+from rig.model.arm_branches_and_hands import Branch, Hand
+from rig.model.mechanism_geometry_classes import Arm
+from rig.model.mechanisms.arm import joint_frames, link_transform
 from rig.model.pose import pose
 
 NEARLY_PARALLEL = 0.1  # rad; below it the common normal is far away, and Hayati's beta takes its place
@@ -117,3 +124,63 @@ def distal_rows_of_modified_rows(modified: Floats) -> PlacedRows:
     a, alpha = modified[0, 2:]
     base = RigidTransform.from_components([a, 0.0, 0.0], Rotation.from_rotvec([alpha, 0.0, 0.0]))
     return PlacedRows(rows, _identity_if_near(base), RigidTransform.identity())
+
+
+def urdf_arm_with_several_hands(
+    path: Path, tips: tuple[str, ...], root: str | None = None
+) -> tuple[Arm, tuple[JointChain, ...]]:
+    """(Arm, JointChain to each tip) of a URDF's joints from a root link to several tips, its hands named by these.
+
+    The first tip's joints come first, and then those of each further one that are not listed yet. Where joints stand on
+    a link that an earlier joint moves, they are a branch; a row of a shared joint is that of the first tip.
+    Raises FileError as `load_joint_chain`, and for a tip named twice or by no name that a column of a table can hold
+    """
+    for number, tip in enumerate(tips):
+        if tip in tips[:number]:
+            raise FileError(path, f"--tip {tip!r} is named twice")
+        if name_problem(tip):
+            raise FileError(path, f"--tip {tip!r} names a hand: {name_problem(tip)}")
+    chains = tuple(load_joint_chain(path, tip, root) for tip in tips)
+    points, directions, T = chains[0].axes_at_zero()
+    placed = denavit_hartenberg_rows_of_joint_axes(points, directions, T)
+    first = chains[0].moving
+    arm = Arm(placed.rows, _limits(first), placed.base, placed.tool, _slides(first))
+    names, hands = [joint.name for joint in first], [Hand(tips[0], len(first) - 1, placed.tool)]
+    for chain in chains[1:]:
+        arm = _with_hand(arm, chain, names, hands)
+    return replace(arm, hands=tuple(hands)), chains
+
+
+def _with_hand(arm: Arm, chain: JointChain, names: list[str], hands: list[Hand]) -> Arm:
+    """The arm with a further chain's joints that it lacks, whose names and hand are added to the lists."""
+    points, directions, T = chain.axes_at_zero()
+    shared = [joint.name for joint in chain.moving if joint.name in names]
+    parent = names.index(shared[-1]) if shared else -1
+    after = joint_frames(np.zeros(len(names)), replace(arm, hands=())).after
+    here = arm.base if parent < 0 else RigidTransform.from_matrix(after[parent])
+    own = chain.moving[len(shared) :]
+    if not own:
+        hands.append(Hand(chain.tip, parent, here.inv() * T))
+        return arm
+    there = here.inv()
+    rows = denavit_hartenberg_rows_of_joint_axes(
+        there.apply(points[len(shared) :]), there.rotation.apply(directions[len(shared) :]), there * T
+    )
+    branch = Branch(len(names), parent, rows.base)
+    names += [joint.name for joint in own]
+    hands.append(Hand(chain.tip, len(names) - 1, rows.tool))
+    return replace(
+        arm,
+        joints=np.concatenate([arm.rows, rows.rows]),
+        limits=np.concatenate([arm.limits, _limits(own)]),
+        slides=np.concatenate([arm.slides, _slides(own)]),
+        branches=(*arm.branches, branch),
+    )
+
+
+def _limits(joints: tuple[UrdfJoint, ...]) -> Floats:
+    return np.array([joint.limits for joint in joints], float)
+
+
+def _slides(joints: tuple[UrdfJoint, ...]) -> Booleans:
+    return np.array([joint.kind == "prismatic" for joint in joints])

@@ -1,4 +1,4 @@
-"""Verdict of a result, and refutations of result files.
+"""Verdict of a result, refutations of result files, and display of results.
 
 A verdict is judged from its evidence; refutations, by later recordings, are loaded and added.
 
@@ -8,12 +8,15 @@ beyond the claim, by the nominal model doing better. All else is to be checked.
 
 A command that refutes a result, or finds what it leaves out, adds an entry to refutations.json in the result's folder.
 It is read wherever the file is shown or used. A copy elsewhere carries no entry.
+
+A result displays itself as one line in a console, as HTML in a notebook.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
+from html import escape
 from pathlib import Path
 from typing import NamedTuple
 
@@ -237,3 +240,28 @@ def add_refutation(refutations_file: Path, folder: Path, new_refutation: Refutat
         json.dumps({"schema": SCHEMA, "refutations": [asdict(one) for one in (*kept, new_refutation)]}, indent=1)
         + "\n",
     )
+
+
+class OneLineRepr:
+    """Base of results whose repr is one line, the class's name and what str gives; for dataclasses with repr=False."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {str(self).partition(chr(10))[0]}>"
+
+
+def result_html(heading: str, lines: Iterable[str] = (), table: Sequence[Sequence[str]] = ()) -> str:
+    """HTML of a result for notebooks.
+
+    Heading, sentences, a table whose first row is its header; text is escaped.
+    """
+    parts = [f"<strong>{escape(heading)}</strong>", *(f"<p style='margin:.2em 0'>{escape(line)}</p>" for line in lines)]
+    if table:
+        head, *rows = table
+        body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+        top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
+        parts.append(
+            f"<div style='overflow-x:auto'><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>"
+        )
+    return f"<div>{''.join(parts)}</div>"

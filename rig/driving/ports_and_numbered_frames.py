@@ -1,4 +1,7 @@
-"""Port to an EPICS IOC by Channel Access: requests and answers as lines, their values from one TCP circuit.
+"""Ports of controllers (serial, EPICS channel access), and numbered frames with checksum.
+
+A serial port is opened for one process alone, and imports nothing that takes time. Over channel access, EPICS records
+are read and written by requests of one line:
 
     >17 GET RIG:m1.RBV RIG:m1.DMOV*94A1       read them all            <17 OK 12.5 1.0*8E0B
     >18 PUT RIG:m1.VELO=2.5*41D7              write, then read back    <18 OK 2.5*3D52
@@ -9,22 +12,172 @@ record would call back at the end of its move. What is read after it on the same
 too. No search by broadcast: the IOC, or its gateway, is named by its address.
 """
 
+import binascii
 import getpass
+import io
+import os
+import re
 import select
 import socket
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote, urlsplit
 
+import serial
+from serial.tools import list_ports
+
 from rig.driving.clock import Clock
-from rig.driving.numbered_frames_with_checksum import encode_frame, last_valid_frame_in_line
 from rig.errors import LinkLost, MissingLibrary
+from rig.model.protocol_and_port_names import port_problem
+
+WRITE_TIME = 2.0  # s that a write may take
+MOST_SERIAL = 4096  # bytes of a read
+SLICE = 1e-3  # s between looks at a port that cannot be waited on
+PSEUDO_TERMINALS = range(136, 144)  # majors, /dev/pts/*
+
+
+def _reason(error: Exception) -> str:
+    """Why a port cannot be opened, without pyserial's repetition of its name."""
+    number = getattr(error, "errno", None)
+    return str(error) if number is None else os.strerror(number)
+
+
+def _there(url: str) -> str:
+    """What ports there are, for somebody who named another device."""
+    found = sorted(port.device for port in list_ports.comports())
+    return "" if "://" in url else f"; serial ports here: {', '.join(found) or 'none'} (`rig doctor` lists them)"
+
+
+class SerialPort:
+    """A Port (see request_and_answer_exchange_with_controller). url : as port_problem accepts it; baudrate : for
+    devices; clock : tells until when to wait.
+
+    A device is opened for this process alone: locked as pyserial and others do, and by TIOCEXCL, which no user but root
+    passes
+    """
+
+    def __init__(self, url: str, baudrate: int, clock: Clock) -> None:
+        self._url, self._clock = url, clock
+        if problem := port_problem(url):
+            raise LinkLost(problem)
+        alone: dict[str, Any] = {} if "://" in url else {"exclusive": True}
+        try:
+            self._serial = serial.serial_for_url(url, baudrate=baudrate, timeout=0, write_timeout=WRITE_TIME, **alone)
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise LinkLost(f"cannot open {url}: {_reason(error)}{_there(url)}") from None
+        try:
+            self._waitable: int | None = self._serial.fileno()
+        except (io.UnsupportedOperation, AttributeError):  # rfc2217:// and loop:// have none
+            self._waitable = None
+        self._device = None if "://" in url else self._waitable
+        if self._device is not None and _ends_with_us(self._device):
+            import fcntl  # on Windows a port has no descriptor, and the system itself opens it for one process alone
+            import termios
+
+            fcntl.ioctl(self._device, termios.TIOCEXCL)
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._serial.write(data)
+        except (serial.SerialException, OSError) as error:
+            raise LinkLost(f"{self._url}: cannot be written to: {error}") from None
+
+    def read(self, until: float) -> bytes:
+        try:
+            while not (data := self._serial.read(MOST_SERIAL)):
+                left = until - self._clock.now()
+                if left <= 0:
+                    break
+                if self._waitable is None:
+                    self._clock.sleep(min(left, SLICE))
+                else:
+                    select.select([self._waitable], [], [], left)
+            return data
+        except (
+            serial.SerialException,
+            OSError,
+            TypeError,
+            ValueError,
+        ) as error:  # the last two from a port closed under a read
+            raise LinkLost(f"{self._url}: connection lost: {error}") from None
+
+    def close(self) -> None:
+        if self._device is not None:
+            import fcntl
+            import termios
+
+            with suppress(OSError):  # unplugged: nothing is left to unlock
+                fcntl.flock(self._device, fcntl.LOCK_UN)  # a forked child may hold the same open file a little longer
+                fcntl.ioctl(self._device, termios.TIOCNXCL)
+            self._device = None
+        self._serial.close()
+
+
+def _ends_with_us(handle: int) -> bool:
+    """Whether TIOCEXCL ends with the process that set it; at a pseudo-terminal it would stay as long as the other end
+    is open.
+    """
+    return os.major(os.fstat(handle).st_rdev) not in PSEUDO_TERMINALS
+
+
+def find_usb_port(url: str, usb_id: str) -> str:
+    """Find the port of a USB device by its id.
+
+    `url` where no id is stated.
+    url : its port when nothing else is known; usb_id : its serial number or a part of its hardware id, "" where none
+    is stated. Raises LinkLost where it is not plugged in, or several answer to it.
+    """
+    if not usb_id:
+        return url
+    ports = [
+        port
+        for port in list_ports.comports()
+        if port.serial_number == usb_id or usb_id.lower() in (port.hwid or "").lower()
+    ]
+    if len(ports) != 1:
+        raise LinkLost(f"{len(ports)} ports answer to usb = {usb_id!r}" + "".join(f"; {port.device}" for port in ports))
+    return ports[0].device
+
+
+_FRAME = re.compile(r"([<>])(-|\d{1,5}) ([^*<>!]*)\*([0-9A-F]{4})")
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """number : of the request, None where a broken frame is complained of; text : without number and checksum."""
+
+    number: int | None
+    text: str
+
+
+def encode_frame(direction: str, number: int | None, text: str) -> bytes:
+    """Encode a numbered text as a frame. direction : ">" to the controller, "<" from it.
+    direction : ">" to the controller, "<" from it.
+    """
+    body = f"{'-' if number is None else number} {text}"
+    return f"{direction}{body}*{_checksum(body)}\n".encode("ascii")
+
+
+def last_valid_frame_in_line(direction: str, line: str) -> Frame | None:
+    """Decode the last valid frame in a line, None where there is none."""
+    for match in reversed(list(_FRAME.finditer(line))):
+        if match[1] == direction and match[4] == _checksum(f"{match[2]} {match[3]}"):
+            return Frame(None if match[2] == "-" else int(match[2]), match[3])
+    return None
+
+
+def _checksum(body: str) -> str:
+    """CRC-16/CCITT-FALSE of a frame's body, four hexadecimal digits."""
+    return f"{binascii.crc_hqx(body.encode('latin-1'), 0xFFFF):04X}"
+
 
 SCHEME, USUAL_PORT = "ca", 5064
 PATIENCE = 2.0  # s to connect; in which the server answers
-MOST = 65536  # bytes of a read
+MOST_OF_SOCKET = 65536  # bytes of a read
 TEXTS = ("EGU", "RTYP", "VERS", "DESC", "DTYP")  # fields that are read as texts
 
 
@@ -154,7 +307,7 @@ class ChannelAccessPort:
 
     def _receive(self) -> None:
         try:
-            data = self._socket.recv(MOST)
+            data = self._socket.recv(MOST_OF_SOCKET)
             if hasattr(socket, "TCP_QUICKACK"):  # a server that waits for acknowledgements would answer 40 ms late
                 self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
         except OSError as error:
@@ -182,3 +335,13 @@ def _shown(value: object) -> str:
     if isinstance(value, bytes):
         return quote(value.split(b"\0")[0].decode("utf-8", "replace")) or "-"
     return repr(float(str(value)))
+
+
+def open_port(port: str, usb: str, baudrate: int, clock: Clock) -> SerialPort | ChannelAccessPort:
+    """The open port of a controller. port, usb, baudrate : as [controller] states them
+
+    Raises LinkLost where it does not open, MissingLibrary for an IOC without the package that it takes
+    """
+    if port.partition("://")[0].lower() == SCHEME:
+        return ChannelAccessPort(port, clock)
+    return SerialPort(find_usb_port(port, usb), baudrate, clock)

@@ -1,7 +1,10 @@
-"""Loading and writing of a recording's tables (CSV), with checks."""
+"""Tables (CSV) of a recording, loaded with checks and written.
+
+Directions are azimuth and elevation, or unit vectors.
+"""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
 from typing import Any, NoReturn
@@ -12,14 +15,109 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import FileError
 from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
-from rig.formats.checked_entries import LARGEST_RIG
-from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, Table, TableFormat
+from rig.formats.checked_entries import LARGEST_RIG, nearest_known_word
+from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, Table, TableFormat, read_csv_table
 from rig.formats.output_files import write_text
 from rig.model.design import Design, Instrument
 from rig.model.pose import TRIANGLE, covariance_from_triangle, pose, pose_to_vector, poses_pointing_along
-from rig.recording.direction_table import read_direction_table
-from rig.recording.exposure_table import Exposures
-from rig.recording.frame_and_hand_columns import HAND, frame_and_hand_columns, frame_column, rows_of_hand
+from rig.recording.exposures_and_image_files import Exposures
+
+HAND = "hand"
+
+
+def frame_column(rows: Table, known_frames: set[int] | None) -> Integers:
+    """(n,) frame of each row. Raises FileError for one that is not known, and for one that is listed twice."""
+    return frame_and_hand_columns(rows, known_frames, ())[0]
+
+
+def frame_and_hand_columns(
+    rows: Table, known_frames: set[int] | None, hands: tuple[str, ...]
+) -> tuple[Integers, Integers | None]:
+    """(frame (n,), number (n,) of the hand) of each row; no numbers where there are no names of hands.
+
+    Raises FileError for a frame or hand that is not known, and for one that is listed twice
+    """
+    frame, seen = rows.whole("frame"), dict[Any, int]()
+    names = rows.text(HAND) if hands else [""] * len(frame)
+    for i, (number, name) in enumerate(zip(frame.tolist(), names)):
+        if known_frames is not None and number not in known_frames:
+            rows.fail(f"frame {number} is not in frames.csv", i, "frame", number)
+        if hands and name not in hands:
+            _fail_unknown_hand(rows, i, name, hands)
+        if (number, name) in seen:
+            of = f" of hand {name!r}" if hands else ""
+            first = rows.lines[seen[number, name]]
+            rows.fail(f"frame {number}{of} is listed twice, first in line {first}", i, "frame", number)
+        seen[number, name] = i
+    return frame, np.array([hands.index(name) for name in names]) if hands else None
+
+
+def rows_of_hand(rows: Table, hands: tuple[str, ...], hand: str) -> Table:
+    """The rows of a table whose column `hand` names one of several hands; all where there is no such column.
+
+    Raises FileError for a name that no hand has, and for a table without a row of this hand
+    """
+    if HAND not in rows.columns:
+        return rows
+    names = rows.text(HAND)
+    for i, name in enumerate(names):
+        if name not in hands:
+            _fail_unknown_hand(rows, i, name, hands)
+    own = np.flatnonzero(np.array(names) == hand)
+    if not len(own):
+        rows.fail(f"no row is of hand {hand!r}, only of {', '.join(sorted(set(names)))}", 0, HAND, names[0])
+    return replace(rows, rows=[rows.rows[i] for i in own], lines=rows.lines[own])
+
+
+def _fail_unknown_hand(rows: Table, row: int, name: str, hands: tuple[str, ...]) -> NoReturn:
+    """Raise FileError for a name in the column `hand` that no hand has."""
+    near = nearest_known_word(name, hands)
+    hint = f"; is {near!r} meant?" if near else f"; rig.toml has {', '.join(hands)}"
+    rows.fail(f"{name!r} is no hand{hint}", row, HAND, name)
+
+
+ANGLES = ("azimuth", "elevation")  # columns, rad
+VECTOR = ("x", "y", "z")
+UNIT_LENGTH = 1e-6  # that a direction's length may differ from one
+
+
+def read_direction_table(path: str | Path, form: TableFormat = PLAIN) -> tuple[Table, Floats]:
+    """Table of directions read from a poses.csv.
+
+    form : of the file
+    Returns (Table, unit vectors (n, 3)) of columns azimuth and elevation (rad), or x, y and z
+    Raises FileError with line and column for a missing column, angles that no circle has and vectors that are not of
+    length one
+    """
+    angles = any(name in read_csv_table(path, ("frame",), form=form).columns for name in ANGLES)
+    rows = read_csv_table(path, ("frame", *(ANGLES if angles else VECTOR)), form=form)
+    if not angles:
+        values = rows.matrix(VECTOR)
+        length = np.linalg.norm(values, axis=1)
+        bad = np.flatnonzero(np.abs(length - 1) > UNIT_LENGTH)
+        if len(bad):
+            rows.fail(f"a direction has length 1, not {length[bad[0]]:.9g}", bad[0], "x", values[bad[0], 0])
+        return rows, values / length[:, None]
+    values = form.units.si(rows.matrix(ANGLES), ("rad", "rad"))
+    for k, most in enumerate((2 * np.pi, np.pi / 2)):
+        bad = np.flatnonzero(np.abs(values[:, k]) > most)
+        if len(bad):
+            rows.fail(
+                f"{ANGLES[k]} = {form.units.shown(values[bad[0], k], 'rad')} is implausible"
+                + (" (degrees?)" if form.units.angle == "rad" else ""),
+                bad[0],
+                ANGLES[k],
+                values[bad[0], k],
+            )
+    return rows, directions_of_angles(values)
+
+
+def directions_of_angles(angles: Floats) -> Floats:
+    """Unit vectors (..., 3) of azimuth and elevation (..., 2) rad, in a frame with x north, y east and z down."""
+    azimuth, elevation = np.moveaxis(np.asarray(angles, float), -1, 0)
+    level = np.cos(elevation)
+    return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), -np.sin(elevation)], axis=-1)
+
 
 POSE_COLUMNS = ("x", "y", "z", "rx", "ry", "rz")
 POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")

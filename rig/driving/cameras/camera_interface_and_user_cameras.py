@@ -1,21 +1,31 @@
-"""Camera interface, and synchronised grabbing of cameras.
+"""Camera interface, synchronised grabbing, and cameras by a user's own class or program.
 
 The offset of a camera's clock, and exposure for markers.
 
 Each pair of readings of the host's clock, before and after something that the camera stamped, says that offset = host
 - camera lies between them. Bounds of several meet in a narrower one (Cristian, Distributed Computing 3, 1989); old
 bounds widen with the drift that two clocks may have.
+
+A user's own camera is a class in a file or package, or a program that is run for each image.
 """
 
 import math
+import shlex
+import subprocess
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Protocol
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+import numpy as np
 
 from rig.array_and_json_types import Pixels
 from rig.driving.clock import Clock
-from rig.errors import RigError
+from rig.driving.user_classes_and_sensor_reader import fail_at_class, guard_call, load_user_class
+from rig.errors import FileError, RigError
+from rig.model.design import Camera
+from rig.recording.exposures_and_image_files import decode_image
 
 DRIFT = 1e-4  # s per s; two quartz clocks differ by less
 UNIFORM = math.sqrt(12.0)  # width of an even spread over its standard deviation
@@ -187,3 +197,136 @@ def set_exposure_for_markers(
         f"{exposure * 1e3:.3g} ms white is "
         f"at {level:.0f} of 255 and {clips:.1%} clip: change the light or the aperture"
     )
+
+
+T = TypeVar("T")
+GROUP = "rig.cameras"  # of entry points
+WAIT = 30.0  # s that a program may take for an image
+ELSEWHERE = 5.0  # s by which a stamp may lie outside the call: clocks may differ, and exposures in motion tell by what
+SHOWN = 300  # characters of what a program printed, in messages
+
+
+class UserCamera:
+    """Base class of a camera of the user's own. camera : its name, width and height as rig.toml states them."""
+
+    can_set_exposure = False
+
+    def __init__(self, camera: Camera) -> None:
+        self.camera = camera
+
+    def grab(self) -> Pixels | tuple[Pixels, float, float]:
+        """Image (height, width) or (height, width, 3) in uint8 or uint16, exposed after this call and before it
+        returns; or (image, t, t_sigma) with the middle of its exposure, s since 1970, and how well that is known, s.
+        Raises CameraError where there is none.
+        """
+        raise NotImplementedError
+
+    def set_exposure(self, seconds: float) -> float:
+        """Expose for so long from now on; returns what the camera made of it, s. Raises CameraError where it cannot."""
+        raise CameraError(f"camera {self.camera.name!r} does not set its exposure; state --exposure keep")
+
+    def close(self) -> None:
+        """Let go of the camera."""
+
+
+class UserSource:
+    """A Source (camera interface) made of a UserCamera, its images checked and timed."""
+
+    def __init__(self, camera: Camera, clock: Clock) -> None:
+        """Raises FileError or RigError where its program cannot be used."""
+        kind, path = load_user_class(str(camera.source), UserCamera, GROUP, "camera")
+        if kind.grab is UserCamera.grab:
+            raise fail_at_class(path, kind, "lacks grab, which returns an image")
+        self.name, self.can_set_exposure, self._camera, self._clock = camera.name, kind.can_set_exposure, camera, clock
+        self._owner, self._path = kind, path
+        self._user = self._guarded(kind)(camera)
+
+    def _guarded(self, call: Callable[..., T]) -> Callable[..., T]:
+        return guard_call(call, self._path, CameraError, self._owner.__name__)
+
+    def grab(self) -> Frame:
+        asked = self._clock.now()
+        given = self._guarded(self._user.grab)()
+        after = self._clock.now()
+        if not isinstance(given, tuple):
+            return Frame(checked_image(given, self._camera), (asked + after) / 2, (after - asked) / UNIFORM)
+        image, t, sigma = self._guarded(_stamped)(given)
+        if not (asked - ELSEWHERE <= t <= after + ELSEWHERE and 0 <= sigma < ELSEWHERE):
+            raise CameraError(
+                f"camera {self.name!r} states t = {t:.3f} s with t_sigma = {sigma:g} s of an image that was asked for "
+                f"at {asked:.3f} s and was there at {after:.3f} s: is t in seconds since 1970?"
+            )
+        return Frame(checked_image(image, self._camera), t, sigma)
+
+    def set_exposure(self, seconds: float) -> float:
+        return float(self._guarded(self._user.set_exposure)(seconds))
+
+    def close(self) -> None:
+        self._guarded(self._user.close)()
+
+
+class CommandSource:
+    """Images that a program writes to its standard output, as PNG, JPEG, TIFF, BMP or PGM. It is run for each grab, its
+    words without a shell; `{name}`, `{width}` and `{height}` in them are the camera's.
+    """
+
+    can_set_exposure = False
+
+    def __init__(self, camera: Camera, command: str, clock: Clock, wait: float = WAIT) -> None:
+        """Raises CameraError for a command that cannot be parsed."""
+        self.name, self._camera, self._clock, self._wait = camera.name, camera, clock, wait
+        try:
+            words = shlex.split(command)
+        except ValueError as error:
+            raise CameraError(f"camera {camera.name!r}: command:{command} cannot be parsed: {error}") from None
+        stated = {"{name}": camera.name, "{width}": str(camera.width), "{height}": str(camera.height)}
+        for key, value in stated.items():
+            words = [word.replace(key, value) for word in words]
+        self._words = words
+
+    def grab(self) -> Frame:
+        asked = self._clock.now()
+        try:
+            done = subprocess.run(self._words, capture_output=True, timeout=self._wait, stdin=subprocess.DEVNULL)
+        except OSError as error:
+            raise CameraError(f"camera {self.name!r}: {self._words[0]} cannot be run: {error.strerror}") from None
+        except subprocess.TimeoutExpired:
+            raise CameraError(f"camera {self.name!r}: {self._words[0]} gave no image in {self._wait:g} s") from None
+        after = self._clock.now()
+        if done.returncode:
+            said = done.stderr.decode("utf-8", "replace").strip()[-SHOWN:]
+            raise CameraError(f"camera {self.name!r}: {self._words[0]} ended with {done.returncode}: {said}")
+        try:
+            image = decode_image(done.stdout, Path(f"output of {self._words[0]}"))
+        except FileError as error:
+            raise CameraError(f"camera {self.name!r}: {error}") from None
+        return Frame(checked_image(image, self._camera), (asked + after) / 2, (after - asked) / UNIFORM)
+
+    def set_exposure(self, seconds: float) -> float:
+        """Raises CameraError: the program exposes."""
+        raise CameraError(f"camera {self.name!r} is a command; its exposure is set by its program")
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+
+def _stamped(given: tuple[Pixels, float, float]) -> tuple[Pixels, float, float]:
+    image, t, sigma = given
+    return image, float(t), float(sigma)
+
+
+def checked_image(image: object, camera: Camera) -> Pixels:
+    """Checked image of a user's program.
+
+    Raises CameraError for another size or type.
+    """
+    if not isinstance(image, np.ndarray) or image.dtype not in (np.uint8, np.uint16) or image.ndim not in (2, 3):
+        what = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+        raise CameraError(f"camera {camera.name!r} gives {what}, not an array of uint8 or uint16")
+    expected = (camera.height, camera.width, 3)[: image.ndim]
+    if image.shape != expected:
+        raise CameraError(
+            f"camera {camera.name!r} gives {image.shape[1]} x {image.shape[0]} px, but rig.toml has "
+            f"{camera.width} x {camera.height} px"
+        )
+    return image

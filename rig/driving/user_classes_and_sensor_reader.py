@@ -1,23 +1,36 @@
-"""User's own protocol, camera and sensor classes.
+"""User's own protocol, camera and sensor classes, and the reader of sensors.
 
 A user's own file, or the entry point of a package, gives them.
 
 Both are programs and are run: only by what drives the controller or opens the camera, never by reading a rig.toml.
+
+Sensors are read from a port, a line of numbers per reading, or by a program of the user's own.
 """
+
+from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from functools import lru_cache, wraps
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import ParamSpec, TypeVar, cast
+from typing import TYPE_CHECKING, ParamSpec, TypeVar, cast
 
-from rig.errors import FileError, RigError
+import numpy as np
+
+from rig.array_and_json_types import Floats
+from rig.driving.clock import Clock
+from rig.driving.ports_and_numbered_frames import SerialPort
+from rig.errors import FileError, NoAnswer, RigError
 from rig.formats.local_and_remote_input_files import is_remote
+from rig.formats.numbers_and_units import parse_numbers
 from rig.formats.user_python_file import UserModule, line_of_class, line_within, run_user_file
-from rig.model.design import Design
+from rig.model.design import Design, SensorPort
 from rig.model.protocol_and_port_names import is_user_program
+
+if TYPE_CHECKING:
+    from rig.driving.request_and_answer_exchange_with_controller import Port
 
 P = ParamSpec("P")
 Steps = Generator[object, object, object]  # of a dialogue
@@ -137,3 +150,108 @@ def _package(name: str, group: str) -> UserModule:
         raise RigError(f"the entry point {name!r} of {group} is {loaded!r}, not a class in a module")
     path = Path(module.__file__)
     return UserModule(path, path.read_text(encoding="utf-8"), "", module)
+
+
+WAIT = 2.0  # s for a line
+LONGEST = 4096  # bytes
+GROUP = "rig.sensors"  # of entry points
+
+
+class SensorReader:
+    """An open port with sensors. stated : SensorPort of the rig.toml; opener : makes the port, by default the one that
+    it names
+    """
+
+    def __init__(self, stated: SensorPort, clock: Clock, opener: Callable[[], Port] | None = None) -> None:
+        self._stated, self._clock = stated, clock
+        self._port = opener() if opener else SerialPort(stated.port, stated.baudrate, clock)
+
+    def read(self) -> dict[str, float]:
+        """{channel: value} of a line that came after this call. Raises NoAnswer where none comes, or one that is not
+        these channels.
+        """
+        stated, rest, end = self._stated, b"", self._clock.now() + WAIT
+        self._port.read(self._clock.now())  # what came before is old
+        if stated.ask:
+            self._port.write(stated.ask.encode() + b"\n")
+        skip = not stated.ask  # a line under way may have begun before
+        while True:
+            if self._clock.now() >= end:
+                raise NoAnswer(f"the sensors at {stated.port} sent no line in {WAIT:g} s")
+            rest += self._port.read(end)
+            *lines, rest = rest.replace(b"\r", b"\n").split(b"\n")
+            lines = [line for line in lines if line.strip()]
+            if len(rest) > LONGEST:
+                raise NoAnswer(f"the sensors at {stated.port} send no lines: {rest[:40]!r} ..")
+            if lines and skip:
+                lines, skip = lines[1:], False
+            if lines:
+                return self._values(lines[-1])
+
+    def limbs(self) -> Floats:
+        """(6,) m, what the measuring limbs read."""
+        values = self.read()
+        return np.array([values[f"m{i + 1}"] for i in range(6)])
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._port.close()
+
+    def _values(self, line: bytes) -> dict[str, float]:
+        cells = line.decode("latin-1").replace(",", " ").replace(";", " ").split()
+        try:
+            values = parse_numbers(cells)
+        except ValueError:
+            values = []
+        if len(values) != len(self._stated.channels) or not np.isfinite(values).all():
+            raise NoAnswer(
+                f"the sensors at {self._stated.port} sent {line[:80]!r}; [sensors] channels has "
+                f"{len(self._stated.channels)} numbers"
+            )
+        return dict(zip(self._stated.channels, values))
+
+
+class UserSensors:
+    """Base class of sensors or an instrument of the user's own. channels : names as [sensors] states them."""
+
+    def __init__(self, channels: tuple[str, ...]) -> None:
+        self.channels = channels
+
+    def read(self) -> Mapping[str, float]:
+        """{channel: value} measured after this call."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Let go of the device."""
+
+
+class UserSensorReader(SensorReader):
+    """Sensors that a class in a user's file or package reads; see SensorReader."""
+
+    def __init__(self, stated: SensorPort) -> None:
+        """Raises FileError or RigError where the program cannot be used."""
+        kind, path = load_user_class(stated.port, UserSensors, GROUP, "sensors")
+        if kind.read is UserSensors.read:
+            raise fail_at_class(path, kind, "lacks read, which returns {channel: value}")
+        self._stated, self._path, self._owner = stated, path, kind.__name__
+        self._user = guard_call(kind, path, RigError, self._owner)(stated.channels)
+
+    def read(self) -> dict[str, float]:
+        found = guard_call(self._user.read, self._path, NoAnswer, self._owner)()
+        channels = self._stated.channels
+        values = {name: float(found[name]) for name in channels if name in found}
+        wrong = [name for name in channels if not np.isfinite(values.get(name, np.nan))]
+        if wrong:
+            raise NoAnswer(f"{self._path}: {self._owner}.read gave no number for {', '.join(wrong)}")
+        return values
+
+    def close(self) -> None:
+        guard_call(self._user.close, self._path, RigError, self._owner)()
+
+
+def open_sensors(stated: SensorPort, clock: Clock) -> SensorReader:
+    """The sensors of a rig.toml, opened.
+
+    Raises LinkLost for a port, FileError or RigError for a program.
+    """
+    return UserSensorReader(stated) if is_user_program(stated.port) else SensorReader(stated, clock)

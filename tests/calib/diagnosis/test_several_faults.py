@@ -1,0 +1,53 @@
+"""Faults that come together: what several axes show beside what all have in common, and what stays when it is tried in
+another's place. The recordings are of the independent truth.
+"""
+
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+
+from calib.api.diagnose import diagnose
+from calib.diagnosis.engine.candidate_score import joint_gain
+from calib.diagnosis.engine.linear_model import Projection
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from rig.recording import recording_folder
+from tests.bench.several_faults import drawn
+from tests.truth import record
+
+
+def projection(columns, residual):
+    return Projection(np.zeros((0, columns.shape[1])), columns.T @ residual, columns.T @ columns)
+
+
+def test_sizes_of_columns_are_those_of_least_squares_that_never_goes_below_zero():
+    rng = np.random.default_rng(5)
+    columns, residual = rng.normal(size=(40, 6)) @ rng.normal(size=(6, 6)), rng.normal(size=40)
+    sizes, gain = joint_gain(projection(columns, residual), np.zeros(6, bool))
+    expected, left = nnls(columns, residual)
+    assert np.allclose(sizes, expected, atol=1e-3 * expected.max())
+    assert gain == pytest.approx(residual @ residual - left**2, rel=1e-4)
+
+
+def test_what_may_have_either_sign_does_and_a_column_that_another_makes_needless_takes_nothing_from_the_sum():
+    rng = np.random.default_rng(6)
+    columns, sizes = rng.normal(size=(50, 3)), np.array([2.0, -1.0, 0.5])
+    twice = np.column_stack([columns, columns[:, 0]])
+    found, gain = joint_gain(projection(twice, columns @ sizes), np.ones(4, bool))
+    assert np.allclose(twice @ found, columns @ sizes) and gain == pytest.approx(((columns @ sizes) ** 2).sum())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "seed",
+    [
+        pytest.param(65003, id="a clock that is late and drives that lag differently"),
+        pytest.param(65017, id="drives that lag a little differently, and a strut that creeps"),
+        pytest.param(51007, id="struts that creep with two times, and a clock that is late"),
+    ],
+)
+def test_what_moves_with_the_speed_is_named_or_listed_among_what_it_cannot_be_told_from(seed, tmp_path):
+    case, hidden = drawn(seed, 2)
+    found = diagnosis_report(diagnose(recording_folder.load_recording(record(case, tmp_path / "rec"))).found)
+    effects = tuple(f for f in found.findings if f.effect != "unknown")
+    for one in hidden:
+        assert one.is_named(effects) or one.is_in_stated_set(effects), (str(one), [str(f) for f in effects])
