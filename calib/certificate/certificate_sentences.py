@@ -119,9 +119,7 @@ def basis_lines(certificate: Contents) -> list[str]:
         )
     k = certificate.conditions
     if k.moving:
-        lines.append(
-            f"Not counted: {k.moving} exposures within {k.rest:g} s of a move. The limit is of poses that are held."
-        )
+        lines.append(f"Not counted: {k.moving} exposures within {k.rest:g} s of a move; the limit is of poses held.")
     if certificate.confounds is not None:
         lines.append(_sentence(certificate.confounds.line()))
     if not certificate.cells:
