@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from calib.api.online_learning import learn as learn
     from calib.api.plan import plan as plan
     from calib.api.plan_options_and_result import PlanOptions as PlanOptions
-    from calib.api.recording_check_and_combination import check as check
+    from calib.api.recording_check_combination_and_view import check as check
     from calib.api.verify_and_watch import verify as verify
     from calib.api.verify_and_watch import watch as watch
     from calib.api.why import why as why
@@ -83,7 +83,7 @@ __getattr__ = lazy_getattr(
     {
         "plan": "calib.api.plan",
         "PlanOptions": "calib.api.plan_options_and_result",
-        "check": "calib.api.recording_check_and_combination",
+        "check": "calib.api.recording_check_combination_and_view",
         "calibrate": "calib.api.calibrate",
         "CalibrateOptions": "calib.api.calibrate",
         **dict.fromkeys(("diagnose", "DiagnoseOptions"), "calib.api.diagnose"),

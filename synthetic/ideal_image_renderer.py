@@ -5,7 +5,7 @@ By pyrender, off screen through EGL; OpenGL's axes are known only here.
 The scene is drawn as an oversized pinhole picture, finer than the camera's, and bent through the lens by sampling it
 bilinearly at SAMPLES x SAMPLES places of each pixel; the sensor blurs that finer picture before it takes the pixels'
 means, as optics do. Markers are white paper to OpenGL: it tells which paper is seen where, with white and with black
-light, and the ink is laid exactly between the two (synthetic/marker_pattern_drawing.py), because a texture's filters
+light, and the ink is laid exactly between the two (marker_drawing_sensor_and_occlusion.py), because a texture's filters
 move edges by some thousandths of a pixel, the same in every picture of one pose.
 (cv2.remap would round the places to 1/32 px, which shows.) A pixel centre is at a whole number for OpenCV and half a
 pixel further for OpenGL.
@@ -29,7 +29,7 @@ from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.errors import MissingLibrary
 from rig.model.design import Camera, Design
 from rig.model.pose import exp
-from synthetic.marker_pattern_drawing import bilinear_value, draw_marker_pattern
+from synthetic.marker_drawing_sensor_and_occlusion import bilinear_value, draw_marker_pattern
 from synthetic.rig_meshes import BLACK, WHITE, Ink, Part, mesh_body_matrices, part_brightness
 from vision import lens
 

@@ -30,7 +30,7 @@ from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors
 from synthetic import rig_meshes, secret_machine_and_truth_file
 from synthetic.ideal_image_renderer import SAMPLES, Renderer, import_pyrender
-from synthetic.image_sensor_and_occlusion import expose_image
+from synthetic.marker_drawing_sensor_and_occlusion import expose_image
 from synthetic.recording_simulation import Simulation, carried_camera_poses, stage_poses_of_run
 from vision.predict import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 

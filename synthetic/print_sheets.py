@@ -20,11 +20,17 @@ from rig.errors import RigError
 from rig.formats.output_files import write_bytes
 from rig.model.calibration_board import Board
 from rig.model.design import Design, Target
-from synthetic.cube_nets_and_stl import NET, SIDES, Piece, Placed, Size, arrange_net, cube_stl_files
-from synthetic.sheet_rulers_and_assembly_page import (
+from synthetic.cube_nets_rulers_and_assembly_page import (
     FOOT,
     LEFT,
     MARGIN,
+    NET,
+    SIDES,
+    Piece,
+    Placed,
+    Size,
+    arrange_net,
+    cube_stl_files,
     cut_line_style,
     draw_assembly_page,
     draw_rulers_and_legend,

@@ -29,7 +29,7 @@ from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.recording.recording_folder import LIMB, Sensors, sensors_with_gravity
 from rig.recording.recording_tables import DISTANCE, POSE_COLUMNS, Corners, write_corners, write_table
 from synthetic import secret_machine_and_truth_file as worlds
-from synthetic.image_sensor_and_occlusion import is_occluded
+from synthetic.marker_drawing_sensor_and_occlusion import is_occluded
 from synthetic.secret_machine_and_truth_file import remount_cubes
 from vision.predict import (
     MarkerMap,

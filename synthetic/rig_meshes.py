@@ -4,7 +4,7 @@ By trimesh: plates, struts, cubes and sheets with markers, and a background.
 
 Every part is a flat grey, a sheet of paper with a marker's ink on it, or a textured face; brightness comes from the
 lamps by Lambert's law, face by face, so that the renderer need only multiply. Ink is no texture: it is laid exactly,
-see synthetic/marker_pattern_drawing.py.
+see synthetic/marker_drawing_sensor_and_occlusion.py.
 """
 
 from dataclasses import dataclass

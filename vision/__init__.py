@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 from rig.compute.numba_kernels_and_lazy_exports import lazy_getattr
 
 if TYPE_CHECKING:
+    from vision.api import MeasurementResult as MeasurementResult
     from vision.api import MeasureOptions as MeasureOptions
     from vision.api import measure as measure
-    from vision.measurement_result import MeasurementResult as MeasurementResult
 
 __all__ = ["measure", "MeasureOptions", "MeasurementResult"]
 __getattr__ = lazy_getattr(
-    __name__,
-    {**dict.fromkeys(("measure", "MeasureOptions"), "vision.api"), "MeasurementResult": "vision.measurement_result"},
+    __name__, {**dict.fromkeys(("measure", "MeasureOptions"), "vision.api"), "MeasurementResult": "vision.api"}
 )

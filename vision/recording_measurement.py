@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
+from threadpoolctl import threadpool_limits
 
 from rig.array_and_json_types import Floats
 from rig.errors import NotEnoughData, RigError
@@ -27,8 +28,8 @@ from vision.corner_observations import Observations, observations_from_corners, 
 from vision.lenses.lens_calibration import alternative_initial_lenses, are_lenses_plausible
 from vision.pose.marker_places_from_sightings import marker_places_from_sightings
 from vision.predict import MarkerMap, marker_map
-from vision.reading.corner_refit_with_adjusted_lenses import ROUNDS, SETTLED, largest_lens_difference, refit_corners
-from vision.reading.marker_identity_mistakes import LOOKED_AT, no_marker_reason
+from vision.reading.live_measurement_and_corner_refit import ROUNDS, SETTLED, largest_lens_difference, refit_corners
+from vision.reading.marker_identity_and_expected_places import LOOKED_AT, no_marker_reason
 from vision.reading.recording_corners import Collected, collect_corners, image_reader, search_missed_markers
 from vision.recording_adjustment import (
     Measurement,
@@ -47,6 +48,7 @@ FRAMES = 8  # on which other lenses are tried
 PLACES = ("auto", "stated", "free")
 
 
+@threadpool_limits.wrap(limits=1)  # small products wait for threads; and sums are rounded by how many share them
 def measure_recording(
     recording: Recording,
     free: Sequence[str] = ("poses", "lenses"),

@@ -5,7 +5,7 @@ Motion of the platform between a frame's time and the exposure of each corner.
 A corner in row v of a rolling shutter is exposed (v - height / 2) * row_time after its camera's time, which may itself
 be later than the frame's. The platform has moved on by then, at the rate that commands state. Where it speeds up, this
 rate depends on the clocks of cameras and commands and on the lag of the drives. They are solved for by the poses
-themselves (vision.clocks_of_moving_exposures) where these move enough; how well they are known is in the covariance of
+themselves (vision.camera_and_command_clocks) where these move enough; how well they are known is in the covariance of
 the pose.
 """
 
@@ -20,8 +20,13 @@ from rig.model.motion_simulation import simulate_machine_run
 from rig.model.pose import exp
 from rig.recording.exposures_and_image_files import SIMULTANEOUS
 from rig.recording.recording_folder import Recording
-from vision.camera_time_offsets import camera_time_offsets
-from vision.clocks_of_moving_exposures import Clocks, are_moving, clocks_of_recording, recording_with_clocks
+from vision.camera_and_command_clocks import (
+    Clocks,
+    are_moving,
+    camera_time_offsets,
+    clocks_of_recording,
+    recording_with_clocks,
+)
 from vision.corner_observations import Observations
 from vision.predict import predict_corners
 from vision.recording_adjustment import Measurement

@@ -15,7 +15,7 @@ from calib.api.correction_over_configuration_or_pose_space import (
     ExtendOptions,
     certify_correction_extension,
 )
-from calib.api.recording_check_and_combination import check_and_combine_recordings
+from calib.api.recording_check_combination_and_view import check_and_combine_recordings
 from calib.certification import platform_certification
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import calibration_verdict
@@ -39,11 +39,13 @@ from calib.diagnosis.findings_refit import (
 from calib.diagnosis.problems.arm.effects_shown_by_instruments import fit_of_measured_effects
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_file import SEED, calibration_with_provenance
-from calib.models.arm import calibration_page as arm_page
+from calib.models.arm import calibration_page_and_c_source as arm_page
 from calib.models.arm import certification as arm_certification
-from calib.models.arm.joint_space_correction_and_certification import commanded_minus_joint_values_by_stated_arm
+from calib.models.arm.joint_space_correction_and_claim import (
+    arm_workspace_claim,
+    commanded_minus_joint_values_by_stated_arm,
+)
 from calib.models.arm.pointing_terms import PointingTerms, pointing_terms
-from calib.models.arm.workspace_claim import arm_workspace_claim
 from calib.models.chain import certification_and_page as chain_certification
 from calib.models.machine_models import Certified
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
@@ -66,8 +68,8 @@ from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import write_table
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_and_display import OneLineRepr, Verdict, result_html
+from vision.camera_and_command_clocks import Clocks
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
-from vision.clocks_of_moving_exposures import Clocks
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -57,9 +57,9 @@ from calib.correction.interpolation_methods_and_correction_summand_fields import
     single_step_command_errors,
 )
 from calib.files.mechanism_and_physics_entries import mechanism_dict
-from calib.models.arm import joint_space_correction_and_certification as arm_extension
+from calib.models.arm import joint_space_correction_and_claim as arm_extension
 from calib.models.arm.certification import CertifiedArm as ArmCertified
-from calib.models.arm.workspace_claim import arm_workspace_claim
+from calib.models.arm.joint_space_correction_and_claim import arm_workspace_claim
 from calib.models.platform.identification import inverse_strut_length_jacobian
 from calib.samples.pose_samples import Sampled, Samples
 from rig.array_and_json_types import Booleans, Json

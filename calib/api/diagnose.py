@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calib.api.next_experiment import ExperimentOptions, NextExperiment, diagnosis_questions, next_experiment
-from calib.api.recording_check_and_combination import check_and_combine_recordings
+from calib.api.recording_check_combination_and_view import check_and_combine_recordings
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import OfCalibrations
 from calib.certification.platform_certification import Progress, silent_progress

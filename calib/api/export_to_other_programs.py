@@ -18,7 +18,7 @@ from calib.correction.controller_kinematics_source import grblhal_kinematics_sou
 from calib.correction.correction_as_c_source import correction_c_source
 from calib.correction.correction_tables import axis_correction_tables, grid_correction_table
 from calib.files import calibration_file
-from calib.models.arm.arm_correction_as_c_source import arm_correction_c_source
+from calib.models.arm.calibration_page_and_c_source import arm_correction_c_source
 from calib.models.arm.correction import ArmCorrection
 from rig.array_and_json_types import Floats
 from rig.errors import RigError

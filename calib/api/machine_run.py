@@ -12,6 +12,7 @@ from threading import Thread
 
 import numpy as np
 
+from calib.online.live_learner_and_run_state import RunDisplay
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_options_cameras_sensors_and_observer import RunOptions as RunOptions
 from calib.online.run_options_cameras_sensors_and_observer import (
@@ -21,7 +22,6 @@ from calib.online.run_options_cameras_sensors_and_observer import (
     run_observer,
     set_exposures,
 )
-from calib.online.run_state import RunDisplay
 from rig.array_and_json_types import Floats
 from rig.driving import move_profiles_and_path_check
 from rig.driving.cameras.camera_interface_and_user_cameras import SynchronisedCameras

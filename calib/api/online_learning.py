@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from calib.api.recording_check_and_combination import refuse_unfit_recording
+from calib.api.recording_check_combination_and_view import refuse_unfit_recording
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import OfCalibrations, calibration_evidence
 from calib.diagnosis.calibration_left_out_physics import unexplained_findings_and_refutations

@@ -55,7 +55,7 @@ from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Poses
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_and_display import OneLineRepr, Refutation, State, Verdict, result_html
-from vision.clocks_of_moving_exposures import Clocks
+from vision.camera_and_command_clocks import Clocks
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -10,8 +10,8 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.online.live_learner_and_run_state import MeasuredFrame, RunState
 from calib.online.observer_of_run_frames import RunObserver
-from calib.online.run_state import MeasuredFrame, RunState
 from calib.report.pose_and_effect_figures import closed_outline, fixed_rig_lines
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.driving.move_and_record_loop import RecordedFrame

@@ -16,9 +16,17 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.redundant_limb_checks import has_six_measuring_limbs
 from calib.online.filter_kernels_and_change_detection import change_sentence
-from calib.online.live_learner_and_limb_agreement import Learner, Learnt, LimbWatch
+from calib.online.live_learner_and_run_state import (
+    Learner,
+    Learnt,
+    LimbWatch,
+    MeasuredFrame,
+    RunDisplay,
+    RunState,
+    RunStateChanges,
+    journal_row_in_words,
+)
 from calib.online.measuring_limb_poses_checked_by_vision import Disagreement, LiveLimbPoses
-from calib.online.run_state import MeasuredFrame, RunDisplay, RunState, RunStateChanges, journal_row_in_words
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import RecordedFrame
@@ -40,7 +48,7 @@ from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
 from vision.reading.camera_and_marker_alarms import Alarm, Watch
-from vision.reading.live_measurement import Live, Sight, sight_from_measuring_limbs
+from vision.reading.live_measurement_and_corner_refit import Live, Sight, sight_from_measuring_limbs
 
 WAITING = 4  # frames that may wait to be measured before the run waits for them
 LOGGED = 60  # events that are kept for displays

@@ -14,7 +14,7 @@ from calib.certification import measuring_limb_identification_and_agreement
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.online import accepted_limbs_file
 from calib.online.accepted_limbs_file import Accepted
-from calib.online.live_learner_and_limb_agreement import Learner
+from calib.online.live_learner_and_run_state import Learner
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, LiveLimbPoses, write_acceptance_withdrawal
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from rig.array_and_json_types import Floats
@@ -33,7 +33,7 @@ from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 from vision.corners.marker_detection_and_corner_fit import detect_markers
 from vision.predict import marker_map
-from vision.reading.live_measurement import Live
+from vision.reading.live_measurement_and_corner_refit import Live
 from vision.reading.parallel_image_map_and_marker_rendering import marker_white_level, render_marker_images, save_image
 from vision.recording_adjustment import has_hand_cameras
 

@@ -28,11 +28,11 @@ from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 from vision import frame_pictures
+from vision.api import TWICE, MeasurementResult, measurement_verdict
 from vision.bundle.adjustment_validation_and_determinacy import HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places
 from vision.bundle.unknowns_estimate_and_printing_errors import UnknownName
-from vision.measurement_result import TWICE, MeasurementResult, measurement_verdict
-from vision.reading.marker_identity_mistakes import Suspect
+from vision.reading.marker_identity_and_expected_places import Suspect
 from vision.recording_adjustment import Measurement
 
 ENLARGED = 200.0

@@ -8,7 +8,7 @@ import numpy as np
 from calib.samples.exposure_conditions import conditions_of_exposures
 from calib.samples.pose_samples import Sampled, Samples, tilt_readings
 from rig.recording.recording_folder import Recording
-from vision.clocks_of_moving_exposures import Clocks, clocks_of_recording, recording_with_clocks
+from vision.camera_and_command_clocks import Clocks, clocks_of_recording, recording_with_clocks
 
 
 def clocks_of_samples(recording: Recording, samples: Samples) -> tuple[Clocks, ...]:

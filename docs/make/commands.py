@@ -1,13 +1,11 @@
 """The page of commands: what `rig COMMAND --help` says, of every command. Made when the documents are built."""
 
 import argparse
-import importlib
 
 from docs.make.told import in_cell
-from rig.cli.command_line import module_of_command
+from rig.cli.command_line import functions_of_command
 from rig.cli.command_list import GROUPS
-from rig.cli.shared.common_options import SHARED
-from rig.cli.shared.worker_options_and_pool import add_worker_options
+from rig.cli.shared.common_options import SHARED, add_worker_options
 
 HEAD = """# The commands
 
@@ -26,7 +24,7 @@ def page() -> str:
     parts = [HEAD]
     for group, name, words in [(group, *entry) for group, commands in GROUPS.items() for entry in commands.items()]:
         parser = argparse.ArgumentParser(prog=f"rig {name}", add_help=False, formatter_class=_Plain)
-        importlib.import_module(f"rig.cli.{module_of_command(name)}").arguments(parser)
+        functions_of_command(name)[0](parser)
         if name in SHARED:
             add_worker_options(parser)
         usage = "\n".join(f"    {line}" for line in parser.format_usage().removeprefix("usage: ").rstrip().splitlines())

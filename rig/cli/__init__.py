@@ -1,4 +1,4 @@
-"""One file per command, each with arguments(parser) and run(arguments); they alone see every package, inside run.
+"""One file per command or family of commands, with what adds arguments and what runs; they alone see every package.
 `main` runs one of them.
 """
 

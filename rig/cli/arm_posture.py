@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.array_and_json_types import Json
+from rig.cli.shared.argument_parsing import parse_numbers
 from rig.cli.shared.common_options import (
     add_json_option,
     add_overwrite_option,
@@ -18,7 +19,6 @@ from rig.cli.shared.common_options import (
     print_json,
     require_matplotlib,
 )
-from rig.cli.shared.option_value_parsing import parse_numbers
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number
 from rig.formats.output_files import write_text

@@ -1,6 +1,7 @@
-"""rig calibrate: calibrate a machine from recordings.
+"""rig calibrate: calibrate a rig; rig calibrate online: learn pose by pose.
 
-It writes calibration.json with held-out errors, and a page.
+It writes calibration.json with held-out errors, and a page. On-line, the poses of a recording are learnt one by one,
+and sudden changes of the machine are reported.
 """
 
 from __future__ import annotations
@@ -9,24 +10,37 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options
-from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout, page_links
+from rig.cli.shared import input_options, output_display
+from rig.cli.shared.argument_parsing import parse_length
+from rig.cli.shared.common_options import (
+    add_json_result_option,
+    add_overwrite_option,
+    add_page_option,
+    file_or_stdout,
+    page_links,
+    page_path,
+)
 from rig.cli.shared.input_options import (
     add_anyway_option,
     add_limb_options,
+    add_recording_argument,
     add_recordings_argument,
     limb_source,
     notice_printer,
+    read_recording,
     read_recordings,
 )
-from rig.cli.shared.option_value_parsing import parse_length
 from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
+from rig.formats.numbers_and_units import parse_number
 
 if TYPE_CHECKING:
     from calib.api.calibrate import CalibrateOptions
     from calib.api.correction_over_configuration_or_pose_space import ExtendOptions
+    from calib.api.online_learning import LearningResult, LearnOptions
+    from calib.online.measuring_limb_poses_checked_by_vision import LimbSource
     from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
+
 
 WAYS = ("linear", "simplex", "delaunay", "axes", "radial", "polynomial", "auto")
 SPACES = ("configuration", "pose", "both")
@@ -195,3 +209,119 @@ def _extend_options(arguments: Namespace) -> ExtendOptions | None:
     return ExtendOptions(
         arguments.extend, arguments.alone, onto, str(arguments.onto), arguments.space, arguments.within
     )
+
+
+FILTER = "filter"  # the learner of calib.online.information_filter
+SETTINGS = {"forgetting": "kept", "drifting": "drift", "first-order": "step"}
+
+
+def arguments_of_online(parser: ArgumentParser) -> None:
+    """Add the arguments of `rig calibrate online` to a parser."""
+    add_recording_argument(parser)
+    parser.add_argument(
+        "--state",
+        metavar="FILE",
+        type=Path,
+        help="continue from this state if it exists, and save it after the last pose",
+    )
+    parser.add_argument(
+        "--calibration", metavar="FILE", type=Path, help="start from this calibration, not from rig.toml"
+    )
+    add_page_option(parser)
+    add_anyway_option(parser)
+    _add_learner_options(parser)
+    add_limb_options(parser)
+    add_json_result_option(parser)
+
+
+def _add_learner_options(parser: ArgumentParser) -> None:
+    """Add the options that choose a learner (--learner) and its setting."""
+    parser.add_argument(
+        "--learner",
+        choices=(FILTER, *SETTINGS),
+        default=FILTER,
+        help="filter (the default) reports sudden changes; forgetting: "
+        "least squares with directional forgetting; drifting: random-walk parameters; first-order: "
+        "gradient steps, no covariance",
+    )
+    parser.add_argument(
+        "--kept",
+        type=parse_number,
+        metavar="SHARE",
+        help="of forgetting: share of the information that a pose retains (default 0.99)",
+    )
+    parser.add_argument(
+        "--drift",
+        type=parse_number,
+        metavar="M",
+        help="of drifting: random-walk step of a parameter per pose (default 1e-7 m)",
+    )
+    parser.add_argument(
+        "--step",
+        type=parse_number,
+        metavar="M",
+        help="of first-order: how far a parameter may have to go (default 1e-3 m)",
+    )
+
+
+def run_online(arguments: Namespace) -> None:
+    """Run `rig calibrate online`.
+
+    Learn parameters from a recording pose by pose, and print sudden changes.
+    """
+    progress = Progress()
+    progress("reading the recording", 0, 1)
+    limbs = limb_source(arguments)
+    recording = read_recording(arguments)
+    from calib.api.online_learning import learn
+
+    state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
+    page, options = page_path(arguments), _learn_options(arguments, limbs)
+    result = learn(recording, options, progress, notice_printer(progress))
+    if state is not None:
+        result.save(state)
+    arguments.result = result.tree()
+    _print_learnt(arguments, result)
+    if page is not None:
+        result.write_page(page, page_links(arguments, arguments.page))
+        print(f"written: {arguments.page}")
+
+
+def _print_learnt(arguments: Namespace, result: LearningResult) -> None:
+    """Print what was learnt, and where the state is."""
+    from rig.cli.shared.measurement_and_calibration_summary import print_online_learning_result
+
+    named = arguments.learner == FILTER
+    written = [] if arguments.state is None else [f"written: {arguments.state}"]
+    found = [result.verdict.line, result.confounds_line]
+    print_online_learning_result(result, named)
+    print("\n".join([found[1], *written] if named else [*written, *found]))
+
+
+def _learn_options(arguments: Namespace, limbs: LimbSource | None) -> LearnOptions:
+    """How poses are learnt, by the arguments."""
+    from calib.api.online_learning import LearnOptions
+    from calib.files import calibration_file
+
+    _refuse_other_learners_settings(arguments)
+    start = arguments.calibration
+    return LearnOptions(
+        arguments.state,
+        None if start is None else calibration_file.load(start),
+        str(start),
+        () if start is None else output_display.read_and_print_refutations(start),
+        arguments.learner,
+        getattr(arguments, SETTINGS.get(arguments.learner, ""), None),
+        limbs,
+        arguments.anyway,
+    )
+
+
+def _refuse_other_learners_settings(arguments: Namespace) -> None:
+    """Refuse settings of other learners than the chosen one.
+
+    Raises RigError where one is given
+    """
+    for learner, setting in SETTINGS.items():
+        if learner != arguments.learner and getattr(arguments, setting) is not None:
+            raise RigError(f"--{setting} is of --learner {learner}, not of {arguments.learner}")

@@ -12,21 +12,21 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import refutation_printing_and_writing
+from rig.cli.shared import output_display
+from rig.cli.shared.argument_parsing import parse_tolerance
 from rig.cli.shared.common_options import (
     SEED,
+    add_hand_option,
     add_json_result_option,
     add_overwrite_option,
     file_or_stdout,
     missing_matplotlib_reason,
     page_links,
+    recording_of_chosen_hand,
     require_matplotlib,
 )
-from rig.cli.shared.hand_option import add_hand_option, recording_of_chosen_hand
 from rig.cli.shared.input_options import read_recording
-from rig.cli.shared.option_value_parsing import parse_tolerance
-from rig.cli.shared.output_display import Progress
-from rig.cli.shared.printing_of_held_out_errors import print_frames_without_pose
+from rig.cli.shared.output_display import Progress, print_frames_without_pose
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number
 from rig.report.verdict_and_display import exit_status
@@ -166,9 +166,9 @@ def run(arguments: Namespace) -> int:
     source = certificate_provenance(arguments.calibration, calibration, recordings, arguments.argv, SEED)
     result = certify(calibration, recordings, options, refuted, source, str(arguments.calibration), progress)
     progress.close()
-    refutation_printing_and_writing.print_refutations(arguments.calibration, refuted)
+    output_display.print_refutations(arguments.calibration, refuted)
     for name, sentence in result.refutations:
-        refutation_printing_and_writing.write_refutation(arguments, arguments.calibration, name, sentence)
+        output_display.write_refutation(arguments, arguments.calibration, name, sentence)
     left_out = missing_matplotlib_reason() if suffix == "" else None
     if suffix and suffix not in result.kinds:
         raise RigError(f"{arguments.out}: a certificate of directions is written as {' or '.join(result.kinds)}")

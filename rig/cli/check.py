@@ -25,7 +25,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     Exit status 1 where results would mean nothing.
     """
-    from calib.api.recording_check_and_combination import check
+    from calib.api.recording_check_combination_and_view import check
 
     found = check(arguments.recording, arguments.detect)
     if arguments.json:

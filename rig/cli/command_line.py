@@ -11,14 +11,14 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout, suppress
 from pathlib import Path
 from shutil import get_terminal_size
 from typing import NoReturn, TextIO, TypeVar, cast
 
-from rig.cli.command_list import COMMANDS, EARLIER_NAMES, FAMILIES
-from rig.cli.shared.argument_parser import Parser, join_negative_numbers
+from rig.cli.command_list import COMMANDS, EARLIER_NAMES, FAMILIES, SHARED_FILES
+from rig.cli.shared.argument_parsing import Parser, join_negative_numbers
 from rig.cli.shared.common_options import add_common_options
 from rig.errors import RigError
 from rig.formats.output_files import STANDARD_OUTPUT, CommandOutputs
@@ -49,7 +49,18 @@ def name_in_manifests(name: str) -> str:
 
 def module_of_command(name: str) -> str:
     """Name of the module in rig.cli of a command."""
-    return name.replace("-", "_").replace(" ", "_")
+    return SHARED_FILES.get(name) or name.replace("-", "_").replace(" ", "_")
+
+
+def functions_of_command(name: str) -> tuple[Callable[[argparse.ArgumentParser], None], Callable[..., int | None]]:
+    """The two functions of a command, imported: the one that adds its arguments to a parser, and the one that runs it.
+
+    They are `arguments` and `run`; in a file of several commands, `arguments_of_WORD` and `run_WORD` by the last word.
+    """
+    module, last = importlib.import_module(f"rig.cli.{module_of_command(name)}"), name.split()[-1]
+    if name not in SHARED_FILES:
+        return module.arguments, module.run
+    return getattr(module, f"arguments_of_{last}"), getattr(module, f"run_{last}")
 
 
 def join_command_words(words: list[str]) -> tuple[list[str], str | None]:
@@ -163,10 +174,10 @@ def nested_command_parser() -> Parser:
 
 def _add_arguments(parser: Parser, name: str) -> object:
     """Add a command's arguments to a parser; returns the function that runs it."""
-    module = importlib.import_module(f"rig.cli.{module_of_command(name)}")
-    module.arguments(parser)
+    add_own_arguments, run = functions_of_command(name)
+    add_own_arguments(parser)
     add_common_options(parser, name)
-    return module.run
+    return run
 
 
 def run_script() -> NoReturn:
@@ -282,7 +293,7 @@ def _workers(arguments: argparse.Namespace) -> AbstractContextManager[None]:
     """Within it those work for a command who were asked for."""
     if "workers" not in arguments:
         return nullcontext()
-    from rig.cli.shared.worker_options_and_pool import use_requested_workers
+    from rig.cli.shared.common_options import use_requested_workers
 
     return use_requested_workers(arguments)
 

@@ -72,6 +72,18 @@ GROUPS = {
 }
 COMMANDS = {name: text for group in GROUPS.values() for name, text in group.items()}
 FAMILIES = {name.split()[0] for name in COMMANDS if " " in name}  # first words of commands of two words
+SHARED_FILES = {
+    "limbs test": "limbs",
+    "limbs closures": "limbs",
+    "doctor completion": "doctor",
+    "effects document": "effects",
+    "view index": "view",
+    "print check": "print",
+    "new design": "new",
+    "correct serve": "correct",
+    "calibrate online": "calibrate",
+    **dict.fromkeys(("home", "jog", "stop", "status"), "home_jog_stop_status"),
+}  # {command: its file in rig/cli, where several stand in one: its functions end with its last word}
 EARLIER_NAMES = {
     "blind": "simulate blind",
     "catalogue": "effects document",

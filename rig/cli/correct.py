@@ -1,20 +1,27 @@
-"""rig correct: corrected commands for wanted poses.
+"""rig correct: correct wanted poses; rig correct serve: serve corrections.
 
-By a calibration; or corrected poses of readings.
+By a calibration: corrected commands for wanted poses, or corrected poses of readings. The server answers programs of
+this computer on a loopback port.
 """
 
 from __future__ import annotations
 
+import signal
 import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options, refutation_printing_and_writing
-from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout
-from rig.cli.shared.hand_option import add_hand_option, calibration_of_chosen_hand
+from rig.cli.shared import input_options, output_display
+from rig.cli.shared.common_options import (
+    add_hand_option,
+    add_json_result_option,
+    add_overwrite_option,
+    calibration_of_chosen_hand,
+    file_or_stdout,
+)
 from rig.errors import RigError
-from rig.formats.numbers_and_units import parse_numbers
+from rig.formats.numbers_and_units import parse_numbers, parse_whole_number
 
 if TYPE_CHECKING:
     from calib.api.correct import CorrectionResult, CorrectOptions, PoseFrames
@@ -138,7 +145,7 @@ def run(arguments: Namespace) -> None:
     out, chosen = arguments.outputs.file(arguments.out), calibration_of_chosen_hand(arguments, calibration)
     if arguments.forward:
         return _write_read_poses(arguments, chosen, out)
-    refutation_printing_and_writing.read_and_print_refutations(arguments.calibration)
+    output_display.read_and_print_refutations(arguments.calibration)
     form = _format(arguments)
     wanted = load_wanted_poses(arguments.poses, form, chosen.correction.nominal)
     result = correct(calibration, wanted, _options(arguments, wanted, calibration, form.units))
@@ -309,3 +316,34 @@ def _print_rest(result: CorrectionResult, rest: Floats, poses: str | None) -> No
     )
     if poses is not None:
         print(f"the poses reached instead, with their uncertainty, are in {poses}")
+
+
+def arguments_of_serve(parser: ArgumentParser) -> None:
+    """Add the arguments of `rig correct serve` to a parser."""
+    parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
+    parser.add_argument("--port", type=parse_whole_number, default=0, metavar="PORT", help="0 (the default): any free")
+    parser.add_argument(
+        "--host", default="127.0.0.1", metavar="ADDRESS", help="an address of the loopback (default 127.0.0.1)"
+    )
+    input_options.add_user_effect_files_option(parser)
+
+
+def run_serve(arguments: Namespace) -> None:
+    """Run `rig correct serve`.
+
+    Answer until interrupted or terminated.
+    """
+    from calib.api.pose_move_and_correction_server import CorrectionServer
+
+    calibration = input_options.calibration_of_arguments(arguments)
+    output_display.read_and_print_refutations(arguments.calibration)
+    for ending in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
+        signal.signal(ending, signal.default_int_handler)
+    server = CorrectionServer(calibration, arguments.host, arguments.port)
+    try:
+        print(f"serving {server.address[0]} port {server.address[1]}", flush=True)
+        server.serve(lambda: True)
+    except KeyboardInterrupt:
+        print("ended")
+    finally:
+        server.close()

@@ -10,7 +10,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options, refutation_printing_and_writing
+from rig.cli.shared import input_options, output_display
 from rig.cli.shared.common_options import SEED, add_json_result_option, add_overwrite_option, page_links
 from rig.cli.shared.input_options import add_anyway_option, add_recordings_argument, notice_printer, read_recordings
 from rig.cli.shared.output_display import Progress
@@ -115,7 +115,7 @@ def run(arguments: Namespace) -> None:
     notice = notice_printer(progress)
     result = diagnose(recordings, options, progress, notice)
     for path, state, finding in result.against:
-        refutation_printing_and_writing.write_refutation(arguments, path, result.recording.name, finding, state)
+        output_display.write_refutation(arguments, path, result.recording.name, finding, state)
     result.write(out)
     result.write_page(out / "diagnosis.html", page_links(arguments, arguments.out / "diagnosis.html"))
     if experiment is not None:

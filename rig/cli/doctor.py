@@ -1,6 +1,6 @@
-"""rig doctor: check this computer's installation.
+"""rig doctor: check this computer's installation; rig doctor completion: print shell completion.
 
-Packages, OpenGL, cameras, ports, disk space, threads.
+Packages, OpenGL, cameras, ports, disk space, threads. Completion is for bash, zsh or fish.
 """
 
 from argparse import ArgumentParser, Namespace
@@ -37,3 +37,23 @@ def run(arguments: Namespace) -> int:
         for one in found:
             print(f"{one.state:8} {one.about:{wide}}  {one.text}" + (f"; {one.todo}" if one.todo else ""))
     return int(any(one.state == "missing" for one in found))
+
+
+def arguments_of_completion(parser: ArgumentParser) -> None:
+    """Add the arguments of `rig doctor completion` to a parser."""
+    parser.add_argument(
+        "shell",
+        choices=("bash", "zsh", "fish"),
+        help='bash: eval "$(rig doctor completion bash)" in ~/.bashrc; zsh: the same '
+        "in ~/.zshrc after compinit; fish: rig doctor completion fish > ~/.config/fish/completions/rig.fish",
+    )
+
+
+def run_completion(arguments: Namespace) -> None:
+    """Run `rig doctor completion`.
+
+    Print the completion script of a shell.
+    """
+    from rig.cli.shared.argument_parsing import completion_script
+
+    print(completion_script(arguments.all_commands(), arguments.shell))

@@ -1,16 +1,24 @@
-"""rig effects: list the effects of the catalogue.
+"""rig effects: list the known unmodelled effects; rig effects document: document them.
 
-Or print one in full, or write a file for an effect of one's own.
+Or print one effect in full, or write a file for an effect of one's own. The document states model, parameters,
+experiment, remedy and sketch of each.
 """
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rig.cli.shared import input_options
-from rig.cli.shared.common_options import add_json_option, add_overwrite_option, print_json
+from rig.cli.shared.common_options import add_json_option, add_overwrite_option, file_or_stdout, print_json
 from rig.errors import RigError
+from rig.formats.output_files import STANDARD_OUTPUT
+
+if TYPE_CHECKING:
+    from rig.effects.framework.effect import Effect
+    from rig.effects.sketches import Sketch
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -46,7 +54,7 @@ def run(arguments: Namespace) -> None:
         raise RigError("--from, --place and --out apply to a new effect: name it with --new")
     from shutil import get_terminal_size
 
-    from rig.cli.shared.argument_parser import suggestion_text
+    from rig.cli.shared.argument_parsing import suggestion_text
     from rig.effects.catalogue.effect_list import effect_description, effect_description_dict, effect_table
 
     width = get_terminal_size((160, 24)).columns
@@ -81,3 +89,53 @@ def _new(arguments: Namespace) -> None:
     print(f"written: {path}, {made}")
     print(f"rig diagnose REC --out DIR --effects {path}")
     print(f"rig simulate RIG.toml --effects {path} --effect {made.argument} --out REC")
+
+
+def arguments_of_document(parser: ArgumentParser) -> None:
+    """Add the arguments of `rig effects document` to a parser."""
+    parser.add_argument(
+        "--out",
+        metavar="FILE.md",
+        type=file_or_stdout,
+        default=STANDARD_OUTPUT,
+        help="where it is written, as Markdown, with a "
+        "sketch of each effect in a folder FILE next to it; printed without sketches by default",
+    )
+    input_options.add_user_effect_files_option(parser)
+    add_overwrite_option(parser)
+
+
+def run_document(arguments: Namespace) -> None:
+    """Run `rig effects document`.
+
+    Write the catalogue of effects as a document. Raises RigError for a name without a suffix.
+    """
+    from rig.api import effect_catalogue
+    from rig.errors import RigError
+    from rig.formats.output_files import write_text
+    from rig.formats.output_files.atomic_file_and_manifest import is_written_directly
+
+    kinds = input_options.known_effects(input_options.load_effect_files(arguments))
+    out = arguments.outputs.file(arguments.out)
+    printed = is_written_directly(out)
+    if not printed and not arguments.out.suffix:
+        raise RigError(
+            f"{arguments.out} has no suffix, and a folder of the same name next to it would hold the "
+            f"sketches: name it {arguments.out}.md"
+        )
+    folder = arguments.out.with_suffix("")
+    place = None if printed else arguments.outputs.folder(folder)
+    made = effect_catalogue(kinds, folder.name, None if place is None else _sketches())
+    if place is not None:
+        for name, svg in made.sketches.items():
+            write_text(place / f"{name}.svg", svg)
+    write_text(out, made.markdown)
+    if place is not None:
+        print(f"written: {arguments.out}, {folder}/")
+
+
+def _sketches() -> Callable[[type[Effect]], Sketch]:
+    """The function that draws the sketch of an effect."""
+    from calib.report.pose_and_effect_figures import effect_sketch
+
+    return effect_sketch

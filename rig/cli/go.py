@@ -9,7 +9,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options, refutation_printing_and_writing
+from rig.cli.shared import input_options, output_display
+from rig.cli.shared.argument_parsing import require_share
 from rig.cli.shared.common_options import (
     add_json_result_option,
     add_port_and_trace_options,
@@ -17,14 +18,13 @@ from rig.cli.shared.common_options import (
     add_trust_unhomed_position_option,
     add_units_option,
 )
-from rig.cli.shared.option_value_parsing import require_share
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_numbers
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-    from calib.api.pose_move import PoseMove
+    from calib.api.pose_move_and_correction_server import PoseMove
     from rig.formats.numbers_and_units import LengthAndAngleUnits
 
 
@@ -58,7 +58,7 @@ def run(arguments: Namespace) -> None:
 
     Move the platform to one pose through a calibration.
     """
-    from calib.api.pose_move import plan_pose_move, require_same_rig
+    from calib.api.pose_move_and_correction_server import plan_pose_move, require_same_rig
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
     from rig.formats.numbers_and_units import SI
@@ -66,7 +66,7 @@ def run(arguments: Namespace) -> None:
     require_share(arguments.speed)
     design = design_with_controller_port(arguments.rig, arguments.port)
     calibration = input_options.calibration_of_arguments(arguments)
-    refutation_printing_and_writing.read_and_print_refutations(arguments.calibration)
+    output_display.read_and_print_refutations(arguments.calibration)
     require_same_rig(design, calibration, arguments.rig, arguments.calibration)
     move = plan_pose_move(design, calibration, parse_pose(arguments.pose, arguments.units or SI), arguments.uncorrected)
     _print_plan(move)

@@ -9,8 +9,13 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, page_links
-from rig.cli.shared.hand_option import add_hand_option, recording_of_chosen_hand
+from rig.cli.shared.common_options import (
+    add_hand_option,
+    add_json_result_option,
+    add_overwrite_option,
+    page_links,
+    recording_of_chosen_hand,
+)
 from rig.cli.shared.input_options import (
     add_anyway_option,
     add_limb_options,

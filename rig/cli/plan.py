@@ -9,6 +9,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.cli.shared.argument_parsing import parse_length
 from rig.cli.shared.common_options import (
     SEED,
     add_json_result_option,
@@ -18,7 +19,6 @@ from rig.cli.shared.common_options import (
     page_links,
     page_path,
 )
-from rig.cli.shared.option_value_parsing import parse_length
 from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number, parse_whole_number

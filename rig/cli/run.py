@@ -10,9 +10,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.cli.shared.argument_parsing import length_and_angle
 from rig.cli.shared.common_options import SEED, add_controller_arguments
 from rig.cli.shared.input_options import add_limb_options, limb_source
-from rig.cli.shared.option_value_parsing import length_and_angle
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number, parse_whole_number
 

@@ -12,8 +12,12 @@ from subprocess import CompletedProcess
 
 from rig.array_and_json_types import Json
 from rig.cli.shared import blind_case_process
-from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option
-from rig.cli.shared.worker_options_and_pool import results_with_progress, worker_pool
+from rig.cli.shared.common_options import (
+    add_json_result_option,
+    add_overwrite_option,
+    results_with_progress,
+    worker_pool,
+)
 from rig.compute.worker_processes import run_child_process
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_whole_number

@@ -10,12 +10,18 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options, refutation_printing_and_writing
-from rig.cli.shared.common_options import add_json_option, add_page_option, page_links, page_path, print_json
-from rig.cli.shared.hand_option import add_hand_option, recording_of_chosen_hand
+from rig.cli.shared import input_options, output_display
+from rig.cli.shared.common_options import (
+    add_hand_option,
+    add_json_option,
+    add_page_option,
+    page_links,
+    page_path,
+    print_json,
+    recording_of_chosen_hand,
+)
 from rig.cli.shared.input_options import add_recording_argument, read_recording
-from rig.cli.shared.output_display import Progress
-from rig.cli.shared.printing_of_held_out_errors import print_frames_without_pose, print_held_out_errors
+from rig.cli.shared.output_display import Progress, print_frames_without_pose, print_held_out_errors
 from rig.report.verdict_and_display import exit_status
 
 if TYPE_CHECKING:
@@ -56,13 +62,11 @@ def run(arguments: Namespace) -> int:
     refuted = refutations_of_file(arguments.calibration)
     result = verify(calibration, recording, wanted, refuted, progress)
     progress.close()
-    refutation_printing_and_writing.print_refutations(arguments.calibration, refuted)
+    output_display.print_refutations(arguments.calibration, refuted)
     if page is not None:
         result.write_page(page, page_links(arguments, arguments.page))
     if result.refutation is not None:
-        refutation_printing_and_writing.write_refutation(
-            arguments, arguments.calibration, recording.name, result.refutation
-        )
+        output_display.write_refutation(arguments, arguments.calibration, recording.name, result.refutation)
     if arguments.json:
         print_json(result.tree())
         return exit_status(result.verdict)

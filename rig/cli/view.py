@@ -1,6 +1,7 @@
-"""rig view: view a recording.
+"""rig view: view a recording; rig view index: write an index page of pages.
 
-A picture of one frame with markers and residuals, or a 3-D page of all poses.
+A picture of one frame with markers and residuals, or a 3-D page of all poses. The index is of all pages below a folder,
+each with its verdict.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ def run(arguments: Namespace) -> None:
 
     Draw one frame of a recording, or all its poses in 3-D.
     """
-    from calib.api.view import ViewOptions, view
+    from calib.api.recording_check_combination_and_view import ViewOptions, view
 
     _refuse_options_of_other_views(arguments)
     options = ViewOptions(arguments.frame, arguments.rerun is not None, arguments.enlarge, tuple(arguments.effect))
@@ -104,3 +105,32 @@ def _open(picture: Path) -> None:
 
     if not webbrowser.open(picture.resolve().as_uri()):
         print("there is no program here to display it; open the file manually")
+
+
+def arguments_of_index(parser: ArgumentParser) -> None:
+    """Add the arguments of `rig view index` to a parser."""
+    parser.add_argument(
+        "folder",
+        metavar="DIR",
+        type=Path,
+        nargs="?",
+        default=Path("."),
+        help="gets index.html; this one by default. Commands that write a page below it keep it up to date",
+    )
+    add_overwrite_option(parser)
+
+
+def run_index(arguments: Namespace) -> None:
+    """Run `rig view index`.
+
+    Write the index page of all pages below a folder. Raises RigError where there is no such folder.
+    """
+    from rig.report.pages.page_templates_and_index_page import NAME, list_pages_below_folder, write_index_page
+
+    if not arguments.folder.is_dir():
+        raise RigError(f"{arguments.folder}: no such folder")
+    write_index_page(arguments.outputs.file(arguments.folder / NAME), arguments.folder)
+    known = list_pages_below_folder(arguments.folder)
+    for found in known:
+        print(f"{found.state:6} {found.path}: {found.why}")
+    print(f"written: {arguments.folder / NAME}" + ("" if known else "; there is no page yet"))

@@ -8,7 +8,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared import refutation_printing_and_writing
+from rig.cli.shared import output_display
 from rig.cli.shared.common_options import (
     SEED,
     add_json_option,
@@ -96,16 +96,14 @@ def _watch(arguments: Namespace) -> int:
     refuted = refutations_of_file(arguments.calibration)
     result = watch(calibration, loaded, history, refuted, progress)
     progress.close()
-    refutation_printing_and_writing.print_refutations(arguments.calibration, refuted)
+    output_display.print_refutations(arguments.calibration, refuted)
     if kept is not None:
         visit_history.write_history(kept, result.history)
     if page is not None:
         result.write_page(page, arguments.calibration.name, page_links(arguments, arguments.page))
     if result.refutation is not None:
         state, sentence = result.refutation
-        refutation_printing_and_writing.write_refutation(
-            arguments, arguments.calibration, result.visits[-1].name, sentence, state
-        )
+        output_display.write_refutation(arguments, arguments.calibration, result.visits[-1].name, sentence, state)
     if arguments.json:
         print_json(result.tree())
     else:

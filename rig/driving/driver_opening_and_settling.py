@@ -1,4 +1,4 @@
-"""Driver opening for a design, settled status, and the settling check before an exposure.
+"""Driver opening for a design, and settling before an exposure.
 
 A driver is locked against other processes; status is settled once no axis moves. The platform settles for a time,
 until images stop changing, or until limb readings agree.

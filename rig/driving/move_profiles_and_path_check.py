@@ -1,4 +1,4 @@
-"""Move profiles, trapezoidal or from position reports, and the check of a path.
+"""Move profiles, and the check of a path.
 
 A report is read at some moment between its request and its answer. At 20 mm/s a millisecond of that is 20 um, so
 positions between reports are taken from the profile that all of them together determine.

@@ -1,4 +1,4 @@
-"""Numbers parsed and rounded, and units of length and angle.
+"""Numbers and units: parsed, rounded, converted.
 
 Numbers are parsed strictly from text (Python takes more: 1_0, nan, other scripts' digits, spaces), and rounded to
 significant digits with a readable unit. Units that the owner of a file states ("mm, deg") are converted to m and rad.

@@ -1,4 +1,4 @@
-"""Timed plan, its CSV, and the order of visits with sides of approach.
+"""Timed plan, and the order of visits.
 
 Neither time nor direction correlates with position.
 

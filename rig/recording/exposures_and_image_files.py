@@ -1,4 +1,4 @@
-"""Exposures of a recording (frames.csv), and its image files checked and read.
+"""Exposures of a recording, and its image files.
 
 Images are checked before decoding: format, size, completeness, location.
 """

@@ -1,6 +1,6 @@
-"""Tables (CSV) of a recording, loaded with checks and written.
+"""Tables (CSV) of a recording.
 
-Directions are azimuth and elevation, or unit vectors.
+They are loaded with checks, and written. Directions are azimuth and elevation, or unit vectors.
 """
 
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""Wanted poses and their table, and poses written as roll, pitch and yaw."""
+"""Wanted poses, and poses written as roll, pitch and yaw."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Verdict of a result, refutations of result files, and display of results.
+"""Verdict of a result with its refutations, and display of results.
 
 A verdict is judged from its evidence; refutations, by later recordings, are loaded and added.
 

@@ -177,7 +177,7 @@ def _speed(folder):
     from rig.errors import MissingLibrary
     from synthetic import rig_meshes as scenes
     from synthetic.ideal_image_renderer import SAMPLES, Renderer
-    from synthetic.image_sensor_and_occlusion import expose_image
+    from synthetic.marker_drawing_sensor_and_occlusion import expose_image
 
     detector, rng = _subpix(), np.random.default_rng(0)
     threads = cv2.getNumThreads()

@@ -116,7 +116,7 @@ def _rendered(design, rng):
     """The same of the renderer's pictures of a rig."""
     from synthetic import rig_meshes
     from synthetic.ideal_image_renderer import SAMPLES, Renderer
-    from synthetic.image_sensor_and_occlusion import expose_image
+    from synthetic.marker_drawing_sensor_and_occlusion import expose_image
     from vision.predict import marker_map, markers_expected_in_image
 
     renderer, markers, out = Renderer(rig_meshes.rig_parts(design), design), marker_map(design), {}

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from calib.online.live_learner_and_limb_agreement import Learner
+from calib.online.live_learner_and_run_state import Learner
 from calib.online.live_run_page import RunPage
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run
@@ -30,7 +30,7 @@ from rig.planning.plan import build_plan
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine_and_truth_file
 from synthetic.image_simulation import Images
-from vision.reading.live_measurement import TAUGHT, Live
+from vision.reading.live_measurement_and_corner_refit import TAUGHT, Live
 from vision.reading.parallel_image_map_and_marker_rendering import save_image
 from vision.reading.recording_corners import read_image
 

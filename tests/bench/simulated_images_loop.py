@@ -17,7 +17,7 @@ from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from synthetic import recording_simulation, rig_meshes, secret_machine_and_truth_file
 from synthetic.ideal_image_renderer import SAMPLES
-from synthetic.image_sensor_and_occlusion import expose_image
+from synthetic.marker_drawing_sensor_and_occlusion import expose_image
 from tests.cli import RIG
 from tests.conftest import ROOT
 from tests.rig.effects.test_effects import SOME

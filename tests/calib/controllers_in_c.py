@@ -24,7 +24,7 @@ from calib.correction.interpolation_methods_and_correction_summand_fields import
     fit_field,
     home_pose,
 )
-from calib.models.arm.arm_correction_as_c_source import arm_correction_c_source
+from calib.models.arm.calibration_page_and_c_source import arm_correction_c_source
 from calib.models.arm.correction import ArmCorrection
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.model.mechanisms import hexapod

@@ -4,7 +4,6 @@ no network.
 
 import argparse
 import ast
-import importlib
 import re
 import shutil
 import subprocess
@@ -17,7 +16,7 @@ from typing import get_args
 import pytest
 
 from docs.make import commands, messages, rig_toml, tables
-from rig.cli.command_line import join_command_words, module_of_command
+from rig.cli.command_line import functions_of_command, join_command_words
 from rig.cli.command_list import COMMANDS
 from rig.cli.shared.common_options import add_common_options
 from rig.errors import FileError
@@ -117,7 +116,7 @@ def test_every_kind_of_error_and_every_mistake_is_told():
 
 def parsed(words: list[str]) -> argparse.Namespace:
     words, parser = join_command_words(words)[0], argparse.ArgumentParser(exit_on_error=False)
-    importlib.import_module(f"rig.cli.{module_of_command(words[0])}").arguments(parser)
+    functions_of_command(words[0])[0](parser)
     add_common_options(parser, words[0])
     return parser.parse_args(words[1:])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.model.design import Sensor
-from synthetic.image_sensor_and_occlusion import BLACK, expose_image
+from synthetic.marker_drawing_sensor_and_occlusion import BLACK, expose_image
 
 FLAT = np.full((200, 300), 0.5, np.float32)
 

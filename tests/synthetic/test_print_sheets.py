@@ -11,9 +11,18 @@ import pytest
 from rig.cli.command_line import main
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
-from synthetic import cube_nets_and_stl, print_sheets
-from synthetic.cube_nets_and_stl import FRAMES, NET, PARTITIONS, SIDES, Size, arrange_net, net_pieces
-from synthetic.sheet_rulers_and_assembly_page import target_outline_from_above, usable_area
+from synthetic import cube_nets_rulers_and_assembly_page, print_sheets
+from synthetic.cube_nets_rulers_and_assembly_page import (
+    FRAMES,
+    NET,
+    PARTITIONS,
+    SIDES,
+    Size,
+    arrange_net,
+    net_pieces,
+    target_outline_from_above,
+    usable_area,
+)
 
 
 @pytest.mark.parametrize("groups", PARTITIONS)
@@ -112,7 +121,9 @@ def test_bodies_are_smaller_by_the_paper(two_cubes):
     import trimesh
 
     design = design_from_rig_toml.load_design(two_cubes)
-    body = trimesh.load_mesh(io.BytesIO(cube_nets_and_stl.cube_stl_files(design, 2e-4)["P1"]), file_type="stl")
+    body = trimesh.load_mesh(
+        io.BytesIO(cube_nets_rulers_and_assembly_page.cube_stl_files(design, 2e-4)["P1"]), file_type="stl"
+    )
     np.testing.assert_allclose(body.extents, (design.targets[0].edge - 4e-4) * 1e3, rtol=1e-6)
     assert body.is_watertight
 

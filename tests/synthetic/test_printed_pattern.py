@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synthetic.marker_pattern_drawing import Footprint, white_share
+from synthetic.marker_drawing_sensor_and_occlusion import Footprint, white_share
 
 
 def sampled(cells, seen, count=600):

@@ -21,7 +21,7 @@ from synthetic import (
     rig_meshes,
     secret_machine_and_truth_file,
 )
-from synthetic.image_sensor_and_occlusion import is_occluded
+from synthetic.marker_drawing_sensor_and_occlusion import is_occluded
 from tests.conftest import SHARED
 from vision.predict import marker_map
 from vision.reading.recording_corners import collect_corners

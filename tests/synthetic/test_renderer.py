@@ -15,7 +15,7 @@ from rig.model.design import Camera, Marker, Sensor, Target
 from rig.model.pose import pose
 from synthetic import ideal_image_renderer as render
 from synthetic import rig_meshes
-from synthetic.image_sensor_and_occlusion import expose_image
+from synthetic.marker_drawing_sensor_and_occlusion import expose_image
 from tests.synthetic.corners_by_edge_lines import edge_corners
 from vision.corners.marker_detection_and_corner_fit import ReadMarkers, fit_read_markers
 from vision.predict import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras

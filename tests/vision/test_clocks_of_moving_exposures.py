@@ -10,7 +10,7 @@ from rig.recording.recording_folder import Commands, load_recording
 from tests.cli import run
 from tests.moving_run import write_moving_recording
 from tests.truth import rigid
-from vision.clocks_of_moving_exposures import clocks_of_recording, lagged_commands
+from vision.camera_and_command_clocks import clocks_of_recording, lagged_commands
 from vision.recording_measurement import measure_recording
 
 OFFSET = 0.0073  # s

@@ -14,12 +14,11 @@ from rig.model.pose import log
 from rig.recording.recording_folder import load_recording as load
 from rig.recording.recording_tables import Corners, write_corners
 from tests.vision.tagged_block import Block, drawn_block, placed_corners
-from vision.api import measure
+from vision.api import focal_length_alarms, measure
 from vision.bundle.adjustment_validation_and_determinacy import determined_combinations
 from vision.bundle.marker_displacements import adjusted_markers, marker_displacements
 from vision.bundle.unknowns_estimate_and_printing_errors import align_points
 from vision.corner_observations import observations_from_corners
-from vision.measurement_result import focal_length_alarms
 from vision.pose.marker_places_from_sightings import marker_places_from_sightings
 from vision.predict import marker_map
 from vision.recording_adjustment import Measurement

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from rig.array_and_json_types import Floats, Integers
+from vision.corners.kernels_and_predicted_cell import GRID
 from vision.corners.occlusion_and_illumination_in_square_fit import PROFILED
-from vision.corners.predicted_cell_white_share import GRID
 
 FIRST_WIDTH = 0.8  # px
 DIRECTIONS = 36  # of tables, over half a turn

@@ -20,7 +20,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.model.design import Camera
-from vision.corners import edge_pixels, local_lens, square_fit, square_fit_start_and_bit_check, square_gauss_newton
+from vision.corners import edge_pixels, local_lens_and_fit_start, square_fit, square_gauss_newton
 from vision.corners.edge_spread_function import LEVELS, NO_PROFILE, PLAIN_EDGE_SPREAD, EdgeSpread
 from vision.predict import MarkerMap, marker_cells, markers_expected_in_image
 
@@ -319,16 +319,18 @@ def _cut_out(
     """square.Squares of quads (m, 4, 2) px of one size."""
     height, width = full.shape
     sides_px = np.linalg.norm(quads[:, _NEXT] - quads, axis=2)
-    centres = local_lens.local_coordinate_origins_and_scales(quads)
-    polynomials = np.empty((len(quads), 2, local_lens.TERMS))
-    local_lens.fit_local_polynomials(local_lens.ideal_coordinate_table(camera), centres, polynomials)
+    centres = local_lens_and_fit_start.local_coordinate_origins_and_scales(quads)
+    polynomials = np.empty((len(quads), 2, local_lens_and_fit_start.TERMS))
+    local_lens_and_fit_start.fit_local_polynomials(
+        local_lens_and_fit_start.ideal_coordinate_table(camera), centres, polynomials
+    )
     room = ROOM + reach + BEND * sides_px.max(axis=1)[:, None]
     low = np.clip(np.floor(quads.min(axis=1) - room), 0, [width, height]).astype(int)
     high = np.clip(np.ceil(quads.max(axis=1) + room) + 1, low, [width, height]).astype(int)
     boxes = np.concatenate([low, high], axis=1)
     starts = np.concatenate([[0], np.cumsum((high - low).prod(axis=1))])
     pixels = np.empty(starts[-1], np.float32)
-    square_fit_start_and_bit_check.copy_image_boxes(full, boxes, starts, pixels)
+    local_lens_and_fit_start.copy_image_boxes(full, boxes, starts, pixels)
     along = quads[:, _NEXT] - quads
     axes = np.stack([along[:, 0] - along[:, 2], along[:, 1] - along[:, 3]], axis=1)  # the marker's X and Y in the image
     directions = spread.rows(

@@ -16,8 +16,14 @@ import numpy as np
 
 from rig.array_and_json_types import Floats, Singles
 from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, EdgePixels
-from vision.corners.numba_cholesky_and_order_statistics import cholesky_factor, cholesky_solve, inlined_kernel, kernel
-from vision.corners.predicted_cell_white_share import Tables, edge_white_share
+from vision.corners.kernels_and_predicted_cell import (
+    Tables,
+    cholesky_factor,
+    cholesky_solve,
+    edge_white_share,
+    inlined_kernel,
+    kernel,
+)
 from vision.corners.predicted_strip_white_share import ROWS, STRIP
 from vision.corners.square_gauss_newton import LIGHT, UNKNOWNS, Square, Work
 

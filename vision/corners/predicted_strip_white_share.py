@@ -13,8 +13,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, REACH, UPRIGHT, EdgePixels
-from vision.corners.numba_cholesky_and_order_statistics import inlined_kernel, kernel
-from vision.corners.predicted_cell_white_share import (
+from vision.corners.kernels_and_predicted_cell import (
     NODES,
     SKEW,
     SPAN,
@@ -24,6 +23,8 @@ from vision.corners.predicted_cell_white_share import (
     Meeting,
     Tables,
     cell_white_share,
+    inlined_kernel,
+    kernel,
     wide_edge_cell_white_share,
 )
 
@@ -144,7 +145,7 @@ def _single(
 @inlined_kernel
 def _meetings(pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, tables: Tables, strip: Floats) -> None:
     """The same for pixels that see an upright and a level edge meet. Their product is corrected as in
-    vision/corners/predicted_cell_white_share.py.
+    vision/corners/kernels_and_predicted_cell.py.
     """
     x, y, lines, levels, looks, slope = pixels.x, pixels.y, pixels.i, pixels.j, pixels.looks, seen.slope
     g = seen.g.astype(np.float32)

@@ -13,8 +13,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from vision.corners.edge_pixels import KINDS, EdgePixels
-from vision.corners.numba_cholesky_and_order_statistics import cholesky_factor, cholesky_solve, inlined_kernel, kernel
-from vision.corners.predicted_cell_white_share import Tables
+from vision.corners.kernels_and_predicted_cell import Tables, cholesky_factor, cholesky_solve, inlined_kernel, kernel
 from vision.corners.predicted_strip_white_share import ROWS, STRIP, Seen, fill_strip_white_share_and_derivatives
 
 UNKNOWNS = 15

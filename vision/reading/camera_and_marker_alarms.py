@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.model.design import Design
-from vision.reading.live_measurement import Sight
+from vision.reading.live_measurement_and_corner_refit import Sight
 
 SHIFT = (
     8.0  # standard deviations of a corner by which the base's markers, all together, are off once a camera has moved

@@ -31,7 +31,7 @@ from vision.corners.marker_detection_and_corner_fit import (
     read_markers,
 )
 from vision.predict import MarkerMap, markers_expected_in_image
-from vision.reading import expected_marker_places
+from vision.reading import marker_identity_and_expected_places
 from vision.reading.parallel_image_map_and_marker_rendering import map_images_in_processes, map_images_in_threads
 from vision.recording_adjustment import Measurement
 
@@ -140,7 +140,7 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     rest = [k for k in range(len(work)) if k not in found]
     rows = [(work[k][0], work[k][1].name, found[k]) for k in taught]
     known = (
-        expected_marker_places.learn_expected_places(
+        marker_identity_and_expected_places.learn_expected_places(
             recording, *corners_from_detections(rows), _repeated(_left_out(rows)), marker_map
         )
         if len(rest) > len(taught)
@@ -211,7 +211,7 @@ def _one_after_the_other(
     rest: list[int],
     found: dict[int, Detection],
     one: Callable[[tuple[Camera, str, RigidTransform | None]], Detection],
-    known: expected_marker_places.Expectation,
+    known: marker_identity_and_expected_places.Expectation,
     design: Design,
     tell: Callable[..., None] | None,
 ) -> dict[int, Detection]:

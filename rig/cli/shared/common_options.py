@@ -1,20 +1,31 @@
-"""Common options of several commands.
+"""Options that several commands share.
 
-Outputs, calibrations, controllers, numbers of workers; what they need of matplotlib; results printed as JSON.
+Outputs, controller, hand, workers with their pool; what they need of matplotlib, results printed as JSON, and results
+of workers as they come.
 """
 
 from __future__ import annotations
 
+import sys
+import time
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
-from rig.errors import MissingLibrary
-from rig.formats.numbers_and_units import parse_number
+from rig.cli.shared.output_display import Progress
+from rig.compute import parallel_map_and_dask_cluster
+from rig.compute.worker_processes import temporary_worker_limit, terminate_child_processes, worker_count
+from rig.errors import MissingLibrary, RigError
+from rig.formats.numbers_and_units import parse_number, parse_whole_number
 from rig.formats.output_files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
+    from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
     from rig.formats.numbers_and_units import LengthAndAngleUnits
+    from rig.recording.recording_folder import Recording
     from rig.report.pages.page_templates_and_index_page import Link
 
 
@@ -48,8 +59,6 @@ def add_common_options(parser: ArgumentParser, command: str) -> None:
     They are --quiet and --progress, and worker options where the command uses them.
     """
     if command in SHARED:
-        from rig.cli.shared.worker_options_and_pool import add_worker_options
-
         add_worker_options(parser)
     if command in PRINTED:
         return
@@ -223,3 +232,110 @@ def missing_matplotlib_reason() -> str | None:
     from importlib.util import find_spec
 
     return None if find_spec("matplotlib") else "are drawn by matplotlib: pip install 'rig[print]'"
+
+
+def add_hand_option(parser: ArgumentParser) -> None:
+    """Add the option --hand to a parser."""
+    parser.add_argument("--hand", metavar="NAME", help="of an arm with several hands: which of them")
+
+
+def recording_of_chosen_hand(arguments: Namespace, recording: Recording) -> Recording:
+    """The Recording of the hand that is chosen; as it is where none is. Raises RigError for a hand that there is not"""
+    from rig.recording.frame_selection_and_content_hashes import select_hand
+
+    return recording if arguments.hand is None else select_hand(recording, arguments.hand)
+
+
+def calibration_of_chosen_hand(arguments: Namespace, calibration: Calibration) -> Calibration:
+    """The Calibration of the hand that is chosen. Raises RigError where there are several hands and none is chosen."""
+    from rig.model.arm_branches_and_hands import hand_names
+
+    names = hand_names(calibration.correction.nominal)
+    if names and arguments.hand is None:
+        raise RigError(f"{arguments.calibration} is of several hands; choose one with --hand: {', '.join(names)}")
+    return calibration if arguments.hand is None else calibration.of_hand(arguments.hand)
+
+
+MOST = 1024  # processes
+R = TypeVar("R")
+
+
+def add_worker_options(parser: ArgumentParser) -> None:
+    """Add the worker options --workers and --scheduler."""
+    group = parser.add_argument_group("worker processes; results are identical to the last byte")
+    group.add_argument(
+        "--workers",
+        "--jobs",
+        dest="workers",
+        type=parse_whole_number,
+        metavar="N",
+        help="processes at a time on this computer (all cores)",
+    )
+    group.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="of a Dask cluster (tcp://HOST:PORT) whose workers have rig and see the same "
+        "folders: they read images, draw and diagnose; needs the extra rig[cluster]",
+    )
+
+
+@contextmanager
+def use_requested_workers(arguments: Namespace) -> Iterator[None]:
+    """Use the requested number of workers (context manager).
+
+    BLAS takes one thread, so that their number does not change how sums are rounded.
+    Raises RigError for a number of workers that cannot be, and what `use_cluster` raises
+    """
+    if arguments.workers is not None and not 1 <= arguments.workers <= MOST:
+        raise RigError(f"--workers takes 1 to {MOST}, not {arguments.workers}")
+
+    import scipy.linalg  # noqa: F401  libraries are limited once they are loaded
+    from threadpoolctl import threadpool_limits
+
+    with (
+        temporary_worker_limit(arguments.workers),
+        parallel_map_and_dask_cluster.use_cluster(arguments.scheduler),
+        threadpool_limits(1),
+    ):
+        yield
+
+
+@contextmanager
+def worker_pool() -> Iterator[Executor]:
+    """Worker pool of a command (context manager).
+
+    A pool of workers, threads that wait for processes, or the cluster.
+
+    Calls not begun are dropped at its end.
+    """
+    there = parallel_map_and_dask_cluster.current_cluster()
+    if there is not None:
+        yield there.executor()
+        return
+    threads = ThreadPoolExecutor(worker_count())
+    try:
+        yield threads
+    except BaseException:
+        threads.shutdown(wait=False, cancel_futures=True)
+        terminate_child_processes()
+        raise
+    else:
+        threads.shutdown(wait=False, cancel_futures=True)
+
+
+def results_with_progress(
+    pool: Executor, function: Callable[..., R], calls: Sequence[tuple[object, ...]], label: str
+) -> Iterator[R]:
+    """Results of calls as they complete, with progress on standard error.
+
+    Raises what a call raises.
+    """
+    progress, start = Progress(), time.monotonic()
+    waiting = [pool.submit(function, *call) for call in calls]
+    for count, future in enumerate(as_completed(waiting), 1):
+        result = future.result()
+        if sys.stderr.isatty() or progress.shown != "auto":
+            progress(label, count, len(calls))
+        else:
+            print(f"{label}: {count} of {len(calls)}, {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
+        yield result

@@ -14,12 +14,12 @@ from calib.models.arm import certification as arm_certification
 from calib.models.arm.tilt_observations import tilt_report
 from calib.models.chain import certification_and_page as chain_certification
 from calib.workspace.workspace_page import workspace_lines
-from rig.cli.shared.printing_of_held_out_errors import print_frames_without_pose, print_held_out_errors
+from rig.cli.shared.output_display import print_frames_without_pose, print_held_out_errors
 from rig.model import mechanisms
 from rig.model.pose import pose_to_vector, rms_uncertainty
+from vision.api import MeasurementResult, camera_offset_lines
 from vision.bundle.adjustment_validation_and_determinacy import NotHeldOut
 from vision.bundle.marker_displacements import Places
-from vision.measurement_result import MeasurementResult, camera_offset_lines
 
 
 def print_measurement(result: MeasurementResult) -> None:

@@ -1,4 +1,7 @@
-"""Display of what commands print: escaped text and progress."""
+"""Display of what commands print.
+
+Escaped text, progress, held-out errors as a table, and refutations, which are written too.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,20 @@ import os
 import sys
 import threading
 import time
+from argparse import Namespace
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TextIO, cast
 
-from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable
+from rig.errors import RigError
+from rig.formats.output_files.atomic_file_and_manifest import escape_unprintable, file_digest
 
 if TYPE_CHECKING:
-    pass
+    from calib.certification.held_out_errors import HeldOut
+    from rig.report.verdict_and_display import Refutation, State
+    from vision.recording_adjustment import Measurement
 
 
 class EscapedStream:
@@ -204,3 +213,86 @@ class ProgressBar(Protocol):
 def _show(bar: ProgressBar) -> None:
     bar.delay = 0  # shown from here on, so there is something to clear
     bar.refresh()
+
+
+def print_held_out_errors(held_out: HeldOut, title: str) -> None:
+    """Print held-out errors before and after correction as a table in mm and mrad."""
+    from calib.certification.calibration_dataclass_and_claim_sentences import ratio_interval_text
+
+    names = ("mean", "RMS", "95 %", "max")
+    print(f"{title}, N = {held_out.after.n}, {held_out.configurations} distinct configurations:")
+    print(f"{'':14}{'position, mm':>40}{'rotation, mrad':>43}")
+    print(f"{'':14}" + "".join(f"{name:>10}" for name in names) + "   " + "".join(f"{name:>10}" for name in names))
+    for name, figures in (("nominal model", held_out.before), ("corrected", held_out.after)):
+        position, rotation = (figures.mean[0], *figures.position), (figures.mean[1], *figures.rotation)
+        print(f"{name:14}" + "".join(map(_cell, position)) + "   " + "".join(map(_cell, rotation)))
+    turned = "; rotations were not measured"
+    if held_out.floor[1] < 1:
+        turned = f" and {held_out.floor[1] * 1e3:.4f} mrad" if held_out.floor[1] else "; it does not turn"
+    placed = f"{held_out.floor[0] * 1e3:.4f} mm" if held_out.floor[0] < 1 else ""
+    words = f"{placed}{turned}" if placed else f"{turned.removeprefix(' and ')}; positions were not measured"
+    print(
+        f"on these poses {ratio_interval_text(held_out.ratio)}; the measured poses themselves are uncertain by {words}"
+    )
+
+
+def _cell(value: float) -> str:
+    return f"{value * 1e3:10.4f}" if value == value else f"{'-':>10}"
+
+
+def print_frames_without_pose(measurement: Measurement | None) -> None:
+    """Print the frames without a pose of a Measurement, with their reasons."""
+    if measurement is None or not measurement.unsolved:
+        return
+    print(f"{len(measurement.unsolved)} frames without a pose:")
+    for frame, reason in sorted(measurement.unsolved.items())[:20]:
+        print(f"  frame {frame}: {reason}")
+    if len(measurement.unsolved) > 20:
+        print(f"  and {len(measurement.unsolved) - 20} more")
+
+
+def read_and_print_refutations(path: Path) -> tuple[Refutation, ...]:
+    """Read the refutations of a calibration file, and print each as a warning.
+
+    Raises FileError for an invalid list.
+    """
+    from rig.report.verdict_and_display import refutations_of_file
+
+    found = refutations_of_file(path)
+    print_refutations(path, found)
+    return found
+
+
+def print_refutations(path: Path, refutations: tuple[Refutation, ...]) -> None:
+    """Print the refutations of a calibration's file.
+
+    What later recordings found against it, on the error output.
+    """
+    for one in refutations:
+        print(f"warning: {path} was {one.line}", file=sys.stderr)
+
+
+def write_refutation(
+    arguments: Namespace, path: Path, recording: str, finding: str, state: State | None = None
+) -> None:
+    """Write a refutation of a calibration by a recording's finding into its folder.
+
+    Warns where that fails.
+
+    finding : a sentence without its full stop; state : BAD (None), or CHECK where it leaves something out
+    """
+    from rig.report.verdict_and_display import NAME, Refutation, State, add_refutation
+
+    state = State.BAD if state is None else state
+
+    new = Refutation(
+        file_digest(path), path.name, datetime.now(UTC).date().isoformat(), arguments.command, recording, finding, state
+    )
+    try:
+        add_refutation(arguments.outputs.file(path.parent / NAME, own=True), path.parent, new)
+    except RigError as error:
+        print(f"warning: {path} was {new.line}; that could not be written next to it: {error}", file=sys.stderr)
+        return
+    print(
+        f"{path} is marked as {'refuted' if state == State.BAD else 'doubted'} in {path.parent / NAME}", file=sys.stderr
+    )

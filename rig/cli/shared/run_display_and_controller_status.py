@@ -7,9 +7,9 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from calib.online.live_learner_and_run_state import MeasuredFrame, RunDisplay, RunState
 from calib.online.live_run_page import RunPage
 from calib.online.observer_of_run_frames import RunObserver
-from calib.online.run_state import MeasuredFrame, RunDisplay, RunState
 from rig.array_and_json_types import Floats
 from rig.cli.shared.output_display import unescaped_stream
 from rig.driving.controller_status_and_limits import ControllerStatus

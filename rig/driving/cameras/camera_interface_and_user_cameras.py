@@ -1,4 +1,4 @@
-"""Camera interface, synchronised grabbing, and cameras by a user's own class or program.
+"""Camera interface, and cameras of the user's own.
 
 The offset of a camera's clock, and exposure for markers.
 

@@ -1,4 +1,4 @@
-"""Emulated axes, their motion and homing, and faults of their controller.
+"""Emulated axes, and faults of their controller.
 
 Motion over time (trapezoidal speed, halts, history) within limits. Faults are injected once or at a rate per move.
 """

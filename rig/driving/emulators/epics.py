@@ -1,4 +1,7 @@
-"""Emulated EPICS motor records behind the lines of rig.driving.ports_and_numbered_frames, sound or with faults."""
+"""Emulated EPICS motor records.
+
+They stand behind the lines of rig.driving.ports_and_numbered_frames, sound or with faults.
+"""
 
 from urllib.parse import quote
 

@@ -1,6 +1,6 @@
-"""Hexapod (Gough-Stewart platform): kinematics, singular geometries, twist of its cardans.
+"""Hexapod (Gough-Stewart platform).
 
-Forward and inverse kinematics, Jacobian, strut limits and loads.
+Forward and inverse kinematics, Jacobian, strut limits and loads, singular geometries, twist of its cardans.
 """
 
 from __future__ import annotations

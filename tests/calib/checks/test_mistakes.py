@@ -193,7 +193,7 @@ def test_corners_are_checked_by_one_thread_in_each_product(monkeypatch):
     from threadpoolctl import threadpool_info, threadpool_limits
 
     import calib
-    from calib.api import recording_check_and_combination as api
+    from calib.api import recording_check_combination_and_view as api
 
     threads = []
 

@@ -21,7 +21,7 @@ from calib.identify.least_squares_and_robust_fit import (
     tail_quantile_ratio_to_normal_within_gate,
 )
 from calib.models.arm.certification import certify_arm as arm_certify
-from calib.models.arm.workspace_claim import arm_workspace_claim as arm_promised
+from calib.models.arm.joint_space_correction_and_claim import arm_workspace_claim as arm_promised
 from calib.models.platform.identification import Loops, identify_platform
 from calib.samples.pose_samples import sample_recording
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.api.recording_check_and_combination import remove_instrument_displacement
+from calib.api.recording_check_combination_and_view import remove_instrument_displacement
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.model.design import Instrument
 from rig.model.pose import exp

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from calib.api.calibrate import CalibrateOptions, calibrate
 from calib.api.certify import certify
 from calib.api.diagnose import diagnose
-from calib.api.recording_check_and_combination import check_and_combine_recordings
+from calib.api.recording_check_combination_and_view import check_and_combine_recordings
 from calib.api.verify_and_watch import verify
 from calib.models.arm.certification import calibrate_arm
 from calib.models.arm.error_model_and_observations import predicted_target_poses

@@ -7,7 +7,7 @@ import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
-from calib.online.live_learner_and_limb_agreement import Learner, LimbWatch
+from calib.online.live_learner_and_run_state import Learner, LimbWatch
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
 from rig.model.pose import exp, transform_points

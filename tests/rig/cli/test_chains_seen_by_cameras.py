@@ -19,7 +19,7 @@ from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import sobol_configurations
 from rig.recording import recording_folder
 from synthetic import rig_meshes
-from synthetic.image_sensor_and_occlusion import is_occluded
+from synthetic.marker_drawing_sensor_and_occlusion import is_occluded
 from tests.closed_loops import holds, lines, rig, verified
 from tests.gantry_and_hexapod import written
 

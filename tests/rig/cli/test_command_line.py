@@ -19,8 +19,7 @@ import pytest
 from rig.cli import command_line as cli
 from rig.cli.command_line import command_line_parser, main
 from rig.cli.command_list import COMMANDS, EARLIER_NAMES, GROUPS
-from rig.cli.shared.argument_parser import join_negative_numbers, nearest_word
-from rig.cli.shared.option_value_parsing import length_and_angle
+from rig.cli.shared.argument_parsing import join_negative_numbers, length_and_angle, nearest_word
 from rig.cli.shared.output_display import Progress, progress_line
 from rig.compute import installation_inventory
 from rig.effects.catalogue.effect_list import ALL

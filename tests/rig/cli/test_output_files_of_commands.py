@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from rig.cli import command_line
-from rig.cli import new_design as design_command
+from rig.cli import new as design_command
 from rig.recording import recording_folder
 from tests.cli import RIG
 from tests.conftest import ROOT, make_recording
@@ -164,7 +164,7 @@ def test_what_ends_a_command_is_said_in_a_line(error, status, says, monkeypatch,
     def fail(_):
         raise error
 
-    monkeypatch.setattr(design_command, "run", fail)
+    monkeypatch.setattr(design_command, "run_design", fail)
     assert command_line.main(["design", "--radius", "0.3"]) == status
     said = capfd.readouterr().err
     assert says in said and said.count("\n") == 1
@@ -172,10 +172,10 @@ def test_what_ends_a_command_is_said_in_a_line(error, status, says, monkeypatch,
 
 def test_a_signal_to_end_clears_away(tmp_path):
     code = (
-        "import os, signal, sys; from rig.cli import command_line as cli; from rig.cli import new_design as design\n"
+        "import os, signal, sys; from rig.cli import command_line as cli; from rig.cli import new as design\n"
         "def run(arguments):\n    arguments.outputs.file(arguments.out); os.kill(os.getpid(), "
         "signal.SIGTERM); signal.pause()\n"
-        "design.run = run; sys.exit(cli.main(['design', '--radius', '1', '--out', 'x']))"
+        "design.run_design = run; sys.exit(cli.main(['design', '--radius', '1', '--out', 'x']))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env=ENVIRONMENT)
     assert (

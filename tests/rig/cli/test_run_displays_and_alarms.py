@@ -11,7 +11,7 @@ import pytest
 
 from calib.certification import measuring_limb_identification_and_agreement
 from calib.online.accepted_limbs_file import Accepted
-from calib.online.live_learner_and_limb_agreement import Learner
+from calib.online.live_learner_and_run_state import Learner
 from calib.online.live_run_page import RunPage, run_verdict
 from calib.online.measuring_limb_poses_checked_by_vision import LiveLimbPoses
 from calib.online.observer_of_run_frames import RunObserver, RunStop
@@ -29,14 +29,12 @@ from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
 from tests.vision.reading.test_camera_and_marker_alarms import sight
-from vision.reading.live_measurement import Live, sight_from_measuring_limbs
+from vision.reading.live_measurement_and_corner_refit import Live, sight_from_measuring_limbs
 from vision.reading.parallel_image_map_and_marker_rendering import render_marker_images
 
 
 class Measured:
-    """In place of vision.reading.live_measurement.Live: sights as they are made here; from frame 3 on cam1 has moved by
-    a pixel.
-    """
+    """In place of Live: sights as they are made here; from frame 3 on cam1 has moved by a pixel."""
 
     noise = 0.02
 

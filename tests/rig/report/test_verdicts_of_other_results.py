@@ -17,8 +17,8 @@ from rig.cli.command_line import main
 from synthetic.blind_campaign_page import campaign_verdict as judged_campaign
 from synthetic.diagnosis_score import Case, Found, Hidden, campaign_figures
 from tests import truth
-from vision.measurement_result import MeasurementResult
-from vision.measurement_result import measurement_verdict as judged_measurement
+from vision.api import MeasurementResult
+from vision.api import measurement_verdict as judged_measurement
 
 SOUND = InvestigationRound(1, "rec1", 12.0, (), (), (), (), (), ())
 

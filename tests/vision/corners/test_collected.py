@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vision.corners.edge_pixels import MEETS, NONE, NOWHERE, VIEWS, pixel_edge_kinds
-from vision.corners.numba_cholesky_and_order_statistics import order_statistic
+from vision.corners.kernels_and_predicted_cell import order_statistic
 from vision.predict import marker_cells
 
 LEFT, RIGHT, TOP, BOTTOM = 1, 2, 4, 8

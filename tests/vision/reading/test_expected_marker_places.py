@@ -15,9 +15,9 @@ from rig.recording.recording_folder import Commands, Exposures, Recording
 from tests.vision.reading.test_marker_identity import printed
 from vision.corners import marker_detection_and_corner_fit
 from vision.predict import marker_map
-from vision.reading import expected_marker_places
+from vision.reading import marker_identity_and_expected_places
 from vision.reading import recording_corners as collecting
-from vision.reading.marker_identity_mistakes import find_suspicious_markers
+from vision.reading.marker_identity_and_expected_places import find_suspicious_markers
 from vision.reading.recording_corners import LEARN_FROM, collect_corners
 from vision.recording_measurement import measure_recording
 
@@ -84,7 +84,7 @@ def test_only_the_images_that_teach_are_searched(drawn, searches, monkeypatch, h
     markers = marker_map(recording.design)
     found = collect_corners(recording, markers)
     assert len(searches) == LEARN_FROM and found.left_out == []
-    monkeypatch.setattr(expected_marker_places, "learn_expected_places", lambda *_: None)
+    monkeypatch.setattr(marker_identity_and_expected_places, "learn_expected_places", lambda *_: None)
     whole = collect_corners(recording, markers)
     assert len(searches) == 2 * LEARN_FROM + FRAMES - LEARN_FROM
 
@@ -121,9 +121,9 @@ def test_images_that_teach_are_placed_by_the_lens_that_they_teach(drawn, monkeyp
     )
     taught = replace(camera, distortion=camera.distortion + 1e-4)
     monkeypatch.setattr(
-        expected_marker_places,
+        marker_identity_and_expected_places,
         "learn_expected_places",
-        lambda *_: expected_marker_places.Expectation((taught,), markers, dict(enumerate(T))),
+        lambda *_: marker_identity_and_expected_places.Expectation((taught,), markers, dict(enumerate(T))),
     )
 
     def placed(full, camera, *arguments, **options):

@@ -21,8 +21,8 @@ from synthetic import secret_machine_and_truth_file
 from synthetic.emulated_cameras import EmulatedCameras
 from synthetic.image_simulation import Images
 from tests.vision import camera_on_platform
-from vision.reading import live_measurement as module
-from vision.reading.live_measurement import TAUGHT, Live
+from vision.reading import live_measurement_and_corner_refit as module
+from vision.reading.live_measurement_and_corner_refit import TAUGHT, Live
 from vision.reading.recording_corners import read_image
 
 ALL = "tests/data/bench/fit"

@@ -10,7 +10,7 @@ from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.model.pose import pose_difference
 from tests.vision.drawn_observations import nees, scene
 from vision.predict import marker_cells, marker_map, markers_expected_in_image
-from vision.reading.marker_identity_mistakes import Suspect, find_suspicious_markers, no_marker_reason
+from vision.reading.marker_identity_and_expected_places import Suspect, find_suspicious_markers, no_marker_reason
 from vision.reading.recording_corners import Collected, Unplaced
 from vision.recording_adjustment import measure_observations
 

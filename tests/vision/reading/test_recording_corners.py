@@ -13,7 +13,7 @@ from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from tests.conftest import BENCH, make_recording
 from vision.predict import marker_map
-from vision.reading.corner_refit_with_adjusted_lenses import SETTLED, largest_lens_difference
+from vision.reading.live_measurement_and_corner_refit import SETTLED, largest_lens_difference
 from vision.reading.recording_corners import collect_corners
 from vision.recording_measurement import measure_recording
 

@@ -15,7 +15,7 @@ from calib.correction.interpolation_methods_and_correction_summand_fields import
 from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import arm_pose_covariance
-from calib.models.arm.joint_space_correction_and_certification import (
+from calib.models.arm.joint_space_correction_and_claim import (
     certify_extended_arm,
     claim_without_geometry,
     joint_correction_field_samples,

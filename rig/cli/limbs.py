@@ -1,8 +1,7 @@
-"""rig limbs test: test measuring limbs against vision.
+"""rig limbs test: test measuring limbs against vision; rig limbs closures: closure of redundant legs.
 
-Limbs are calibrated in place and checked; accepted ones are saved.
-
-Accepted limbs can replace vision as the source of poses.
+Limbs are calibrated in place and checked. Accepted ones are saved, and can replace vision as the source of poses.
+Closures tell which six legs give the pose, and the closure errors of the others.
 """
 
 from __future__ import annotations
@@ -11,18 +10,25 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.common_options import add_json_result_option, add_page_option, page_links, page_path
+from rig.cli.shared.argument_parsing import length_and_angle
+from rig.cli.shared.common_options import (
+    add_json_result_option,
+    add_overwrite_option,
+    add_page_option,
+    file_or_stdout,
+    page_links,
+    page_path,
+)
 from rig.cli.shared.input_options import add_recording_argument, notice_printer, read_recording
-from rig.cli.shared.option_value_parsing import length_and_angle
-from rig.cli.shared.output_display import Progress
-from rig.cli.shared.printing_of_held_out_errors import print_frames_without_pose
+from rig.cli.shared.output_display import Progress, print_frames_without_pose
 
 if TYPE_CHECKING:
+    from calib.api.loop_closure_check_of_redundant_legs import LoopClosureResult
     from calib.api.measuring_limb_acceptance_and_platform_poses import LimbAcceptance
     from calib.certification.measuring_limb_identification_and_agreement import Agreement
 
 
-def arguments(parser: ArgumentParser) -> None:
+def arguments_of_test(parser: ArgumentParser) -> None:
     """Add the arguments of `rig limbs test` to a parser."""
     add_recording_argument(parser, "with columns m1..mn (m), six or more, in sensors.csv and [insitu] in rig.toml")
     parser.add_argument(
@@ -55,7 +61,7 @@ def arguments(parser: ArgumentParser) -> None:
     add_json_result_option(parser)
 
 
-def run(arguments: Namespace) -> int:
+def run_test(arguments: Namespace) -> int:
     """Run `rig limbs test`.
 
     Test measuring limbs against vision, and save accepted ones.
@@ -72,7 +78,7 @@ def run(arguments: Namespace) -> int:
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
     page = page_path(arguments)
     result = accept_limbs(recording, options, Progress())
-    _print_result(result)
+    _print_acceptance(result)
     arguments.result = result.tree()
     if out is not None:
         result.save(out)
@@ -89,7 +95,7 @@ def run(arguments: Namespace) -> int:
     return 0 if result.passed else 1
 
 
-def _print_result(result: LimbAcceptance) -> None:
+def _print_acceptance(result: LimbAcceptance) -> None:
     """Print how limbs and vision agree, how the limbs beyond six close, and the verdict."""
     _print_agreement(result.agreement, result.by_vision.source)
     _print_checks(result)
@@ -146,4 +152,91 @@ def _print_agreement(found: Agreement, source: str) -> None:
             f"{axis:4}{found.bias[i] * 1e6:9.2f}{found.scatter[i] * 1e6:9.2f}{found.expected[i] * 1e6:9.2f}"
             f"{f'{low:.2f} .. {high:.2f}':>24}{found.proven_limits[i] * 1e6:15.2f}{found.tolerance[i] * 1e6:11.1f}"
             f"{moved:>14}  {said}"
+        )
+
+
+def arguments_of_closures(parser: ArgumentParser) -> None:
+    """Add the arguments of `rig limbs closures` to a parser."""
+    add_recording_argument(
+        parser, "with measuring limbs next to its struts (m1..mn in sensors.csv and [insitu] in rig.toml)"
+    )
+    parser.add_argument(
+        "--use",
+        metavar="LEGS",
+        help="the six legs that give the pose, as l1,l2,l3,m4,m5,m6; by default the best-conditioned six",
+    )
+    parser.add_argument(
+        "--calibration", metavar="FILE", type=Path, help="struts as calibrated, not as rig.toml states them"
+    )
+    parser.add_argument(
+        "--limbs",
+        metavar="FILE",
+        type=Path,
+        help="limbs as `rig limbs test` estimated them, not as rig.toml states them",
+    )
+    parser.add_argument(
+        "--out",
+        metavar="FILE",
+        type=file_or_stdout,
+        help="closures.csv: frame, reading of each other leg minus that predicted from the pose "
+        "(e_..), its expected standard deviation (u_..), m",
+    )
+    add_overwrite_option(parser)
+    add_json_result_option(parser)
+
+
+def run_closures(arguments: Namespace) -> int:
+    """Run `rig limbs closures`.
+
+    Choose six of redundant limbs and print the closure errors of the others.
+
+    Exit status 1 where one is worse than its errors and geometry allow.
+    """
+    from calib.api.loop_closure_check_of_redundant_legs import LoopClosureOptions, close_loops
+    from calib.files import calibration_file
+    from calib.online.accepted_limbs_file import load_limbs
+
+    recording = read_recording(arguments)
+    out = arguments.outputs.file(arguments.out) if arguments.out else None
+    options = LoopClosureOptions(
+        tuple(arguments.use.split(",")) if arguments.use else None,
+        None if arguments.calibration is None else calibration_file.load(arguments.calibration),
+        None if arguments.limbs is None else load_limbs(arguments.limbs),
+    )
+    result = close_loops(recording, options)
+    _print_closures(result)
+    arguments.result = result.tree()
+    if out:
+        result.write(out)
+        print(f"written: {arguments.out}")
+    return int(result.strange)
+
+
+def _print_closures(result: LoopClosureResult) -> None:
+    """Print which legs give the pose, how each other one closes, and which one leg would explain what does not."""
+    import numpy as np
+
+    from calib.api.loop_closure_check_of_redundant_legs import STRANGE
+
+    legs, found, condition = result.legs, result.closures, result.condition
+    print(
+        f"{len(legs.names)} legs for six freedoms; {', '.join(legs.names[i] for i in result.chosen)} give the pose, "
+        f"{'as asked' if result.requested else 'the best-conditioned six'} (condition number "
+        f"{np.median(condition):.3g} in the middle, {condition.max():.3g} at most); closures of the others "
+        f"at {len(result.frames)} poses, um:"
+    )
+    print(f"{'':4}{'mean':>10}{'RMS':>10}{'expected':>10}{'largest':>10}{'at frame':>10}")
+    for k, (i, ratio) in enumerate(zip(found.checks, result.ratio)):
+        e = found.error[:, k] * 1e6
+        expected = np.sqrt(found.covariance[:, k, k].mean()) * 1e6
+        print(
+            f"{legs.names[i]:4}{e.mean():10.2f}{np.sqrt((e**2).mean()):10.2f}{expected:10.2f}"
+            f"{e[np.abs(e).argmax()]:10.2f}{result.frames[np.abs(e).argmax()]:10d}"
+            + (f"  {ratio:.1f} times what is expected" if ratio > STRANGE else "")
+        )
+    if result.strange:
+        i = result.explaining_leg
+        print(
+            f"one leg explains most of it: {legs.names[i]}, were it longer by {-found.off[i] * 1e6:+.2f} um "
+            f"than it reads ({found.share[i]:.0%} of the squares)"
         )

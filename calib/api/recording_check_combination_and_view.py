@@ -1,4 +1,4 @@
-"""Check of recordings before use, and their combination.
+"""Check of recordings before use, their combination, and their view.
 
 Unfit recordings are refused, and the instrument's displacement between recordings is removed.
 
@@ -6,6 +6,8 @@ The geometry and, for each further recording, the six numbers of the instrument'
 once, each strut weighed by its poses' noise and by what it scatters beyond in that recording: what the machine's model
 leaves out differs from plan to plan, and must not be taken for a place. Only a place that chance does not explain, and
 that does more to the struts than all that it leaves there, is taken out.
+
+A view is a picture of one frame, a page with the rig in three dimensions, or a file for Rerun.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,11 +23,14 @@ from calib.drift.visit_equations_and_reference import base_motion_columns
 from calib.models.base_and_tool_displacement_between_recordings import has_placements, placement_lines
 from calib.models.geometry_and_placement_fit_of_several_recordings import remove_base_and_tool_displacement
 from calib.models.platform.identification import PRIOR
+from calib.report.recording_and_plan_pages import write_recording_page
 from calib.samples.pose_samples import Samples, sample_recording
 from rig.api import CheckResult, load_and_check_recording_files
 from rig.array_and_json_types import Floats, Integers
 from rig.checks import command_and_pose_disagreements
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
+from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect, require_nonzero_effect
+from rig.formats.exporters import recording_as_rerun_tum_parquet
 from rig.model import mechanisms
 from rig.model.arm_branches_and_hands import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
@@ -40,6 +45,7 @@ from rig.model.pose import exp
 from rig.recording.combined_recordings import is_measured_by_instrument
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
+from rig.report.pages.page_templates_and_index_page import Link
 from vision.checks import find_corner_mistakes
 from vision.checks.recording_refusal_and_cube_layout_remarks import (
     Notice,
@@ -287,3 +293,50 @@ def check(path: Path | str, detect: bool = False) -> CheckResult:
         with threadpool_limits(1):  # threads in products as small as these make it some ten times as long
             found += find_corner_mistakes(recording, corners, thorough=True)
     return CheckResult(sort_mistakes(found), uneven_cube_layout_remarks(recording.design))
+
+
+@dataclass(frozen=True, slots=True)
+class ViewOptions:
+    """frame : number of the frame that a picture shows, None for all frames; rerun : whether all frames are written for
+    the viewer Rerun, else as a page; enlarge : how much larger a picture's residuals are drawn
+    effects : as `rig simulate` takes them, what each would do to the poses of a page
+
+    Raises MissingLibrary where Rerun's library is needed and not installed
+    """
+
+    frame: int | None = None
+    rerun: bool = False
+    enlarge: float = 200.0
+    effects: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.rerun:
+            recording_as_rerun_tum_parquet.import_rerun()
+
+
+def view(
+    recording: Recording,
+    path: Path,
+    options: ViewOptions = ViewOptions(),
+    links: Sequence[Link] = (),
+    progress: Callable[[str, int, int], None] | None = None,
+) -> tuple[str, ...]:
+    """Write a view of a recording to a file, as `rig view` does.
+
+    links : of a page; progress : called with (label, done, of), or None
+    Returns sentences on what it shows
+    Raises RigError for a frame or an effect that the recording cannot have, FileError for a picture's unknown format
+    """
+    if options.frame is not None:
+        from vision.frame_pictures import measure_and_draw_frame, save_pictures_side_by_side
+
+        pictures, measured = measure_and_draw_frame(recording, options.frame, options.enlarge, progress)
+        return tuple(save_pictures_side_by_side(path, pictures, measured).splitlines())
+    if options.rerun:
+        rerun = recording_as_rerun_tum_parquet.import_rerun()
+        left_out = recording_as_rerun_tum_parquet.write_rerun_file(recording, path, rerun)
+        frames = f"{len(recording.exposures.times()[0])} frames"
+        return (f"{left_out} images are left out: Rerun shows PNG and JPEG", frames) if left_out else (frames,)
+    effects = [require_nonzero_effect(parse_effect(text)) for text in options.effects]
+    write_recording_page(path, recording, effects, links)
+    return ()

@@ -1,0 +1,187 @@
+"""rig home, jog, stop and status: single commands to a controller.
+
+Struts are homed, or moved once, by a distance or to given lengths and checked as any move; nothing is interactive. For
+stop, nothing that takes time is imported before the controller was sent its urgent stop. For status, nothing moves.
+"""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from typing import TYPE_CHECKING
+
+from rig.cli.shared.argument_parsing import require_share
+from rig.cli.shared.common_options import (
+    add_controller_arguments,
+    add_json_result_option,
+    add_speed_option,
+    add_trust_unhomed_position_option,
+)
+from rig.errors import PositionLost, RigError
+from rig.formats.numbers_and_units import parse_number, parse_numbers, parse_whole_number
+
+if TYPE_CHECKING:
+    from rig.array_and_json_types import Floats
+
+
+def arguments_of_home(parser: ArgumentParser) -> None:
+    """Add the arguments of `rig home` to a parser."""
+    add_controller_arguments(parser)
+    parser.add_argument("--unlock", action="store_true", help="clear the controller's alarm first")
+
+
+def run_home(arguments: Namespace) -> None:
+    """Run `rig home`.
+
+    Home all struts and print their positions.
+    """
+    from rig.cli.shared.run_display_and_controller_status import print_status
+    from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
+
+    design = design_with_controller_port(arguments.design, arguments.port)
+    with open_driver(design, arguments.trace, print) as driver:
+        if arguments.unlock:
+            driver.unlock()
+        print_status(driver.home(), design)
+
+
+def arguments_of_jog(parser: ArgumentParser) -> None:
+    """Add the arguments of `rig jog` to a parser."""
+    add_controller_arguments(parser)
+    parser.add_argument(
+        "--strut",
+        type=parse_whole_number,
+        action="append",
+        metavar="N",
+        help="1.. (may be repeated; by default all of them)",
+    )
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("--by", type=parse_number, metavar="MM", help="longer by this amount")
+    where.add_argument("--to", metavar="MM,MM,..", help="to these lengths, one for every strut")
+    add_speed_option(parser, 0.25)
+    parser.add_argument(
+        "--unlock",
+        action="store_true",
+        help="clear the controller's alarm first; its position is then trusted with --trust only",
+    )
+    add_trust_unhomed_position_option(parser)
+
+
+def run_jog(arguments: Namespace) -> None:
+    """Run `rig jog`.
+
+    Jog struts, checked as any move. Raises RigError for other struts and lengths, PositionLost before homing.
+    """
+    import numpy as np
+
+    from rig.cli.shared.run_display_and_controller_status import print_status
+    from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
+
+    design = design_with_controller_port(arguments.design, arguments.port)
+    count = len(design.mechanism.axes)
+    struts = arguments.strut or list(range(1, count + 1))
+    if not all(1 <= strut <= count for strut in struts):
+        raise RigError(f"--strut takes 1 .. {count}, got {', '.join(map(str, struts))}")
+    require_share(arguments.speed)
+    if arguments.to and arguments.strut:
+        raise RigError("--to states every strut's length; omit --strut")
+    with open_driver(design, arguments.trace, print) as driver:
+        if arguments.unlock:
+            driver.unlock()
+        if arguments.trust:
+            driver.trust()
+        if not driver.status().known:
+            raise PositionLost(
+                "the position of the struts is not known, and so not their remaining travel; home them, or use --trust"
+            )
+        goal = (
+            _lengths(arguments.to, count)
+            if arguments.to
+            else driver.lengths() + arguments.by * 1e-3 * np.isin(np.arange(1, count + 1), struts)
+        )
+        driver.move(goal, arguments.speed)
+        print_status(driver.status(), design)
+
+
+def _lengths(text: str, count: int) -> Floats:
+    """(count,) m of lengths in mm separated by commas."""
+    import numpy as np
+
+    try:
+        values = np.array(parse_numbers(text.split(","))) * 1e-3
+    except ValueError:
+        values = np.zeros(0)
+    if values.shape != (count,) or not np.isfinite(values).all():
+        raise RigError(f"--to takes {count} lengths in mm separated by commas, got {text!r}")
+    return values
+
+
+PATIENCE = 10.0  # s for a process that drives to let go
+
+
+def arguments_of_stop(parser: ArgumentParser) -> None:
+    """Add the arguments of `rig stop` to a parser."""
+    add_controller_arguments(parser)
+
+
+def run_stop(arguments: Namespace) -> None:
+    """Run `rig stop`.
+
+    Stop the struts, and any process that moves them; its run can be resumed.
+    """
+    from rig.driving.clock import SystemClock
+    from rig.driving.controller_address_and_urgent_stop import (
+        controller_address_in_rig_toml,
+        urgently_stopped_controller,
+    )
+    from rig.driving.controller_lock import stop_lock_holder
+
+    clock = SystemClock()
+    address = controller_address_in_rig_toml(arguments.design, arguments.port)
+    if address is None:
+        from rig.driving.driver_opening_and_settling import address_of_controller, design_with_controller_port
+
+        stated = design_with_controller_port(arguments.design, arguments.port)
+        address = address_of_controller(stated.driver(), stated.mechanism)
+    other = stop_lock_holder(address.port, clock, PATIENCE, address.usb)
+    if other is not None:
+        print(f"process {other}, which drove them, was stopped")
+    with urgently_stopped_controller(address, clock) as stopped:
+        from rig.cli.shared.run_display_and_controller_status import print_status
+        from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
+
+        design = design_with_controller_port(arguments.design, arguments.port)
+        with open_driver(design, arguments.trace, print, clock, stopped) as driver:
+            print_status(driver.status(), design)
+
+
+def arguments_of_status(parser: ArgumentParser) -> None:
+    """Add the arguments of `rig status` to a parser."""
+    add_controller_arguments(parser)
+    add_json_result_option(parser)
+
+
+def run_status(arguments: Namespace) -> None:
+    """Run `rig status`.
+
+    Print the status of the controller.
+
+    Nothing moves.
+    """
+    from rig.cli.shared.run_display_and_controller_status import print_status
+    from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
+
+    design = design_with_controller_port(arguments.design, arguments.port)
+    with open_driver(design, arguments.trace, print) as driver:
+        status, warnings = driver.status(), driver.limit_warnings()
+    print_status(status, design)
+    for line in warnings:
+        print(f"warning: {line}")
+    arguments.result = {
+        "schema": "status/1",
+        "activity": status.activity,
+        "known": status.known,
+        "fault": status.fault,
+        "said": status.said,
+        "lengths": status.lengths.tolist(),
+        "warnings": warnings,
+    }
