@@ -23,6 +23,7 @@ from tests.calib.correction.test_grblhal_kinematics import OUT_OF_STROKE, SINGUL
 
 SIMULATOR, CALIBRATION = "GRBLHAL_SIMULATOR", "GRBLHAL_CALIBRATION"
 STEPS_PER_MM = 5000
+AHEAD = 8  # lines
 STEP = 1e-3 / STEPS_PER_MM  # m
 SAME = 1e-6  # m, beyond a step
 PATIENCE, AGAIN = 60, 0.2  # s, for an answer, and for a report until it is asked for another
@@ -167,11 +168,11 @@ def commanded(calibration, words):
 
 def off_the_lines(calibration, goals, lines, lengths):
     """(n,) m, how far lengths (n, 6) are from the nearest that are commanded on the lines to poses goals (lines), or on
-    the one before or after: a report names a line before or after its motors are on it.
+    one of those AHEAD before: a report names the line whose steps are prepared, some ahead of the motors.
     """
     off = np.full(len(lengths), np.inf)
-    for beside in (-1, 0, 1):
-        end = np.clip(lines + beside, 1, len(goals) - 1)
+    for ahead in range(-1, AHEAD + 1):
+        end = np.clip(lines - ahead, 1, len(goals) - 1)
         begin, way = goals[end - 1], goals[end] - goals[end - 1]
         at, then = commanded(calibration, begin), commanded(calibration, goals[end])
         share = ((lengths - at) * (then - at)).sum(axis=1) / ((then - at) ** 2).sum(axis=1)
