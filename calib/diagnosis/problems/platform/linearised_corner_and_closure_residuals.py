@@ -23,7 +23,7 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     split_rows_by_frame_bases,
 )
 from calib.models.platform.identification import PRIOR
-from rig.array_and_json_types import Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.effect_places_and_part_tolerances import FINDER, SEAT
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     geometric_parameters,
@@ -209,7 +209,8 @@ def linearise(point: OperatingPoint, clip: float = CLIP, near: LinearisedModel |
         mechanism, root = k.known
         beforehand[-len(root) :, 0] = root @ (geometric_parameters(mechanism) - geometric_parameters(k.platform))
         beforehand[-len(root) :, -len(root) :] = root
-    return _weighed(k, frames, left, rows, closures, beforehand, tuple(names), camera_columns)
+    scattered = near.closures.scatter if near is not None and k.axes else np.zeros(k.axes)
+    return _weighed(k, frames, left, rows, closures, beforehand, tuple(names), camera_columns, scattered)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -280,6 +281,20 @@ def _noise(left: Floats, rows: CornerDerivatives, lost: int) -> float:
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Weighed:
+    """Struts weighed by what they scatter, scatter (axes,) m, beyond the poses' noise. cost : minus twice the log
+    likelihood; W : (F, axes, axes) whitener; rows, half, z, basis : of the closures and what was known beforehand"""
+
+    cost: float
+    scatter: Floats
+    W: Floats
+    rows: Floats
+    half: Floats
+    z: Floats
+    basis: Floats
+
+
 def _weighed(
     k: OperatingPoint,
     frames: CornerFrames,
@@ -289,21 +304,25 @@ def _weighed(
     beforehand: Floats,
     names: tuple[tuple[str, str | int], ...],
     camera_columns: dict[int, list[int]],
+    scattered: Floats,
 ) -> LinearisedModel:
-    """LinearisedModel with the struts weighed by the poses' noise and by what they scatter beyond.
+    """LinearisedModel with the struts weighed by the poses' noise and by what they scatter beyond, the likeliest.
 
     left : (2n,) corners' residual; derivatives : CornerDerivatives, None without corners; beforehand : (q, 1 + p) rows
         of what was known before
+    scattered : (axes,) m, by which they did beside other effects: whether one scatters is asked by its own share, which
+        another effect changes, and what explains more would be less likely where that share falls below what is asked
     """
     F, axes = len(k.t), k.axes
     table = np.zeros((0, 0)) if derivatives is None else derivatives.table
     seen = table.shape[1]
-    scatter, inner = np.zeros(axes), np.zeros((1 + seen, 1 + seen))
+    inner = np.zeros((1 + seen, 1 + seen))
     if derivatives is not None:
         inner[0, 0], inner[1:, 1:] = left @ left, derivatives.gram / frames.sigma**2
         parts = zip(np.array_split(table, PARTS), np.array_split(left, PARTS))
         inner[0, 1:] = inner[1:, 0] = sum(part.T @ some for part, some in parts) / frames.sigma
-    for turn in range(ROUNDS):
+
+    def weighed(scatter: Floats) -> _Weighed:
         W = (
             np.linalg.inv(np.linalg.cholesky(closures.covariance + np.diag(scatter**2)))
             if axes
@@ -314,19 +333,27 @@ def _weighed(
         gram[: seen + 1, : seen + 1] += inner
         half = orthonormal_combinations(gram[1:, 1:])
         z = half.T @ gram[1:, 0]
-        basis = rows[:, 1:] @ half
-        cost = gram[0, 0] - z @ z - 2 * np.linalg.slogdet(W)[1].sum()  # minus twice the log likelihood
-        if turn == 0:
-            without_scatter, least = (scatter, W, rows, half, z, basis), cost
-        if not axes or turn == ROUNDS - 1:
-            break
-        beyond = np.linalg.solve(W, (rows[: F * axes, 0] - basis[: F * axes] @ z).reshape(F, axes, 1))[..., 0]
-        new = _scatter(beyond, closures.covariance)
-        if np.abs(new - scatter).max() < 1e-8:
-            break
-        scatter = new
-    if cost > least:  # struts are correlated: what one scatters beyond its share by chance is no scatter of its own
-        scatter, W, rows, half, z, basis = without_scatter
+        cost = gram[0, 0] - z @ z - 2 * np.linalg.slogdet(W)[1].sum()
+        return _Weighed(float(cost), scatter, W, rows, half, z, rows[:, 1:] @ half)
+
+    def settled(now: _Weighed, known: Booleans) -> _Weighed:
+        for _ in range(ROUNDS - 1):
+            left = (now.rows[: F * axes, 0] - now.basis[: F * axes] @ now.z).reshape(F, axes, 1)
+            beyond = np.asarray(np.linalg.solve(now.W, left)[..., 0], float)
+            new = _scatter(beyond, closures.covariance, known)
+            if np.abs(new - now.scatter).max(initial=0.0) < 1e-8:
+                break
+            now = weighed(new)
+        return now
+
+    none = weighed(np.zeros(axes))
+    tried = [none, settled(none, np.zeros(axes, bool))] if axes else [none]
+    if scattered.any():
+        before = weighed(scattered)
+        tried += [before, settled(before, scattered > 0)]
+    # struts are correlated: what one scatters beyond its share by chance is no scatter of its own
+    best = min(tried, key=lambda one: one.cost)
+    scatter, W, rows, half, z, basis = best.scatter, best.W, best.rows, best.half, best.z, best.basis
     onto = half[:seen] / frames.sigma
     Q = Column((FactoredColumns(table, onto), basis))
     blocks = (
@@ -345,11 +372,12 @@ def _weighed(
     )
 
 
-def _scatter(left: Floats, S: Floats) -> Floats:
+def _scatter(left: Floats, S: Floats, known: Booleans) -> Floats:
     """(axes,) m: what each strut scatters beyond the poses' own noise, 0 where that suffices; by the middle, not the
-    extremes.
+    extremes. known : (axes,) whether one is known to scatter, and no excess is asked of it
     """
     own = np.einsum("nii->ni", S)
     seen = (left**2).mean(axis=0)
     own = own.mean(axis=0) * max(1 - 7 / len(left), 0.1)
-    return np.where(seen > own * (1 + EXCESS * np.sqrt(2 / len(left))), np.sqrt(np.maximum(seen - own, 0)), 0.0)
+    beyond = known | (seen > own * (1 + EXCESS * np.sqrt(2 / len(left))))
+    return np.where(beyond, np.sqrt(np.maximum(seen - own, 0)), 0.0)
