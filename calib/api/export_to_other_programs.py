@@ -14,9 +14,9 @@ import numpy as np
 
 from calib.api.correct import CorrectOptions, correct
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.correction.controller_kinematics_source import grblhal_kinematics_source, linuxcnc_kinematics_source
 from calib.correction.correction_as_c_source import correction_c_source
 from calib.correction.correction_tables import axis_correction_tables, grid_correction_table
-from calib.correction.linuxcnc_kinematics_source import linuxcnc_kinematics_source
 from calib.files import calibration_file
 from calib.models.arm.calibration_page_and_c_source import arm_correction_c_source
 from calib.models.arm.correction import ArmCorrection
@@ -168,7 +168,7 @@ def _interpolation_error(
 
 
 TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry
-C_SOURCES = ("c", "linuxcnc-kins")  # all of a correction, for a controller
+C_SOURCES = ("c", "linuxcnc-kins", "grblhal-kins")  # all of a correction, for a controller
 LOOKUP = "lut"  # of commands over sensor channels
 CAMERAS = ("camera-info", "opencv")  # of a rig.toml, a file each
 RECORDINGS = ("tum", "parquet")
@@ -186,7 +186,8 @@ class ExportOptions:
     """units : "mm" or "m", machine units of LinuxCNC's formats; coupling : of genhexkins, the share of the
     cardans' twist that turns the screws; lead : of the screws, m per revolution, None for what a rig.toml states; parts
     : of linuxcnc-comp and grid, parts of each actuator's interval, None for 64, and 3; poses : of lut, the table of
-    wanted poses; over : of lut, {sensor channel: its values, ascending}
+    wanted poses; over : of lut, {sensor channel: its values, ascending}; zero : of grblhal-kins, m, lengths of the
+    struts where the motors count 0, one or six, () for those of the home pose
     """
 
     units: str = "mm"
@@ -195,6 +196,7 @@ class ExportOptions:
     parts: int | None = None
     poses: Path | None = None
     over: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    zero: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -236,11 +238,16 @@ def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -
     if kind in TABLES:
         return _correction_tables(machine, kind, options)
     if kind in C_SOURCES:
-        origin = f"rig {metadata.version('rig')} of {machine.name}, SHA-256 {sha256(machine.read_bytes()).hexdigest()}"
+        version, digest = metadata.version("rig"), sha256(machine.read_bytes()).hexdigest()
+        origin = f"rig {version} of {machine.name}, SHA-256 {digest}"
         calibration = calibration_file.load(machine)
         correction, physics = calibration.correction, calibration.physics
         if kind == "linuxcnc-kins":
             source = linuxcnc_kinematics_source(correction, physics, origin, options.units)
+        elif kind == "grblhal-kins":
+            zero = np.resize(options.zero, 6) if len(options.zero) == 1 else np.array(options.zero)
+            made = f"rig {version}, calibration {digest[:12]}"
+            source = grblhal_kinematics_source(correction, physics, origin, made, zero if options.zero else None)
         elif isinstance(correction, ArmCorrection):
             source = arm_correction_c_source(correction, physics, origin)
         else:

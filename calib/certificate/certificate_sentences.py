@@ -117,6 +117,9 @@ def basis_lines(certificate: Contents) -> list[str]:
             "Repeatability is unknown: no configuration was visited twice. A measured pose is uncertain "
             f"by {micrometre_text(r.noise[0])}."
         )
+    k = certificate.conditions
+    if k.moving:
+        lines.append(f"Not counted: {k.moving} exposures within {k.rest:g} s of a move; the limit is of poses held.")
     if certificate.confounds is not None:
         lines.append(_sentence(certificate.confounds.line()))
     if not certificate.cells:

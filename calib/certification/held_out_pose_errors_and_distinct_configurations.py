@@ -195,7 +195,7 @@ def held_out_poses(
     if not sum(map(len, kept)):
         raise NotEnoughData(
             f"none of {moving} exposures is of a machine at rest for {REST:g} s; a certificate describes "
-            "poses that are held"
+            "poses that are held: record some at rest (rig run without --in-motion); rig verify takes those in motion"
         )
     each = [
         (samples.take(k), commands, plain[k], errors[k])

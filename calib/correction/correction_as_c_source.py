@@ -155,7 +155,7 @@ def correction_c_source(
 @cache
 def _parts() -> dict[str, str]:
     """{name: text} of the parts of the C files of this folder."""
-    names = ("", "field_", "arm_")
+    names = ("", "field_", "arm_", "pose_")
     text = "".join(files(__package__).joinpath(f"controller_{name}parts.c").read_text() for name in names)
     found = re.split(r"^/\* part: (.*) \*/\n", text, flags=re.MULTILINE)
     return dict(zip(found[1::2], found[2::2]))

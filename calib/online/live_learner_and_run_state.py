@@ -243,7 +243,7 @@ def journal_row_in_words(row: Row) -> str:
         far = max(abs(goal - start) for goal, start in zip(row.goal, row.start))
         return f"to step {row.step + 1}, {far * 1e3:.1f} mm"
     if isinstance(row, Arrival):
-        return f"at step {row.step + 1}" if row.reached else f"not at step {row.step + 1}: stopped on the way"
+        return f"at step {row.step + 1}" if row.reached else f"not at step {row.step + 1}"
     if isinstance(row, Exposed):
         return f"frame {row.frame}" + (" in motion" if row.times else "")
     if isinstance(row, Resumed):

@@ -2,8 +2,8 @@
 
 A calibrated geometry, lenses or a recording.
 
-Formats: genhexkins, URDF, SDF, LinuxCNC, JSON, CSV, a grid, C; of lenses OpenCV and ROS; of a recording TUM and
-Parquet.
+Formats: genhexkins, URDF, SDF, LinuxCNC, grblHAL, JSON, CSV, a grid, C; of lenses OpenCV and ROS; of a recording TUM
+and Parquet.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ FORMATS = (
     "c",
     "lut",
     "linuxcnc-kins",
+    "grblhal-kins",
     "camera-info",
     "opencv",
     "tum",
@@ -56,7 +57,7 @@ def arguments(parser: ArgumentParser) -> None:
         "lengths, or an arm's corrected joint commands, as `rig correct` does, for a controller; "
         "lut: a CSV of commands for --poses over sensor channels, "
         "with covariance; linuxcnc-kins: the C file as LinuxCNC's kinematics module "
-        "rigkins, for halcompile; camera-info, opencv: "
+        "rigkins, for halcompile; grblhal-kins: the C file as grblHAL's kinematics plug-in; camera-info, opencv: "
         "lenses of a rig.toml, a "
         "YAML file for each camera in the folder OUT; tum, parquet: the poses, or all tables, of a recording "
         "or of what "
@@ -94,6 +95,15 @@ def arguments(parser: ArgumentParser) -> None:
         type=_channel_values,
         help="of lut: sensor channels and their values, such as elevation_deg=0:90:10 ambient_temperature_C=10,25",
     )
+    parser.add_argument(
+        "--zero",
+        metavar="M",
+        nargs="+",
+        default=[],
+        type=parse_number,
+        help="of grblhal-kins: length of the struts where the motors count 0, m, one or six, as [controller] zero "
+        "(default: of the home pose)",
+    )
     add_earlier_option(parser, "--parts", "parts", parse_whole_number)
     add_overwrite_option(parser)
     add_json_result_option(parser)
@@ -111,7 +121,13 @@ def run(arguments: Namespace) -> None:
     if len(set(names)) < len(names):
         raise RigError(f"--over states {next(n for n in names if names.count(n) > 1)} twice")
     options = ExportOptions(
-        arguments.units, arguments.coupling, arguments.lead, arguments.parts, arguments.poses, dict(arguments.over)
+        arguments.units,
+        arguments.coupling,
+        arguments.lead,
+        arguments.parts,
+        arguments.poses,
+        dict(arguments.over),
+        tuple(arguments.zero),
     )
     result = export(arguments.machine, arguments.format, options)
     for line in result.left_out:
@@ -157,7 +173,7 @@ def _require_out(arguments: Namespace) -> None:
             "--json reports what was written: name a file or a folder with --out; without it the export "
             "is printed itself"
         )
-    if kind in ("linuxcnc-comp", "linuxcnc-kins", "grid", "c", "lut") and (is_design or nowhere):
+    if kind in ("linuxcnc-comp", "linuxcnc-kins", "grblhal-kins", "grid", "c", "lut") and (is_design or nowhere):
         raise RigError(f"{kind} takes a calibration.json and --out")
     if kind in ("camera-info", "opencv") and (not is_design or nowhere):
         raise RigError(f"{kind} takes a rig.toml, as `rig measure` writes it too, and --out DIR")

@@ -32,7 +32,13 @@ from rig.driving.run_journal import (
     Resumed,
     Row,
 )
-from rig.driving.run_steps_and_progress import Progress, Step, interrupted_move_result, progress_from_journal
+from rig.driving.run_steps_and_progress import (
+    Progress,
+    Step,
+    interrupted_move_result,
+    progress_from_journal,
+    start_of_step,
+)
 from rig.errors import MotionError, RigError, Stopped
 from rig.formats.output_files.atomic_files_and_locks import sync_folder
 
@@ -191,7 +197,7 @@ class RunOperator:
             if step.speed is None:
                 self._move(state.step, state.position, step.goal)
             else:
-                self._move_exposing(state, step.goal, step.speed)
+                self._move_exposing(self._begin(state), step.goal, step.speed)
         number = state.number
         for k in range(state.frames, step.frames):
             self._wanted()
@@ -203,14 +209,26 @@ class RunOperator:
         if reason:
             raise Stopped(reason)
 
-    def _move(self, index: int, start: Floats, goal: Floats) -> None:
+    def _move(self, index: int, start: Floats, goal: Floats, reached: bool = True) -> None:
+        """A move between exposures. reached : whether its goal is that of the step"""
         self.write(Departure(self.now(), index, tuple(start.tolist()), tuple(goal.tolist())))
         begun = self.now()
         self.bench.machine.move(goal, permit=self._wanted)
         ended = self.now()
         self.write(
-            Arrival(ended, index, tuple(goal.tolist()), True, self.bench.time_profile(start, goal, begun, ended))
+            Arrival(ended, index, tuple(goal.tolist()), reached, self.bench.time_profile(start, goal, begun, ended))
         )
+
+    def _begin(self, state: Progress) -> Progress:
+        """Progress where a step in motion can begin: one that failed at its goal lacks frames, and goes back."""
+        begin = start_of_step(self._journal.rows, self.planned, state.step)
+        goal, tolerance = self.planned[state.step].goal, self.bench.tolerance
+        if np.abs(state.position - goal).max() > tolerance or np.abs(begin - goal).max() <= tolerance:
+            return state
+        self.remark(f"step {state.step + 1} lacks frames: back to its start")
+        self._move(state.step, state.position, begin, reached=False)
+        self._wanted()
+        return progress_from_journal(self._journal.rows, self.planned)
 
     def _move_exposing(self, state: Progress, goal: Floats, speed: float) -> None:
         """A move at a speed (m/s) during which frames are taken, each written once the positions about it are."""

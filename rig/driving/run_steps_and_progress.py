@@ -175,6 +175,16 @@ def progress_from_journal(journal_rows: list[Row], steps: tuple[Step, ...]) -> P
     return Progress(step, frames, number, position, pending, arrived, journal_rows[-1].t, ended, lost, exposures)
 
 
+def start_of_step(journal_rows: list[Row], steps: tuple[Step, ...], index: int) -> Floats:
+    """(axes,) m, where a step of a run begins, by its plan; the first where the struts stood at the start of the run.
+
+    Raises RigError for rows that no run leaves.
+    """
+    if not journal_rows or not isinstance(journal_rows[0], Began):
+        raise RigError("the journal contains no start of a run")
+    return steps[index - 1].goal if index else np.array(journal_rows[0].position)
+
+
 def lost_position_reason(
     progress: Progress, position: Floats, tolerance: float, started_anew: bool, can_home: bool
 ) -> str:
@@ -215,6 +225,8 @@ def interrupted_move_result(
 
     goal = steps[progress.step].goal
     if progress.pending is not None:
+        if np.abs(np.asarray(progress.pending.goal) - goal).max() > STANDING:
+            return f"step {progress.step} was on its way back to its start", False
         if near(goal):
             return f"the move of step {progress.step} was done: the struts are at its goal", True
         if near(progress.pending.start):

@@ -173,6 +173,7 @@ def test_the_promise_is_so(held, design):
     )
     assert np.quantile(lengths, 0.95) <= promise["position_m"] < 2 * np.quantile(lengths, 0.95)
     assert promise["position"]["lower"] <= np.quantile(lengths, 0.95) and held.tree["conditions"]["moving"] == 4
+    assert "Not counted: 4 exposures within 0.25 s of a move;" in held.out
 
 
 def test_the_first_line_says_whose_scale_it_is(held):

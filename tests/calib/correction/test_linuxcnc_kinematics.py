@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.api.correct import CorrectOptions, correct
 from calib.api.export_to_other_programs import ExportOptions, export
-from calib.correction.linuxcnc_kinematics_source import linuxcnc_kinematics_source
+from calib.correction.controller_kinematics_source import linuxcnc_kinematics_source
 from calib.files import calibration_file
 from rig.cli.command_line import main
 from rig.errors import RigError

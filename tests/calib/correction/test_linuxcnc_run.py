@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calib.api.correct import CorrectOptions, correct
-from calib.correction.linuxcnc_kinematics_source import linuxcnc_kinematics_source
+from calib.correction.controller_kinematics_source import linuxcnc_kinematics_source
 from rig.model.mechanisms import hexapod
 from tests.calib.controllers_in_c import (
     CALIBRATIONS,

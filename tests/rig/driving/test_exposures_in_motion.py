@@ -13,6 +13,7 @@ from rig.driving.controller_status_and_limits import PositionReport
 from rig.driving.exposures_in_motion import FramesDuringMove, lengths_reported_at
 from rig.driving.run_journal import (
     Arrival,
+    Began,
     Departure,
     Ended,
     Exposed,
@@ -22,6 +23,7 @@ from rig.driving.run_journal import (
     Resumed,
     read_journal,
 )
+from rig.driving.run_steps_and_progress import Step, interrupted_move_result, progress_from_journal
 from rig.driving.strut_driver import Driver
 from rig.errors import LinkLost, PositionLost, RigError, Stopped
 from rig.recording import recording_folder
@@ -207,7 +209,7 @@ def test_a_camera_that_fails_before_the_move_keeps_it_from_being_made(made, tmp_
     assert moves_to(tmp_path / "rec", 1) == [False, True]
 
 
-def test_a_step_that_failed_with_the_struts_at_its_goal_is_not_done(made, tmp_path, monkeypatch):
+def test_a_step_that_failed_with_the_struts_at_its_goal_is_made_again_from_its_start(made, tmp_path, monkeypatch):
     profile, moves = move_and_record_loop.profile_of_reports, []
 
     def fail(*arguments):
@@ -220,9 +222,33 @@ def test_a_step_that_failed_with_the_struts_at_its_goal_is_not_done(made, tmp_pa
     with pytest.raises(RigError, match="a failure of the frames"):
         moving(made, tmp_path / "rec", plan="sobol:2")
     assert last_move(tmp_path / "rec") == (1, False)
+    before = len([row for row in rows(tmp_path / "rec") if isinstance(row, Exposed)])
     moving(made, tmp_path / "rec", plan="sobol:2", resume=True)
-    assert moves_to(tmp_path / "rec", 1) == [False, True]
-    require_commands_as_moved(made, tmp_path / "rec", tmp_path / "rec", 3)
+    first, back, again = [row for row in rows(tmp_path / "rec") if isinstance(row, Departure) and row.step == 1]
+    assert moves_to(tmp_path / "rec", 1) == [False, False, True]
+    assert again.start == back.goal == first.start and again.goal == first.goal
+    frames, true = require_commands_as_moved(made, tmp_path / "rec", tmp_path / "rec", before + 3)
+    late = [row.frame for row in rows(tmp_path / "rec") if isinstance(row, Exposed) and row.step == 1]
+    way = true[np.isin(frames, [frame for frame in late if frame >= before])]
+    assert np.ptp(way, axis=0).max() > 0.3 * np.abs(np.array(again.goal) - again.start).max()
+
+
+def test_a_way_back_that_was_broken_off_is_no_step_that_was_done():
+    """Not even with the struts still at the goal of the step, where the way back begins."""
+    steps = tuple(Step(np.full(6, length), 0, 0.02) for length in (0.45, 0.46))
+    goal, start = (tuple(step.goal.tolist()) for step in reversed(steps))
+    found = [
+        Began(0.0, 0.0, 2, "", start),
+        Departure(1.0, 0, start, start),
+        Arrival(2.0, 0, start, True),
+        Departure(3.0, 1, start, goal),
+        Arrival(4.0, 1, goal, False),
+        Departure(5.0, 1, goal, start),
+    ]
+    state = progress_from_journal(found, steps)
+    for position in (goal, start):
+        text, done = interrupted_move_result(state, steps, np.array(position), 1e-5)
+        assert not done and text == "step 1 was on its way back to its start"
 
 
 @pytest.mark.parametrize("kind", ["position lost", "stop fails"])
