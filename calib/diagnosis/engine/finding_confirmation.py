@@ -10,15 +10,7 @@ from calib.diagnosis.engine.candidate_score import SEVERAL, Alternative, Score, 
 from calib.diagnosis.engine.candidates_thresholds_and_outliers import C, SelectionPolicy
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import column_cosine
-from calib.diagnosis.engine.problem_interface import (
-    AliasedNodes,
-    Fit,
-    Model,
-    Problem,
-    Progress,
-    SmoothCover,
-    UnfittedNodes,
-)
+from calib.diagnosis.engine.problem_interface import AliasedNodes, Fit, Model, Problem, Progress, UnfittedNodes
 from rig.model.hands_places_and_tolerances import Place
 
 SAME = 0.02  # of a finding's evidence, by which two scans beside the same terms may differ and still be the same
@@ -368,56 +360,3 @@ def is_finding_significant(
     return is_significant(
         problem.rescored(model, fit, finding.number), count, problem.linear(model).size, problem.policy
     )
-
-
-def is_insignificant_beside_smooth_functions(
-    problem: Problem[Fit, Model, C],
-    finding: Finding[C],
-    fit: Fit,
-    after: Model,
-    unexplained: list[LackOfFit],
-    asked: int,
-) -> bool:
-    """Whether a Finding is insignificant beside smooth functions of what the unexplained residuals, or those left at
-    its own place, depend on.
-
-    after : the residuals with all findings. Axes may differ in what a law of the whole machine makes of them: what a
-    single axis leaves says nothing against its form unless that would be a finding itself.
-    """
-    assert isinstance(problem, SmoothCover)
-    place, known = finding.score.candidate.site, {(u.place, u.depends_on) for u in unexplained}
-    if unexplained and not _stays(problem, finding, fit, unexplained, asked):
-        return True
-    size = problem.size(fit)
-    doubts = [
-        u
-        for u in problem.lack_of_fit(after, place)
-        if (u.place, u.depends_on) not in known
-        and u.evidence(size) > 0  # what pays for its own numbers
-        and (place.is_axis or not u.place.is_axis)
-    ]
-    if not doubts or _stays(problem, finding, fit, unexplained + doubts, asked):
-        return False
-    return any(problem.within(u, place) for u in problem.lack_of_fit(problem.without_term(fit, finding.number)))
-
-
-def _stays(problem: Problem[Fit, Model, C], finding: Finding[C], fit: Fit, left: list[LackOfFit], count: int) -> bool:
-    """Whether a Finding of a Fit explains more than what is left at its place, and stands beside smooth functions of
-    what all that is left depends on, of so many candidates asked; one of free form stands where little is left, and
-    one that its own scatter hides where those functions take little of it."""
-    assert isinstance(problem, SmoothCover)
-    score = finding.score
-    here = [u.delta_chi2 for u in left if u.depends_on and problem.within(u, score.candidate.site)]
-    most = max(here, default=0.0)
-    if most > score.delta_chi2:
-        return False
-    if score.candidate.free_form and most < problem.policy.form_left * score.delta_chi2:
-        return True
-    model, policy = problem.covered(fit, finding.number, left), problem.policy
-    covered = problem.rescored(model, fit, finding.number)
-    if is_significant(covered, count, problem.linear(model).size, policy):
-        return True
-    bare = problem.without_term(fit, finding.number)
-    alone = problem.rescored(bare, fit, finding.number)
-    hidden = not is_significant(alone, count, problem.linear(bare).size, policy)  # by the scatter that it makes itself
-    return hidden and covered.delta_chi2 > policy.cover_left * alone.delta_chi2

@@ -4,7 +4,7 @@ Forward steps, backward removal, held-out tests, confirmation against alternativ
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Generic
 
 import numpy as np
@@ -20,13 +20,10 @@ from calib.diagnosis.engine.finding_confirmation import (
     Finding,
     Scans,
     confirm_terms,
-    is_insignificant_beside_smooth_functions,
     is_significant,
     labelled_progress,
     may_become_significant_when_fitted,
-    refit_with_other_member_of_law,
 )
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Projection, join_columns
 from calib.diagnosis.engine.problem_interface import (
     AdmissionRules,
@@ -35,7 +32,6 @@ from calib.diagnosis.engine.problem_interface import (
     Model,
     Problem,
     Progress,
-    SmoothCover,
     TermRefinement,
     TermSimplification,
     Tolerances,
@@ -386,35 +382,3 @@ def _remove_terms_without_held_out_gain(problem: Problem[Fit, Model, C], fit: Fi
             break
         fit = problem.remove_term(fit, loose[worst])
     return fit
-
-
-def remove_findings_insignificant_with_smooth_functions(
-    problem: Problem[Fit, Model, C], selection: Selection[Fit, C], unexplained: list[LackOfFit]
-) -> Selection[Fit, C]:
-    """Remove findings that are insignificant with smooth functions.
-
-    Once smooth functions of the unexplained are fitted with them.
-
-    Where what is left at a
-    name's own place would make no finding, and is as unlikely by chance as what is named, the same is asked; then the
-    name goes only for what is told in its stead. Nothing goes where smooth functions are no freedom of the problem.
-    """
-    if not isinstance(problem, SmoothCover):
-        return selection
-    fit, gone, after, findings = selection.fit, [], problem.residual(selection.fit), []
-    for f in selection.findings:
-        if not problem.given.holds(f.score.candidate) and is_insignificant_beside_smooth_functions(
-            problem, f, fit, after, unexplained, selection.asked
-        ):
-            without = problem.without_term(fit, f.number)
-            member = refit_with_other_member_of_law(problem, without, fit, f.number)
-            if member is None:
-                gone.append(f.number)
-                continue
-            fit = problem.in_place(member, f.number)
-            f = replace(f, score=problem.rescored(without, fit, f.number))
-        findings.append(f)
-    for number in sorted(gone, reverse=True):
-        fit = problem.remove_term(fit, number)
-    findings = [replace(f, number=f.number - sum(g < f.number for g in gone)) for f in findings]
-    return replace(selection, fit=fit, findings=findings)

@@ -168,13 +168,16 @@ class LinearisedModel:
         )
 
 
-def linearise(point: OperatingPoint, clip: float = CLIP, near: LinearisedModel | None = None) -> LinearisedModel:
+def linearise(
+    point: OperatingPoint, clip: float = CLIP, near: LinearisedModel | None = None, scattered: Floats | None = None
+) -> LinearisedModel:
     """LinearisedModel of an OperatingPoint.
 
     Cameras, lenses and geometry are its nuisances.
 
     Each frame's pose is free in the image. clip : standard deviations for which a corner's residual counts at most
     near : of another OperatingPoint, whose corners' derivatives are taken over where they hold here, or None
+    scattered : (axes,) m, by which struts scatter beside other effects, taken where that is likelier; or None
     """
     k = point
     if k.seen is not None:
@@ -195,7 +198,7 @@ def linearise(point: OperatingPoint, clip: float = CLIP, near: LinearisedModel |
             np.zeros((F, 6, 1)),
         )
         left, names, priors, camera_columns = np.zeros(0), [], [], {}
-    closures = _closures(k, frames) if k.axes else _no_closures(k, frames, len(names))
+    closures = _closures(k, frames, scattered) if k.axes else _no_closures(k, frames, len(names))
     if k.axes:
         p = len(geometric_parameters(k.platform))
         names += [("geometry", j) for j in range(p)]
@@ -210,20 +213,21 @@ def linearise(point: OperatingPoint, clip: float = CLIP, near: LinearisedModel |
         mechanism, root = k.known
         beforehand[-len(root) :, 0] = root @ (geometric_parameters(mechanism) - geometric_parameters(k.platform))
         beforehand[-len(root) :, -len(root) :] = root
-    scattered = near.closures.scatter if near is not None and k.axes else np.zeros(k.axes)
-    return _weighed(k, frames, left, rows, closures, beforehand, tuple(names), camera_columns, scattered)
+    return _weighed(k, frames, left, rows, closures, beforehand, tuple(names), camera_columns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Closures:
     """Of F frames: covariance (F, axes, axes) m^2 by the poses' noise; rows (F, axes, 1 + p) m, the residual and the
     change with the nuisances; to_length (F, axes, L) from frames' own coordinates to lengths, m
-    jacobian : (F, axes, 6) of the axes with the pose"""
+    jacobian : (F, axes, 6) of the axes with the pose
+    scattered : (axes,) m, by which struts do beside other effects"""
 
     covariance: Floats
     rows: Floats
     to_length: Floats
     jacobian: Floats
+    scattered: Floats
 
 
 def _corner_frames(
@@ -248,7 +252,7 @@ def _corner_frames(
     )
 
 
-def _closures(k: OperatingPoint, frames: CornerFrames) -> _Closures:
+def _closures(k: OperatingPoint, frames: CornerFrames, scattered: Floats | None) -> _Closures:
     m = k.platform
     A = strut_length_jacobian(k.T, m)
     to_length = A @ frames.to_local[:, :6]  # (F, axes, L): local coordinates to struts' lengths
@@ -265,7 +269,7 @@ def _closures(k: OperatingPoint, frames: CornerFrames) -> _Closures:
         ],
         axis=2,
     )
-    return _Closures(covariance, rows, to_length, A)
+    return _Closures(covariance, rows, to_length, A, np.zeros(k.axes) if scattered is None else scattered)
 
 
 def _no_closures(k: OperatingPoint, frames: CornerFrames, count: int) -> _Closures:
@@ -275,6 +279,7 @@ def _no_closures(k: OperatingPoint, frames: CornerFrames, count: int) -> _Closur
         np.zeros((F, 0, 1 + count)),
         np.zeros((F, 0, frames.to_local.shape[1])),
         np.zeros((F, 0, 6)),
+        np.zeros(0),
     )
 
 
@@ -315,14 +320,11 @@ def _weighed(
     beforehand: Floats,
     names: tuple[tuple[str, str | int], ...],
     camera_columns: dict[int, list[int]],
-    scattered: Floats,
 ) -> LinearisedModel:
     """LinearisedModel with the struts weighed by the poses' noise and by what they scatter beyond, the likeliest.
 
     left : (2n,) corners' residual; derivatives : CornerDerivatives, None without corners; beforehand : (q, 1 + p) rows
         of what was known before
-    scattered : (axes,) m, by which they did beside other effects: whether one scatters is asked by its own share, which
-        another effect changes, and what explains more would be less likely where that share falls below what is asked
     """
     F, axes = len(k.t), k.axes
     table = np.zeros((0, 0)) if derivatives is None else derivatives.table
@@ -363,9 +365,9 @@ def _weighed(
 
     none = weighed(np.zeros(axes))
     tried = [none, settled(none, np.zeros(axes, bool))] if axes else [none]
-    if scattered.any():
-        before = weighed(scattered)
-        tried += [before, settled(before, scattered > 0)]
+    if closures.scattered.any():
+        before = weighed(closures.scattered)
+        tried += [before, settled(before, closures.scattered > 0)]
     # struts are correlated: what one scatters beyond its share by chance is no scatter of its own
     best = min(tried, key=lambda one: one.cost)
     scatter, W, rows, half, z, basis = best.scatter, best.W, best.rows, best.half, best.z, best.basis

@@ -192,8 +192,7 @@ class PlatformProblem:
         return Wald(*fit.refined.wald(number))
 
     def likelihood_ratio(self, fit: PlatformFit, other: PlatformFit) -> float:
-        least = min(fit.refined.point.standing, other.refined.point.standing)
-        return fit.refined.likelihood(least) - other.refined.likelihood(least)
+        return fit.refined.likelihood(other.refined) - other.refined.likelihood(fit.refined)
 
     def cross_validations(self, fit: PlatformFit, numbers: list[int]) -> list[CrossValidation]:
         return [cross_validate_effects(fit.refined, {number}, self.block(fit.terms[number])) for number in numbers]

@@ -77,13 +77,18 @@ class Refinement:
         """The model with the effects' parameters among the nuisances."""
         return self.model if self.column is None else self.model.marginalise(self.column)
 
-    def likelihood(self, standing: float | None = None) -> float:
-        """Minus twice the log likelihood at the optimum, but for a constant; to compare with another, where standing
-        corners repeat as many px.
+    def likelihood(self, other: "Refinement") -> float:
+        """Minus twice the log likelihood at the optimum, but for a constant; to compare with another, as few px of
+        standing corners repeat as in the better of both, and struts scatter as in the likelier: whether one does is
+        asked by its own share, which what explains more may bring below what is asked.
         """
-        if standing is None or standing == self.point.standing:
-            return _comparable(self.model)
-        return _comparable(linearise(replace(self.point, standing=standing)))
+        standing = min(self.point.standing, other.point.standing)
+        point = replace(self.point, standing=standing)
+        own = self.model if standing == self.point.standing else linearise(point)
+        scatter = other.model.closures.scatter
+        if not scatter.any() or (scatter == own.closures.scatter).all():
+            return _comparable(own)
+        return min(_comparable(own), _comparable(linearise(point, CLIP, own, scatter)))
 
     def wald(self, effect: int) -> tuple[float, int]:
         """(statistic, parameters): how far effect number `effect` stands from nothing, in squared standard deviations,
