@@ -50,7 +50,10 @@ from calib.models.chain import certification_and_page as chain_certification
 from calib.models.machine_models import Certified
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
 from calib.report import platform_and_lens_calibration_pages as platform_page
-from calib.samples.confounded_conditions_and_clocks import clocks_of_samples, recording_and_poses_on_one_clock
+from calib.samples.confounded_conditions_and_clocks import (
+    estimate_clocks_from_samples,
+    recording_and_poses_on_one_clock,
+)
 from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
@@ -245,7 +248,7 @@ def calibrate(
         _require_tilt_readings(recording)
         clocks: tuple[Clocks, ...] = ()
         if not options.with_findings and options.limbs is None:  # which tell clocks and lags themselves
-            clocks = clocks_of_samples(recording, sampled.samples)
+            clocks = estimate_clocks_from_samples(recording, sampled.samples)
             recording, sampled = recording_and_poses_on_one_clock(recording, sampled, clocks)
         sampled = replace(sampled, files=(*sampled.files, *(plugin.path for plugin in options.effects)))
         return replace(_calibrated(recording, sampled, findings, kinds, options, call), clocks=clocks)

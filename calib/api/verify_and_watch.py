@@ -48,8 +48,8 @@ from calib.report.verification_and_repeated_visit_pages import (
 )
 from calib.samples.confounded_conditions_and_clocks import (
     Confounds,
-    clocks_of_samples,
     confounds_of_recordings,
+    estimate_clocks_from_samples,
     recording_and_poses_on_one_clock,
 )
 from calib.samples.pose_samples import Sampled, Samples, sample_recording
@@ -162,7 +162,7 @@ def verify(
     calibration = calibration.of_recorded_hand(recording.design.mechanism)
     clocks: tuple[Clocks, ...] = ()
     if calibration.physics is None:  # whose effects tell clocks themselves; a lag is the machine's own
-        clocks = tuple(replace(one, lag=0.0) for one in clocks_of_samples(recording, sampled.samples))
+        clocks = tuple(replace(one, lag=0.0) for one in estimate_clocks_from_samples(recording, sampled.samples))
         recording, sampled = recording_and_poses_on_one_clock(recording, sampled, clocks)
     placed = samples_without_displacement(calibration, recording, sampled.samples)
     samples = placed.samples

@@ -249,8 +249,8 @@ def confound_sentences(confounds: Confounds | None) -> tuple[str, ...]:
     return (confounds.line().split("; record the same")[0],) if confounds is not None and confounds.serious else ()
 
 
-def clocks_of_samples(recording: Recording, samples: Samples) -> tuple[Clocks, ...]:
-    """Clocks of a recording by Samples of its poses; () where these are not whole poses."""
+def estimate_clocks_from_samples(recording: Recording, samples: Samples) -> tuple[Clocks, ...]:
+    """Clocks of a recording, estimated from Samples of its poses; () where these are not whole poses."""
     if samples.measured != "pose":
         return ()
     return clocks_of_recording(recording, samples.frame, samples.T_base_platform, samples.covariance, samples.common)

@@ -1,6 +1,7 @@
-"""rig doctor: check this computer's installation; rig doctor completion: print shell completion.
+"""rig doctor: check this computer's installation.
 
-Packages, OpenGL, cameras, ports, disk space, threads. Completion is for bash, zsh or fish.
+Packages, OpenGL, cameras, ports, disk space, threads.
+`rig doctor completion` prints shell completion for bash, zsh or fish.
 """
 
 from argparse import ArgumentParser, Namespace

@@ -64,10 +64,8 @@ def find_corner_mistakes(recording: Recording, corners: Corners, thorough: bool 
     return sort_mistakes(found)
 
 
-def camera_place_sentences(recording: Recording, corners: Corners) -> list[str]:
-    """Where the base's markers put each fixed camera against where rig.toml states it, or that they are exchanged; none
-    where the corners do not show it.
-    """
+def misplaced_or_exchanged_camera_sentences(recording: Recording, corners: Corners) -> list[str]:
+    """Sentences on fixed cameras that are misplaced in rig.toml or exchanged, where the corners show it."""
     seen = sample_frames(recording.design, corners, *recording.exposures.times())
     m = None if seen is None else measure_trial(seen).measured
     if m is None or has_hand_cameras(recording.design):

@@ -1,6 +1,4 @@
-"""Least squares reduced to inner products of columns by frame.
-
-Least squares are reduced by whitening and nuisance elimination.
+"""Least squares reduced by elimination of nuisances: from inner products of columns by frame.
 
 The normal equations are made of the products; columns are added one at a time, and sums against sinusoids are fast.
 A candidate moves each frame in a few directions (an axis longer, a camera's mount moved) by weights; so a search over

@@ -1,4 +1,4 @@
-"""Evidence interface of a diagnosis, and the effects it requests.
+"""Interface of the evidence that a diagnosis takes, and the effects requested of it.
 
 Evidence is what a machine's recording offers a diagnosis.
 

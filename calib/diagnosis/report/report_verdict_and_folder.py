@@ -54,7 +54,7 @@ from calib.diagnosis.report.report_sentences import (
     value_text,
 )
 from calib.diagnosis.report.residual_figures_and_finding_contributions import (
-    errors_at_and_beyond_fitted_angles,
+    errors_at_and_beyond_fitted_joint_angles,
     position_error_statistics,
 )
 from calib.samples.confounded_conditions_and_clocks import Confounds, confound_sentences
@@ -363,7 +363,7 @@ def held_out_entries(diagnosis: Diagnosis) -> Json:
                 "stretches": h.stretches,
                 "before": position_error_statistics(h.before),
                 "after": position_error_statistics(h.after),
-                **errors_at_and_beyond_fitted_angles(h),
+                **errors_at_and_beyond_fitted_joint_angles(h),
                 "chosen": [list(n) for n in h.names],
             }
             for h in diagnosis.held

@@ -380,7 +380,7 @@ def position_error_statistics(pose_errors: Floats) -> dict[str, float]:
     )
 
 
-def errors_at_and_beyond_fitted_angles(held_out_poses: HeldOutPoses) -> Json:
+def errors_at_and_beyond_fitted_joint_angles(held_out_poses: HeldOutPoses) -> Json:
     """Errors of held-out poses at joint angles that were fitted, and beyond them.
 
     None where there are none.

@@ -240,7 +240,9 @@ def whitened_pose_rows(
     return -1
 
 
-def linearised_redundant_loops(samples: Samples, lengths: Floats, platform: Hexapod, scatter: Floats) -> Linear:
+def linearised_loops_of_more_than_six_struts(
+    samples: Samples, lengths: Floats, platform: Hexapod, scatter: Floats
+) -> Linear:
     """Linearised equations (Linear) of all loops of more than six struts, (n, struts) rows, at a geometry.
 
     samples : Samples; lengths : (n, struts) m of the struts; scatter : (struts,) m of each beyond the poses' own

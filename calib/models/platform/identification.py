@@ -165,7 +165,7 @@ class Loops:
         """
         common = self.samples.common
         if is_redundant(self.nominal):
-            return closed_loop_equations.linearised_redundant_loops(
+            return closed_loop_equations.linearised_loops_of_more_than_six_struts(
                 self.samples, self.lengths, mechanism_with_parameters(self.nominal, p), scatter
             )
         if not isinstance(self.nominal, Hexapod):

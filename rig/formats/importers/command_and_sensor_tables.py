@@ -31,7 +31,7 @@ from rig.formats.importers.units_and_timestamps import (
     fits_ranges,
     is_likely_length_unit,
     likely_angle_units,
-    likely_length_units,
+    likely_length_units_and_zeros,
     split_header,
 )
 from rig.formats.numbers_and_units import ANGLES, LENGTHS
@@ -270,7 +270,7 @@ def _lengths(
     values: Floats, unit: str | None, table: ForeignTable, ranges: Floats, home: Floats
 ) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
     asked = ("mm",) if unit == "steps" else tuple(LENGTHS) if unit is None else (unit,)
-    fit = likely_length_units(
+    fit = likely_length_units_and_zeros(
         values, ranges, home, asked, ("zero", "home") if table.relative is None else (table.relative,)
     )
     better = [(u, r) for u, r in fit if is_likely_length_unit(values, ranges, u, r)]

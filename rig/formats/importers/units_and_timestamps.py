@@ -108,7 +108,7 @@ def fits_ranges(values: Floats, ranges: Floats) -> bool:
     return bool(((values >= low - slack) & (values <= high + slack)).all())
 
 
-def likely_length_units(
+def likely_length_units_and_zeros(
     values: Floats, ranges: Floats, home_lengths: Floats, units: Sequence[str], relative: Sequence[str]
 ) -> list[tuple[str, str]]:
     """Likely units and zeros (unit, "zero" or "home") of lengths.

@@ -2,7 +2,10 @@
 
 import numpy as np
 
-from calib.samples.confounded_conditions_and_clocks import clocks_of_samples, recording_and_poses_on_one_clock
+from calib.samples.confounded_conditions_and_clocks import (
+    estimate_clocks_from_samples,
+    recording_and_poses_on_one_clock,
+)
 from calib.samples.pose_samples import sample_recording
 from rig.recording.recording_folder import load_recording
 from tests.moving_run import write_moving_recording
@@ -14,7 +17,9 @@ def test_commands_are_taken_when_the_exposures_truly_were(tmp_path):
     case, truth = write_moving_recording(tmp_path, OFFSET, np.array([0.0, 0.021, 0.013]), SPEED)
     recording = load_recording(tmp_path)
     sampled = sample_recording(recording)
-    moved, told = recording_and_poses_on_one_clock(recording, sampled, clocks_of_samples(recording, sampled.samples))
+    moved, told = recording_and_poses_on_one_clock(
+        recording, sampled, estimate_clocks_from_samples(recording, sampled.samples)
+    )
     wanted = case.machine.inverse(truth)[sampled.samples.frame]
     before, after = (np.abs(one.samples.commanded - wanted).max(axis=1) for one in (sampled, told))
     assert np.median(before) > 0.9 * OFFSET * SPEED and after.max() < 2e-4 * SPEED
