@@ -211,7 +211,7 @@ def _held_out_recordings(
                 "single recording, --mask excludes "
                 "some frames from rig calibrate, then the others from rig certify"
             )
-        calibration.refuse_kind(recording.design.mechanism.kind, str(path))
+        calibration.refuse_other_machine(recording.design.mechanism, str(path))
         of = content_hashes_of_frames(recording)
         twice = frames_with_known_hashes(of, known)
         if twice:

@@ -185,6 +185,8 @@ def _diagnosed(
         raise RigError(
             "--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording"
         )
+    if options.calibration is not None:
+        options.calibration.refuse_other_machine(mechanism, str(recording.folder))
     commanded = recording.commands is not None and bool(mechanism.axes)
     sampled = sample_recording(recording, progress=progress, several_hands=True) if commanded else None
     found = recording_diagnosis.diagnose(

@@ -235,6 +235,8 @@ def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -
     Returns ExportResult, files for another program
     Raises RigError for a machine that this format cannot state, and for options out of range
     """
+    if options.zero and kind != "grblhal-kins":
+        raise RigError(f"--zero states where motors of grblhal-kins count 0; --format {kind} takes none")
     if kind in TABLES:
         return _correction_tables(machine, kind, options)
     if kind in C_SOURCES:

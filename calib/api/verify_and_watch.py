@@ -157,7 +157,7 @@ def verify(
     recordings found against the calibration; progress : called with (label, done, of), or None
     Raises RigError for a recording of another kind of machine and for other poses than frames
     """
-    calibration.refuse_kind(recording.design.mechanism.kind, str(recording.folder))
+    calibration.refuse_other_machine(recording.design.mechanism, str(recording.folder))
     sampled = sample_recording(recording, progress=progress)
     calibration = calibration.of_recorded_hand(recording.design.mechanism)
     clocks: tuple[Clocks, ...] = ()

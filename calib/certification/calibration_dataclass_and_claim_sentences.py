@@ -18,6 +18,7 @@ from calib.workspace.workspace_map_and_lost_poses import Workspace
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model.hands_places_and_tolerances import hand_names, seen_hand
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_struts
 from rig.model.mechanisms.redundant_struts import with_followers_of
 from rig.recording.recording_folder import Recording
 from rig.report.verdict_and_display import OneLineRepr, result_html
@@ -241,12 +242,17 @@ class Calibration(OneLineRepr):
         fitted = with_followers_of(self.correction.fitted, recording.design.mechanism)
         return self.physics.with_effects(fitted, samples, recording.commands, recording.sensors)
 
-    def refuse_kind(self, kind: str, named: str) -> None:
-        """Raise RigError for what is of another kind of mechanism. named : it, in words"""
-        if kind != self.correction.nominal.kind:
+    def refuse_other_machine(self, mechanism: Mechanism, named: str) -> None:
+        """Raise RigError for a mechanism of another kind or number of struts. named : of what, in words"""
+        own = self.correction.nominal
+        if mechanism.kind != own.kind:
             raise RigError(
-                f"{named} is of a mechanism of kind {kind!r}, the calibration of one of kind "
-                f"{self.correction.nominal.kind!r}"
+                f"{named} is of a mechanism of kind {mechanism.kind!r}, the calibration of one of kind {own.kind!r}"
+            )
+        if has_struts(own) and len(mechanism.axes) != len(own.axes):
+            raise RigError(
+                f"{named} is of a mechanism with {len(mechanism.axes)} struts, the calibration of one with "
+                f"{len(own.axes)}"
             )
 
     def refuse_physics(self, what: str) -> None:

@@ -68,7 +68,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, is_redundant
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import FILL, evenly_spread_configurations
 
@@ -350,7 +350,8 @@ def claim_without_geometry(samples: Samples, certified: Certified, rng: np.rando
     told = ConfigurationInformation(
         len(each), 0, 0, 0, f"no parameters were fitted: the summands are extended by {way}"
     )
-    middle = f"the middle {FILL * 100:.0f} % of every stroke, all axes independent"
+    free = "closing on a pose" if is_redundant(correction.nominal) else "independent"
+    middle = f"the middle {FILL * 100:.0f} % of every stroke, all axes {free}"
     if len(each) < LEAST:
         return empty_claim_of_too_few_configurations(told, middle)
     if certified.left is None:

@@ -21,6 +21,7 @@ from calib.correction.interpolation_methods_and_correction_summand_fields import
 from calib.correction.physics_compensation import Physics
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
+from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.exporters.geometry_and_camera_files import UNITS
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod
@@ -63,8 +64,8 @@ def grblhal_kinematics_source(
         )
     fitted, nominal = require_hexapod(correction.fitted), require_hexapod(correction.nominal)
     zero = hexapod.home_values(nominal) if zero is None else zero
-    if zero.shape != (6,) or not np.isfinite(zero).all():
-        raise RigError(f"--zero is one length or six, m, not {zero.tolist()}")
+    if zero.shape != (6,) or not ((zero >= 0) & (zero <= LARGEST_RIG)).all():
+        raise RigError(f"--zero is one length or six, 0 to {LARGEST_RIG:g} m, not {zero.tolist()}")
     head = _grblhal_settings(fitted, nominal, source, zero)
     constants = [
         f"static const double MOTOR_ZERO[6] = {{{', '.join(map(repr, zero.tolist()))}}}; /* m */",

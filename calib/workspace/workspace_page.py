@@ -41,8 +41,7 @@ def workspace_lines(workspace: Workspace, unit: str) -> list[str]:
         else (
             f"{workspace.lost * 100:.2f} % of the poses that the nominal model reaches are lost, "
             f"{workspace.gained * 100:.2f} % of those that the corrected machine "
-            f"reaches are gained ({workspace.drawn} configurations of each, over the whole strokes, all axes "
-            "independent)"
+            f"reaches are gained ({workspace.drawn} configurations of each, over the whole strokes)"
         )
     )
     known, inner = np.isfinite(workspace.bound[:, 0]), workspace.room > 0

@@ -28,7 +28,7 @@ FILES = {  # what each holds
     "every axis moves linearly; equal "
     "rows are a dwell; after "
     "the last row it stays. Not there where nothing was commanded. An arm has `q1..qn` in place of `l1..l6`, "
-    "two struts `l1,l2`.",
+    "two struts `l1,l2`, eight `l1..l8`.",
     "frames.csv": "One row for each exposure. Rows with the same `frame` were exposed together "
     "(within 1 ms). Always there.",
     "sensors.csv": "`t` and any channels; linear between rows. One row alone states what never "

@@ -10,9 +10,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake
+from rig.errors import NotConverged
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, has_struts
+from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanisms import hexapod as kinematics
+from rig.model.mechanisms import redundant_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, has_struts, is_redundant
 from rig.recording.recording_folder import Commands, Sensors
 
 KELVIN = (200.0, 400.0)
@@ -166,6 +170,8 @@ def environment_mistakes(design: Design) -> Iterator[Mistake]:
 
 UNITS = {"millimetres": 1e3, "centimetres": 1e2, "micrometres": 1e6, "inches": 1 / 0.0254}  # per metre
 FEW = 1 / 3  # of the axes, beyond whose ranges alone no unit and no origin of all commands leads
+PLANNED = 1e-6  # m, to which struts beyond six agree with a stated geometry only where that gave their lengths
+LOOKED_AT = 12  # configurations of which that is asked
 MUCH = 0.1  # share of commands beyond the range by more than a tenth of it, that is no slip of a limit
 
 
@@ -177,6 +183,26 @@ def command_unit_mistakes(commands: Commands, design: Design) -> Iterator[Mistak
         yield from _slides(commands.values[:, m.slides], m.limits[m.slides])
     elif has_struts(m):
         yield from _lengths(commands.values, m.strut_range, mechanisms.kinematics_of(m).home_values(m))
+        if is_redundant(m) and m.followers:
+            yield from _planned_followers(commands.values, m)
+
+
+def _planned_followers(q: Floats, hexapod: Hexapod) -> Iterator[Mistake]:
+    """Struts that are measured and whose lengths (n, struts) agree with the stated geometry as only planned ones do."""
+    lengths = q[np.linspace(0, len(q) - 1, min(len(q), LOOKED_AT)).astype(int)]
+    try:
+        apart = np.abs(redundant_struts.conflict(kinematics.forward(lengths, hexapod), lengths, hexapod)).max()
+    except NotConverged:
+        return  # what is no pose at all has other reasons
+    if apart < PLANNED:
+        names = " and ".join(f"l{i + 1}" for i in hexapod.followers)
+        yield Mistake(
+            f"commands.csv: {names} agree with rig.toml to {apart * 1e6:.2g} um: they are planned, not "
+            "read off these struts",
+            "Write what these struts measured in these columns; leave them only for a machine simulated without errors",
+            False,
+            0.9,
+        )
 
 
 def _outside(values: Floats, ranges: Floats) -> Floats:

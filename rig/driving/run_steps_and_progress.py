@@ -227,6 +227,8 @@ def interrupted_move_result(
     if progress.pending is not None:
         if np.abs(np.asarray(progress.pending.goal) - goal).max() > STANDING:
             return f"step {progress.step} was on its way back to its start", False
+        if near(goal) and steps[progress.step].speed is not None:
+            return f"the move of step {progress.step} was done, but not seen to its end: it is made again", False
         if near(goal):
             return f"the move of step {progress.step} was done: the struts are at its goal", True
         if near(progress.pending.start):

@@ -130,7 +130,7 @@ def _hexapod(drawn: Outline, m: Hexapod, T: RigidTransform, colour: Colour) -> N
     for around in (np.array(closed_outline(joints)) for joints in (m.base_joints, tops)):
         drawn.patch(around[:-1], "plate")
         drawn.line(around, colour("rig"))
-    for i in range(6):
+    for i in range(len(m.axes)):
         c = colour(str(Place.axis("strut", i)), "rig")
         drawn.line([m.base_joints[i], tops[i]], c, str(Place.axis("strut", i)))
         drawn.label(0.62 * m.base_joints[i] + 0.38 * tops[i], str(i + 1), c)

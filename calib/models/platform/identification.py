@@ -44,7 +44,8 @@ EXCESS = 3.0  # standard deviations of chance that scatter must exceed before it
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identified:
-    """What a fit of a machine on struts found, its p parameters (42 of a hexapod) in the order of NAMES.
+    """What a fit of a machine on struts found, its p parameters (42 of a hexapod), as in
+    `geometric_parameters`.
 
     mechanism : with the fitted geometry; covariance : (p, p) m^2; shared : (k,) the draw of the poses'
     shared errors; root : (p, p) 1/m, square root of the information in the poses alone

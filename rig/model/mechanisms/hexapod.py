@@ -6,7 +6,7 @@ Forward and inverse kinematics, Jacobian, strut limits and loads, singular geome
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 from scipy.linalg import lu
@@ -17,10 +17,6 @@ from rig.errors import NotConverged
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod_kernels
 from rig.model.pose import exp, transform_points
-
-if TYPE_CHECKING:
-    pass
-
 
 AXIS, UNIT = "strut", "m"
 TOLERANCE = 1e-12  # m; what Newton leaves of a strut's length

@@ -219,6 +219,8 @@ class LayoutOptions:
         if self.own_arm is not None:
             self._require_own_arm_options()
             return
+        if self.struts != 6 and (self.arm is not None or self.mechanism == "arm"):
+            raise RigError("--struts is for a hexapod; an arm has joints")
         if self.arm is not None or self.mechanism == "arm":
             self._require_arm_options()
             return

@@ -251,6 +251,18 @@ def test_a_way_back_that_was_broken_off_is_no_step_that_was_done():
         assert not done and text == "step 1 was on its way back to its start"
 
 
+def test_a_move_in_motion_that_ended_while_nobody_looked_is_made_again():
+    """A controller finishes the move of a killed process, whose exposures then are missing."""
+    steps = tuple(Step(np.full(6, length), 0, 0.02) for length in (0.45, 0.46))
+    goal, start = (tuple(step.goal.tolist()) for step in reversed(steps))
+    found = [Began(0.0, 0.0, 2, "", start), Departure(1.0, 0, start, start), Arrival(2.0, 0, start, True)]
+    state = progress_from_journal([*found, Departure(3.0, 1, start, goal)], steps)
+    text, done = interrupted_move_result(state, steps, np.array(goal), 1e-5)
+    assert not done and "is made again" in text
+    standing = tuple(Step(step.goal, 0, None) for step in steps)
+    assert interrupted_move_result(state, standing, np.array(goal), 1e-5)[1]
+
+
 @pytest.mark.parametrize("kind", ["position lost", "stop fails"])
 def test_frames_of_a_move_after_which_nothing_is_known_are_where_the_struts_were(made, tmp_path, monkeypatch, kind):
     watch, stop = Driver._watch, Driver.stop

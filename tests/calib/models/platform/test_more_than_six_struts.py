@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from calib.correction.correction import Correction, identify_geometry
 from calib.models.platform.identification import identify_platform
 from calib.samples.pose_samples import Samples
+from rig.checks.unit_and_convention_mistakes import command_unit_mistakes
 from rig.errors import RigError
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model.mechanism_geometry_classes import Chain, Hexapod
@@ -19,6 +20,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import pose_to_vector
 from rig.planning.configuration_generators import evenly_spread_configurations
 from rig.planning.plan import build_plan
+from rig.recording.recording_folder import Commands
 from tests.calib import sprung_platforms
 from tests.cli import run
 
@@ -213,6 +215,10 @@ def test_what_more_struts_do_not_take_is_refused_with_a_reason(tmp_path):
         build_plan(design, "grid:2")
     ladder = build_plan(design, "ladder:2").commands.values
     np.testing.assert_allclose(redundant_struts.conflict(hexapod.forward(ladder, m), ladder, m), 0, atol=2e-7)
+    (planned,) = command_unit_mistakes(Commands(np.arange(len(ladder)) * 1.0, ladder), design)
+    assert "l3 and l8" in planned.what and not planned.spoils
+    read = ladder + np.eye(8)[2] * 1e-4
+    assert not list(command_unit_mistakes(Commands(np.arange(len(ladder)) * 1.0, read), design))
     for wrong in ("[3]", "[3, 9]", "[3, 3]", "3", "[true, 3]"):
         path.write_text(text.replace("[3, 8]", wrong))
         with pytest.raises(RigError, match="lists the numbers, from 1, of the 2 struts beyond six"):
