@@ -16,11 +16,11 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import accumulate
 from os import PathLike
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from types import FrameType
 from typing import TypeVar
 
@@ -29,6 +29,7 @@ from rig.errors import RigError
 # processes that may be ended from outside, one after the other with nothing done between, before nothing more is begun
 ENDED = 3
 SHARES = 4  # parts of what is left for each worker, so that none is waited for long
+AWAKE = 0.5  # s, after which a signal that another thread took is seen, which does not end a wait
 MOST = 4  # things of a part: what is lost with a worker, and by which progress goes on
 LOOK = 0.5  # s between looks at whether the parent is there
 SIGKILL = 9  # of Linux
@@ -96,7 +97,8 @@ def executor_map(
     try:
         for future in futures:
             while future in pending:
-                pending.discard(finished.get())
+                with suppress(Empty):
+                    pending.discard(finished.get(timeout=AWAKE))
             with _interrupts_wait():
                 out.append(future.result())
             if progress:
