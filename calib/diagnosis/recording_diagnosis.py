@@ -19,7 +19,9 @@ from calib.diagnosis.engine.candidates_thresholds_and_outliers import (
 )
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.finding_confirmation import Finding
-from calib.diagnosis.engine.findings_beside_smooth_functions import remove_findings_insignificant_with_smooth_functions
+from calib.diagnosis.engine.finding_removal_with_smooth_functions import (
+    remove_findings_insignificant_with_smooth_functions,
+)
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Fit, Progress
 from calib.diagnosis.engine.term_selection import Selection, select_terms

@@ -17,21 +17,10 @@ from rig.recording.recording_tables import Corners
 from vision.checks.corner_and_lens_convention_trials import FRAMES
 from vision.corners.marker_detection_and_corner_fit import Detection, detect_markers, opencv_detector
 from vision.predict import MarkerMap, marker_map
+from vision.reading.marker_identity_and_expected_places import FAMILIES
 from vision.reading.parallel_image_map_and_marker_rendering import map_images_in_threads
 from vision.reading.recording_corners import image_reader
 
-FAMILIES = (
-    "DICT_4X4_1000",
-    "DICT_5X5_1000",
-    "DICT_6X6_1000",
-    "DICT_7X7_1000",
-    "DICT_ARUCO_ORIGINAL",
-    "DICT_APRILTAG_16h5",
-    "DICT_APRILTAG_25h9",
-    "DICT_APRILTAG_36h10",
-    "DICT_APRILTAG_36h11",
-    "DICT_ARUCO_MIP_36h12",
-)
 TRIED = 6  # images in which other dictionaries are tried
 LEAST = 3  # sightings of an identity of the rig in another dictionary, from which that is named
 FEW = 3  # frames looked at before anything is measured

@@ -45,7 +45,7 @@ MOST = 40  # sightings of a marker that are held against all places
 LOOKED_AT = 4  # images in which a marker that is never seen is looked for, and dictionaries are tried
 _TURNS = np.array([[(k + q) % 4 for k in range(4)] for q in range(4)])
 _ORDERS = np.concatenate([_TURNS, _TURNS[:, ::-1]])  # (8, 4): turned by so many quarters; then mirrored as well
-_FAMILIES = (
+FAMILIES = (
     "DICT_4X4_1000",
     "DICT_5X5_1000",
     "DICT_6X6_1000",
@@ -253,7 +253,7 @@ def no_marker_reason(images: Sequence[Pixels], marker_map: MarkerMap) -> str:
             )
     others = [
         name
-        for name in _FAMILIES
+        for name in FAMILIES
         if name.rsplit("_", 1)[0] not in {other.rsplit("_", 1)[0] for other in stated} or "X" not in name
     ]
     best = max(

@@ -105,7 +105,7 @@ def score_raised_to_likelihood_ratio(score: Score[C], likelihood_ratio: float, f
     return replace(score, delta_chi2=delta, p_value=float(score.p_value * np.exp(-(delta - score.delta_chi2) / 2)))
 
 
-def best_scores_at_axes(promising: list[Score[C]], name: str, size: int) -> list[Score[C]]:
+def _best_scores_at_axes(promising: list[Score[C]], name: str, size: int) -> list[Score[C]]:
     """The best Score of one effect at each axis, the most convincing first."""
     best: dict[str, Score[C]] = {}
     for s in promising:
@@ -130,7 +130,7 @@ def best_effect_at_several_axes(
     found: list[Score[C]] = []
     most = promising[0].raw_delta_bic(size)
     for name in dict.fromkeys(s.candidate.name for s in promising if s.candidate.site.is_axis):
-        group = [s for s in best_scores_at_axes(scores, name, size) if s.delta_chi2 > 0]
+        group = [s for s in _best_scores_at_axes(scores, name, size) if s.delta_chi2 > 0]
         if len(group) < SEVERAL:
             continue
         sizes, gain = joint_gain(project(group), np.array([_may_be_opposite(s) for s in group]))

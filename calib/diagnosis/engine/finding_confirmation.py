@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Generic
 
 import numpy as np
@@ -127,8 +128,11 @@ def refit_alternatives(
     close = [a for a in alternatives if is_indistinguishable(a, problem.policy)][: problem.policy.refitted]
     if not close:
         return []
-    size, bare, out = problem.size(fit), problem.remove_term(fit, number), []
-    residual = problem.residual(bare)
+    size, out = problem.size(fit), []
+
+    @cache
+    def bare() -> Fit:
+        return problem.remove_term(fit, number)
 
     def behind(score: Score[C], new: Fit) -> float:
         return problem.likelihood_ratio(new, fit) + score.complexity(size) - finding_score.complexity(size)
@@ -136,16 +140,14 @@ def refit_alternatives(
     for a in close:
         chosen, new = a.score, problem.exchange_term(fit, number, a.score)
         if behind(chosen, new) > a.behind + problem.policy.alike:
-            new = min(new, problem.add_term(bare, a.score), key=lambda fit: behind(a.score, fit))
+            new = min(new, problem.add_term(bare(), a.score), key=lambda one: behind(a.score, one))
         if behind(chosen, new) > a.behind + problem.policy.alike:
-            members = [
-                (s, problem.exchange_term(fit, number, s))
-                for s in _scores_of_other_members(problem, residual, a.score.candidate)[: problem.policy.members]
-            ]
+            others = _scores_of_other_members(problem, problem.residual(bare()), a.score.candidate)
+            members = [(s, problem.exchange_term(fit, number, s)) for s in others[: problem.policy.members]]
             chosen, new = min([(chosen, new), *members], key=lambda one: behind(*one))
         score = (
             score_raised_to_likelihood_ratio(
-                chosen, problem.likelihood_ratio(bare, new), problem.linear(residual).frames
+                chosen, problem.likelihood_ratio(bare(), new), problem.linear(problem.residual(fit)).frames
             )
             if hidden
             else chosen

@@ -162,9 +162,7 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress:
         if admitted and _smooth_beyond(problem, model, promising[0]):
             break
         alike = best_effect_at_several_axes(promising, scores, model_size, _projection_of_scores(problem, model))
-        promising = [s for s in promising if any(s is one for one in alike)] + [
-            s for s in promising if not any(s is one for one in alike)
-        ]
+        promising = sorted(promising, key=lambda s: not any(s is one for one in alike))
         step = _step(problem, fit, promising, scores, refused)
         if step is None:
             break

@@ -44,8 +44,7 @@ EXCESS = 3.0  # standard deviations of chance that scatter must exceed before it
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identified:
-    """What a fit of a machine on struts found, its p parameters (42 of a hexapod), as in
-    `geometric_parameters`.
+    """What a fit of a machine on struts found, its p parameters as in `geometric_parameters` (42 of a hexapod).
 
     mechanism : with the fitted geometry; covariance : (p, p) m^2; shared : (k,) the draw of the poses'
     shared errors; root : (p, p) 1/m, square root of the information in the poses alone

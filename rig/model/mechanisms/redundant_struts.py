@@ -23,10 +23,12 @@ from rig.errors import NotConverged, RigError
 from rig.model.design import MeasuringLimbs
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod as kinematics
-from rig.model.mechanisms import hexapod as mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, Mechanism, is_redundant
 
 C = TypeVar("C", bound=Commanded)
+SIX = 6  # legs that hold a platform
+LOOKED_AT = 12  # poses, at most, over which sets of legs are compared
+SINGULAR = 1e-6  # of the largest singular value: six legs that leave a platform loose
 MAX_TRIALS = 60
 INWARDS = 0.8  # by which lengths that leave the range are brought nearer to its middle at a time
 
@@ -61,7 +63,7 @@ def agreeing_lengths(lengths: Floats, hexapod: Hexapod, share: float = 1.0) -> F
     Of six struts the lengths themselves. Of more, six degrees of freedom are free and the other lengths follow; those
     that would leave the range, or close on nothing, are brought nearer to its middle. Raises NotConverged where none do
     """
-    if len(hexapod.axes) == 6:
+    if not is_redundant(hexapod):
         return lengths
     middle, out = hexapod.strut_range.mean(axis=1), np.empty(np.shape(lengths))
     wanted, going = np.array(lengths, float), np.arange(len(lengths))
@@ -94,11 +96,6 @@ def conflict(T_base_platform: RigidTransform, lengths: Floats, hexapod: Hexapod)
     J = kinematics.jacobian(T_base_platform, hexapod)
     off = lengths - kinematics.inverse(T_base_platform, hexapod)
     return np.asarray(off - np.einsum("nij,njk,nk->ni", J, np.linalg.pinv(J), off))
-
-
-SIX = 6
-LOOKED_AT = 12  # poses, at most, over which sets of legs are compared
-SINGULAR = 1e-6  # of the largest singular value: six legs that leave a platform loose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,7 +230,7 @@ def leg_closures(legs: RedundantLegs, lengths: Floats, chosen_six: Integers) -> 
     Raises RigError where the six leave the platform loose at a pose
     """
     checks = np.setdiff1d(np.arange(len(legs.names)), chosen_six)
-    T = mechanism.forward(lengths[:, chosen_six], legs.six(chosen_six))
+    T = kinematics.forward(lengths[:, chosen_six], legs.six(chosen_six))
     told, J, to_base = leg_lengths_and_pose_and_base_jacobians(legs, T)
     values = np.linalg.svd(J[:, chosen_six], compute_uv=False)
     if (values[:, -1] < SINGULAR * values[:, 0]).any():

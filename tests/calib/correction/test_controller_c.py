@@ -4,6 +4,7 @@ import ctypes
 import re
 import time
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -63,13 +64,11 @@ ASKED = ("plain", "simplices", "backlash", "thermal")
 @pytest.fixture(scope="module")
 def compiled(design, tmp_path_factory):
     """name -> (Calibration, Controller), each compiled once."""
-    found = {}
 
+    @cache
     def make(name):
-        if name not in found:
-            calibration = CALIBRATIONS[name](design)
-            found[name] = calibration, Controller(calibration, tmp_path_factory.mktemp("c"))
-        return found[name]
+        calibration = CALIBRATIONS[name](design)
+        return calibration, Controller(calibration, tmp_path_factory.mktemp("c"))
 
     return make
 

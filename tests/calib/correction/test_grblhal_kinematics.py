@@ -3,6 +3,7 @@
 import ctypes
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -118,15 +119,14 @@ def commanded(calibration, words):
 @pytest.fixture(scope="module")
 def compiled(design, tmp_path_factory):
     """name -> (Calibration, PlugIn), each compiled once."""
-    found = {}
 
+    @cache
     def make(name):
-        if name not in found:
-            calibration = CALIBRATIONS[name](design)
-            found[name] = calibration, PlugIn(calibration, tmp_path_factory.mktemp("grblhal"))
-            for channel in re.findall(r"channels\[\d+\] (\w+)", found[name][1].text):
-                assert found[name][1].command(f"{channel}:{WARM[channel]}") == 0
-        return found[name]
+        calibration = CALIBRATIONS[name](design)
+        plug_in = PlugIn(calibration, tmp_path_factory.mktemp("grblhal"))
+        for channel in re.findall(r"channels\[\d+\] (\w+)", plug_in.text):
+            assert plug_in.command(f"{channel}:{WARM[channel]}") == 0
+        return calibration, plug_in
 
     return make
 

@@ -3,6 +3,7 @@
 import ctypes
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -93,13 +94,11 @@ class Module:
 @pytest.fixture(scope="module")
 def compiled(design, tmp_path_factory):
     """(name, units) -> (Calibration, Module), each compiled once."""
-    found = {}
 
+    @cache
     def make(name, units="mm"):
-        if (name, units) not in found:
-            calibration = CALIBRATIONS[name](design)
-            found[name, units] = calibration, Module(calibration, tmp_path_factory.mktemp("kins"), units)
-        return found[name, units]
+        calibration = CALIBRATIONS[name](design)
+        return calibration, Module(calibration, tmp_path_factory.mktemp("kins"), units)
 
     return make
 

@@ -1,4 +1,4 @@
-"""Findings beside smooth functions: which of them stay once what has no name is fitted with them."""
+"""Removal of findings that are insignificant once smooth functions of the unexplained are fitted with them."""
 
 from dataclasses import replace
 
@@ -12,19 +12,17 @@ from calib.diagnosis.engine.term_selection import Selection
 def remove_findings_insignificant_with_smooth_functions(
     problem: Problem[Fit, Model, C], selection: Selection[Fit, C], unexplained: list[LackOfFit]
 ) -> Selection[Fit, C]:
-    """Remove findings that are insignificant with smooth functions.
+    """Remove findings that are insignificant once smooth functions of the unexplained are fitted with them.
 
-    Once smooth functions of the unexplained are fitted with them.
-
-    Where what is left at a
-    name's own place would make no finding, and is as unlikely by chance as what is named, the same is asked; then the
-    name goes only for what is told in its stead. Nothing goes where smooth functions are no freedom of the problem.
+    Where what is left at a name's own place would make no finding, and is as unlikely by chance as what is named, the
+    same is asked; then the name goes only for what is reported in its stead. Nothing goes where smooth functions are no
+    freedom of the problem.
     """
     if not isinstance(problem, SmoothCover):
         return selection
     fit, gone, after, findings = selection.fit, [], problem.residual(selection.fit), []
     for f in selection.findings:
-        if not problem.given.holds(f.score.candidate) and is_insignificant_beside_smooth_functions(
+        if not problem.given.holds(f.score.candidate) and _is_insignificant_with_smooth_functions(
             problem, f, fit, after, unexplained, selection.asked
         ):
             without = problem.without_term(fit, f.number)
@@ -41,7 +39,7 @@ def remove_findings_insignificant_with_smooth_functions(
     return replace(selection, fit=fit, findings=findings)
 
 
-def is_insignificant_beside_smooth_functions(
+def _is_insignificant_with_smooth_functions(
     problem: Problem[Fit, Model, C],
     finding: Finding[C],
     fit: Fit,
