@@ -67,7 +67,7 @@ GROUPS = {
         "covariance.",
         "export": "A calibrated geometry for other programs: genhexkins, URDF, JSON, CSV.",
         "doctor": "Requirements of rig on this computer: packages, OpenGL, cameras, ports, space, threads.",
-        "doctor kernels": "Compile ahead what `rig run` and `rig measure` take from the compiler, as after an installation.",
+        "doctor kernels": "Compile ahead what `rig run` and `rig measure` would compile, once after an installation.",
         "doctor completion": "The script that makes bash, zsh or fish complete rig's commands and options.",
     },
 }
