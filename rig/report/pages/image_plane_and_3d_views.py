@@ -208,18 +208,18 @@ def view_3d_html(scene: Scene) -> list[str]:
 def _caption(scene: Scene) -> str:
     """What a scene shows, in words: of its parts those that it has."""
     kinds = {part["kind"] for part in (*scene.fixed, *scene.moved)}
-    hand = "at the platform joints" if len(scene.ends) > 1 else "at the hand"
+    hand = "at the platform joints" if len(scene.ends) > 1 else "at the measured body"
     seen = {
         "numbered lines are the struts, outlines join the joints of base and platform": len(scene.base),
         "the bent line is the arm, from joint to joint": scene.links is not None,
-        "the cross shows the axes of the hand": not len(scene.platform),
+        "the cross shows the axes of the measured body": not len(scene.platform),
         "squares are the markers": "face" in kinds,
         "named pyramids are the cameras, open to where they look": "camera" in kinds,
         f"coloured lines {hand} lead from a pose to where its error or the effect takes it": scene.errors
         or scene.effects,
     }
     parts = "; ".join(text for text, there in seen.items() if there)
-    return f"The machine in the base frame at {len(scene.frames)} poses, one after another. {parts.capitalize()}."
+    return f"The rig in the base frame at {len(scene.frames)} poses, one after another. {parts.capitalize()}."
 
 
 def view_3d_scripts_if_needed(parts: Sequence[str]) -> tuple[str, ...]:

@@ -183,4 +183,4 @@ def test_a_view_in_three_dimensions_says_what_is_seen(machine):
     caption = re.search("<figcaption>(.*)</figcaption>", page)[1]
     assert "at 3 poses" in caption and "squares are the markers" in caption and "pyramids" not in caption
     assert ("the struts" in caption and "at the platform joints" in caption) == (machine == "hexapod")
-    assert ("bent line is the arm" in caption and "axes of the hand" in caption) == (machine == "arm")
+    assert ("bent line is the arm" in caption and "axes of the measured body" in caption) == (machine == "arm")
