@@ -39,6 +39,8 @@ def test_block_and_board_give_what_the_page_says(shared, tmp_path, monkeypatch):
     for model, figure in (("4 distortion terms", "0.30 px"), ("no distortion", "0.45 px")):
         line = next(line for line in done["lens"].splitlines() if line.strip().startswith(model))
         assert f"{float(line.removesuffix('<- chosen').split()[-1]):.2f} px" == figure and figure in page
+    for one in ("measured/report.html", "view.html"):  # nothing was commanded, so nothing can be calibrated
+        assert "rig calibrate" not in (tmp_path / one).read_text(encoding="utf-8"), one
     assert (tmp_path / "view.html").exists() and (tmp_path / "lens/camera.toml").exists()
 
 
