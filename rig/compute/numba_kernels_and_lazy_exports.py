@@ -178,8 +178,9 @@ def _set_portable_processor() -> None:
     from llvmlite.binding import get_host_cpu_features
 
     settings: Any = numba.config
-    name, needed = PORTABLE.get(platform.machine().lower().replace("amd64", "x86_64"), ("", ()))
-    here = get_host_cpu_features()
+    machine = platform.machine().lower()
+    name, needed = PORTABLE.get({"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine), ("", ()))
+    here: Mapping[str, bool] = get_host_cpu_features()
     if name and settings.CPU_NAME is None and settings.CPU_FEATURES is None and all(here.get(one) for one in needed):
         settings.CPU_NAME, settings.CPU_FEATURES = name, ""
 
@@ -241,7 +242,7 @@ class Kernel:
                 found.update(value.digest)
             elif isinstance(value, type) and value.__module__.partition(".")[0] in PACKAGES:
                 found.update(_file_digest(inspect.getfile(value)))
-            elif hasattr(value, "tobytes"):
+            elif value is not None and hasattr(value, "tobytes"):
                 found.update(value.tobytes())
             elif isinstance(value, (int, float, str, tuple)):
                 found.update(repr(value).encode())
