@@ -114,13 +114,31 @@ def test_a_kernel_is_compiled_anew_after_a_change_of_what_it_takes_from_another_
         (tmp_path / "upper.py").write_text(
             KERNEL.format(imports="from lower import ARRAY, NUMBER, below\n", function=above)
         )
-        environment = {**os.environ, "PYTHONPATH": f"{tmp_path}:{ROOT}", "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+        # no bytecode: Python takes that of an equally long source that was written within the same second
+        environment = {**os.environ, "PYTHONPATH": f"{tmp_path}:{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
+        environment |= {"NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
         code = "import upper; print(upper.above(1.0))"
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
         assert not done.returncode, done.stderr
         return float(done.stdout)
 
     assert [written(2.0), written(3.0), written(2.0)] == [8.0, 12.0, 8.0]
+
+
+@pytest.mark.parametrize("named", [None, "generic"])
+def test_kernels_are_compiled_for_all_processors_of_a_kind_unless_one_is_named(named):
+    code = (
+        "from rig.effects.framework import machine_motion_and_play as motion; import numba, numpy as np; "
+        "from numba.core.registry import cpu_target; "
+        "assert motion.play_operator(np.ones((3, 1)), 0.5).sum() == 3; "
+        "print(cpu_target.target_context.codegen().magic_tuple()[1:])"
+    )
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_CPU")}
+    environment |= {"NUMBA_CPU_NAME": named} if named else {}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, env=environment)
+    assert not done.returncode, done.stderr
+    portable = [name for name, _ in numba_kernels_and_lazy_exports.PORTABLE.values()]
+    assert done.stdout in [f"{(name, '')}\n" for name in ([named] if named else portable)], done.stdout
 
 
 @pytest.mark.parametrize("open_one", ["NUMBA_CACHE_DIR", "__pycache__"])
