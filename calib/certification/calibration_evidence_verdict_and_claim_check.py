@@ -30,7 +30,7 @@ from rig.report.verdict_and_display import LOOK, Evidence, MissingEvidence, Refu
 
 MORE = (
     "Record more distinct configurations: `rig plan RIG.toml --for parameters --out plan.csv` chooses those that "
-    "tell most"
+    "determine most"
 )
 ONWARD = (
     "Take another recording and certify the calibration with it: `rig certify calibration.json OTHER-REC "

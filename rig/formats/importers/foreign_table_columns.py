@@ -140,6 +140,8 @@ def find_columns(
     Returns {our name: column index}
     """
     stated = dict(cells.table.columns)
+    prefix = _shared_prefix(cells.header, [header_names[ours] for ours in required_names if ours not in stated])
+    words = [_normalised_header(header.removeprefix(prefix)) for header in cells.header]
     found: dict[str, int] = {}
     for ours, names in header_names.items():
         if ours in stated:
@@ -151,9 +153,7 @@ def find_columns(
             continue
         exact = [k for k, header in enumerate(cells.header) if header == ours]
         alike = exact or [
-            k
-            for k, header in enumerate(cells.header)
-            if _normalised_header(header) in names and header not in stated.values()
+            k for k, header in enumerate(cells.header) if words[k] in names and header not in stated.values()
         ]
         if len(alike) > 1:
             raise RigError(
@@ -193,6 +193,21 @@ def find_columns(
             all(ours in supposed for ours in absent),
         )
     return found
+
+
+def _shared_prefix(header: Sequence[str], required: Sequence[tuple[str, ...]]) -> str:
+    """What stands before all required columns, as "measured_" of measured_x, measured_y, measured_z; "" where they
+    are there without, and where several prefixes are possible.
+
+    required : of each column what its header may be called
+    """
+    plain = {_normalised_header(one) for one in header}
+    parts = [match.groups() for one in header if (match := re.fullmatch(r"(.+[\W_])([^\W_]+)", split_header(one)[0]))]
+    before = [{prefix for prefix, word in parts if _normalised_header(word) in names} for names in required]
+    shared = (
+        set.intersection(*before) if len(required) > 1 and all(plain.isdisjoint(one) for one in required) else set()
+    )
+    return shared.pop() if len(shared) == 1 else ""
 
 
 def _supposed_columns(
