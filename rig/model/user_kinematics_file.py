@@ -6,6 +6,7 @@ The file is run: it is a program, to be trusted as one. What is wrong with it is
 """
 
 import ast
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -159,7 +160,8 @@ class KinematicsFile:
 
     def _called(self, name: str, given: Floats, p: Floats, shape: tuple[int, ...], batched: bool) -> Floats:
         function, by_name = getattr(self.module, name), self.by_name(p)
-        with self._reported(name), np.errstate(all="ignore"):
+        with self._reported(name), np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore", np.exceptions.ComplexWarning)  # of a complex step that a function discards
             found = function(given, by_name) if batched else [function(one, by_name) for one in given]
             out = np.asarray(found)
         expected = (len(given), *shape)

@@ -40,6 +40,10 @@ IMAGE = {
     )
 }
 CAMERA = {"camera": ("camera", "cam", "kamera", "appareil", "camara", "相机", "摄像头")}
+DIRECTION: dict[str, tuple[str, ...]] = {
+    "azimuth": ("azimuth", "az", "azm", "azimut", "azobs", "azobserved", "acimut", "方位角"),
+    "elevation": ("elevation", "el", "alt", "altitude", "elobs", "altobs", "hohe", "hoehe", "elevacion", "仰角"),
+}
 LIMB = (
     *(
         "l",
@@ -125,9 +129,15 @@ def _normalised_header(header: str) -> str:
 def axis_header_names(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
     """Accepted header names of axes.
 
-    Returns {axis: names} of the axes l1.. or q1..
+    Returns {axis: names} of the axes l1.. or q1.., and of others their own names
     """
-    return {name: tuple(f"{word}{name[1:]}" for word in (LIMB if name[0] == "l" else JOINT)) for name in names}
+    words = {"l": LIMB, "q": JOINT}
+    return {
+        name: tuple(f"{word}{name[1:]}" for word in words[name[0]])
+        if re.fullmatch(r"[lq]\d+", name)
+        else (_normalised_header(name),)
+        for name in names
+    }
 
 
 def find_columns(

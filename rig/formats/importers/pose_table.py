@@ -15,6 +15,7 @@ from rig.errors import FileError, RigError
 from rig.formats.checked_entries import LARGEST_RIG, nearest_known_word
 from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import (
+    DIRECTION,
     FRAME,
     TIME,
     Cells,
@@ -29,8 +30,11 @@ from rig.model.design import Design
 from rig.model.hands_places_and_tolerances import hand_names
 from rig.model.mechanisms import hexapod, kinematics_of
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, is_hexapod
+from rig.model.pose import poses_pointing_along
+from rig.recording.recording_tables import DISTANCE, directions_of_angles
 
-POSITION = {
+Headers = dict[str, tuple[str, ...]]
+POSITION: Headers = {
     "x": ("x", "tx", "px", "posx", "positionx", "xpos"),
     "y": ("y", "ty", "py", "posy", "positiony", "ypos"),
     "z": ("z", "tz", "pz", "posz", "positionz", "zpos"),
@@ -43,6 +47,7 @@ VECTOR = {
 EULERS = {"roll": ("roll",), "pitch": ("pitch",), "yaw": ("yaw",)}
 QUATERNION = {"qw": ("qw", "quatw", "w"), "qx": ("qx", "quatx"), "qy": ("qy", "quaty"), "qz": ("qz", "quatz")}
 NUMBERED = {"q0": ("q0",), "q1": ("q1",), "q2": ("q2",), "q3": ("q3",), "q4": ("q4",)}
+WIRE: Headers = {DISTANCE: (DISTANCE, "dist", "range", "wire", "wirelength", "abstand", "distanz", "distancia", "距离")}
 HAND = {"hand": ("hand", "tip", "arm", "gripper", "effector", "greifer", "main", "mano")}
 REACH = (0.02, 10.0)  # of the rig's size, that positions lie from its origin
 UNIT = 1e-2  # that a quaternion's length may differ from one
@@ -53,6 +58,7 @@ LEAST = 4  # poses with a command, from which commands decide
 # how rotations can be read: word, unit or None, and what comes of it; and what was read, with the table as read and
 # sentences on it
 Reading = tuple[str, str | None, Rotation]
+ReadPoses = tuple[RigidTransform, ForeignTable, tuple[str, ...]]
 ReadRotations = tuple[Rotation | None, ForeignTable, tuple[str, ...]]
 
 
@@ -94,11 +100,14 @@ def read_poses(
         cells = replace(cells, header=tuple(cells.header[k] for k in keep), rows=rows)
     hands = hand_names(design.mechanism)
     of_hands = HAND if hands else {}
-    names = {**TIME, **FRAME, **of_hands, **POSITION, **VECTOR, **EULERS, **QUATERNION, **NUMBERED}
-    found = find_columns(cells, "poses", names, ("x", "y", "z", *of_hands))
+    kind = "pose" if design.instrument is None else design.instrument.kind
+    names, needed = _columns_of_kind(cells, kind)
+    found = find_columns(cells, "poses", {**TIME, **FRAME, **of_hands, **names}, (*needed, *of_hands))
     table = replace(cells.table, columns=column_headers_for_import_recipe(table, cells, found))
-    p, table, said = _positions(cells, found, table, design)
-    t = None
+    said: tuple[str, ...] = ()
+    p, t = np.zeros((len(cells.rows), 3)), None
+    if kind == "pose":
+        p, table, said = _positions(cells, found, table, design)
     if "t" in found:
         read_times = cells.times(found["t"], "poses", table, are_plausible)
         t, said, table = (
@@ -111,10 +120,64 @@ def read_poses(
     q = commands_of_rows(t, frame, len(p))
     if q is not None and hand is not None:
         q = np.where((hand == 0)[:, None], q, np.nan)  # turns are compared of one hand
+    if kind in ("direction", "distance"):
+        T, table, more = (_directions if kind == "direction" else _distances)(cells, found, table)
+        return ImportedPoses(T, False, frame, t, table, (*cells.said, *said, *more), hand)
     rotations, table, more = _rotations(cells, found, table, design, p, q)
     alone = rotations is None
+    if alone and (design.instrument is None or kind == "orientation"):
+        raise RigError(
+            f"{table.file} has no columns of rotations (--set poses.columns.rx=HEADER names one), and rig.toml no "
+            "[instrument] that measures positions alone: base, tool and position_sigma, without rotation_sigma"
+        )
     T = RigidTransform.from_components(p, Rotation.identity(len(p)) if alone else rotations)
     return ImportedPoses(T, alone, frame, t, table, (*cells.said, *said, *more), hand)
+
+
+def _columns_of_kind(cells: Cells, kind: str) -> tuple[Headers, tuple[str, ...]]:
+    """({our name: accepted headers}, names that are required) of what an instrument of a kind measures."""
+    rotations: Headers = {**VECTOR, **EULERS, **QUATERNION, **NUMBERED}
+    if kind == "distance":
+        return WIRE, tuple(WIRE)
+    if kind == "orientation":
+        return rotations, ()
+    if kind == "direction":
+        vector = {*"xyz"} <= set(find_columns(cells, "poses", POSITION, ()))
+        return (POSITION, ("x", "y", "z")) if vector else (DIRECTION, tuple(DIRECTION))
+    return {**POSITION, **rotations}, ("x", "y", "z")
+
+
+def _directions(cells: Cells, found: dict[str, int], table: ForeignTable) -> ReadPoses:
+    """Poses that point along directions, azimuth and elevation or vectors."""
+    values = np.array([cells.numbers(found[name]) for name in ("azimuth", "elevation", *"xyz") if name in found]).T
+    if values.shape[1] == 3:
+        length = np.linalg.norm(values, axis=1, keepdims=True)
+        if (np.abs(length - 1) > UNIT).any():
+            raise RigError(f"{table.file}: x, y, z are no directions: vectors of length one")
+        return poses_pointing_along(values / length), table, (f"{table.file.name}: directions are vectors",)
+    stated = {cells.unit(found[name]) for name in DIRECTION} - {None}
+    unit = table.rotation_unit or (next(iter(stated)) if len(stated) == 1 else None)
+    if unit not in ANGLES:
+        fit = [u for u, turn in (("rad", 2 * np.pi), ("deg", 360.0)) if (np.abs(values) <= [turn, turn / 4]).all()]
+        if len(fit) != 1:
+            raise ambiguity_error(
+                f"{table.file}: the unit of azimuth and elevation is not stated, and they do not decide",
+                [(u, f"poses.rotation_unit={u}") for u in ("rad", "deg")],
+            )
+        unit = fit[0]
+    angles = values / ANGLES[unit]
+    if (np.abs(angles) > [2 * np.pi * (1 + UNIT), np.pi / 2]).any():
+        raise RigError(f"{table.file}: an azimuth or elevation is beyond the circle in {unit}")
+    told = () if stated or table.rotation_unit else (f"{table.file.name}: azimuth and elevation are in {unit}",)
+    return poses_pointing_along(directions_of_angles(angles)), replace(table, rotation_unit=unit), told
+
+
+def _distances(cells: Cells, found: dict[str, int], table: ForeignTable) -> ReadPoses:
+    """Poses as far along x as a wire is long."""
+    values, unit = np.array(cells.numbers(found[DISTANCE])), table.unit or cells.unit(found[DISTANCE])
+    if unit not in LENGTHS:
+        raise RigError(f"{table.file}: the unit of its distances is not stated; --set poses.unit=mm states it")
+    return RigidTransform.from_translation(np.outer(values / LENGTHS[unit], [1, 0, 0])), replace(table, unit=unit), ()
 
 
 def _hand_numbers(cells: Cells, at: int, hands: tuple[str, ...]) -> Integers:

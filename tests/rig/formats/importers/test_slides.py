@@ -25,7 +25,7 @@ def test_each_column_is_read_in_the_unit_of_its_header(tmp_path):
 @pytest.mark.parametrize(
     "header, row, says",
     [
-        ("frame,q1,q2,q3,q4", "0,90,-45,120,0.5", "no unit in common"),
+        ("frame,q1,q2,q3,q4", "0,90,-45,1200,0.5", "beyond the limits in rig.toml in m and in mm"),
         ("frame,q1,q2,q3 [deg],q4", "0,1,1,0.1,0.5", "deg is not a unit of q3, which slides"),
         ("frame,q1 [mm],q2,q3,q4", "0,1,1,0.1,0.5", "mm is not a unit of q1, which turns"),
     ],
