@@ -215,7 +215,7 @@ def estimate_placement(
             break
     asked = asked_numbers(ends, samples.measured)
     freedom = max(white.left.size - int(asked.sum()), 1)
-    excess = max(1.0, float((white.weight[:, None] * white.left**2).sum()) / freedom)
+    excess = max(1.0, float(((white.weight[:, None] * white.left) ** 2).sum()) / freedom)
     return replace(found, covariance=np.linalg.inv(H) * excess * np.outer(asked, asked))
 
 
@@ -336,23 +336,25 @@ def _without_displacement(calibration: Calibration, samples: Samples, instrument
     predicted, scatter = calibration.correction.predict(samples.effective), np.resize(calibration.scatter, 6)
     origin = base_origin(fitted)
 
-    def estimated(ends: tuple[bool, bool]) -> tuple[Placement, Floats]:
-        """(Placement, its (12, 12) covariance by noise alone)."""
+    def estimated(ends: tuple[bool, bool]) -> Placement:
+        """Placement whose covariance has what the calibration and the errors that all poses share leave uncertain."""
         one = estimate_placement(predicted, samples, origin, scatter, ends)
-        own = one.covariance
-        return replace(one, covariance=own + _by_parameters(calibration, fitted, samples, predicted, one)), own
+        shared = _by_shared_errors(calibration, fitted, samples, predicted, one)
+        return replace(one, covariance=one.covariance + shared)
 
-    both, own = estimated((True, True))
+    both = estimated((True, True))
     tested = tested_placement(both, always, is_clear(predicted, samples, both, scatter))
     if not any(tested.ends):
         return PlacedSamples(samples)
     found = both
     if not all(tested.ends):
-        found, own = estimated(tested.ends)
+        found = estimated(tested.ends)
     found = replace(found, ends=tested.ends, p_values=tested.p_values)
     moved = samples_in_reference(samples, found, predicted)
     white = _white(predicted, samples, found, scatter)
-    taken = np.einsum("nka,ab,nkb->nk", white.columns, own, white.columns)
+    A = white.columns * white.weight[:, None, None]
+    hat = np.linalg.inv(np.einsum("nka,nkb->ab", A, white.columns) + np.eye(12) / LOOSE**2)
+    taken = np.einsum("nka,ab,nkb->nk", A, hat, white.columns)
     count = white.left.shape[1]
     share = np.repeat([taken[:, part].mean() for part in (slice(0, 3), slice(3, 6)) if part.start < count], 3)
     grown = np.ones(6)
@@ -371,18 +373,22 @@ def _without_displacement(calibration: Calibration, samples: Samples, instrument
     return PlacedSamples(replace(moved, T_base_platform=T), found, tuple(lines), unexpected)
 
 
-def _by_parameters(
+def _by_shared_errors(
     calibration: Calibration, fitted: Arm | Chain, samples: Samples, predicted: RigidTransform, found: Placement
 ) -> Floats:
-    """(12, 12) covariance of a placement by the uncertainty of the calibration's parameters."""
+    """(12, 12) covariance of a placement by the uncertainty of the calibration's parameters, and by the errors that the
+    poses share, as of cameras: these are other ones than when it was calibrated.
+    """
     q = samples.effective
     J = arms.parameter_jacobian(q, fitted) if isinstance(fitted, Arm) else chains.parameter_jacobian(q, fitted)
     white = _white(predicted, samples, found, np.resize(calibration.scatter, 6))
     J = white.W @ J[:, : white.left.shape[1]]
     H = np.einsum("nka,nkb->ab", white.columns, white.columns) + np.eye(12) / LOOSE**2
     G = np.linalg.solve(H, np.einsum("nka,nkp->ap", white.columns, J))
+    common = samples_in_reference(samples, found, predicted).common[:, : white.left.shape[1]]
+    B = np.linalg.solve(H, np.einsum("nka,nkc->ac", white.columns, white.W @ common))
     asked = asked_numbers(found.ends, samples.measured)
-    return (G @ calibration.covariance @ G.T) * np.outer(asked, asked)
+    return (G @ calibration.covariance @ G.T + B @ B.T) * np.outer(asked, asked)
 
 
 def placement_lines(placements: Sequence[Placement], names: Sequence[str]) -> list[str]:
