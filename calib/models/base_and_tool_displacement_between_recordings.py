@@ -19,19 +19,20 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.models.arm import error_model_and_observations as arms
 from calib.models.chain import error_model_and_identification as chains
+from calib.samples.platform_poses_with_alignment_and_tilts import free_ends, poses_aligned_with_machine, stays_level
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Json
 from rig.model.design import Instrument
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.model.mechanisms import kinematics_of
-from rig.model.pose import adjoint, exp, pose_to_vector, skew
+from rig.model.pose import adjoint, align_poses, exp, pose_to_vector, skew
 from rig.recording.recording_folder import Recording
 
 ALIKE = 1e-3  # probability with which an end that stands still is taken for moved, which costs little
 CLEAR = 2.0  # times what it leaves; a displacement that does less may be what the model leaves out
 LOOSE = 1.0  # m, rad; by which an estimate may still be off where it is linearised anew
 HUBER = 3.0  # standard deviations, beyond which a pose counts less
-STEPS, ALTERNATIONS = 30, 20
+STEPS = 30
 SETTLED = 1e-9  # m, rad
 FEWEST = 8  # poses from which a placement is estimated
 ENDS = ("base", "tool")
@@ -220,18 +221,8 @@ def estimate_placement(
 
 
 def _aligned(predicted: RigidTransform, samples: Samples, none: Placement, ways: tuple[bool, bool]) -> Placement:
-    """Placement by which positions, and of the tool rotations, agree in the mean; the ends in turn."""
-    T, posed = samples.T_base_platform, samples.measured == "pose"
-    base = tool = NONE
-    for _ in range(ALTERNATIONS if all(ways) else 1):
-        if ways[0]:
-            p, q = (predicted * tool).translation, T.translation
-            turn, _ = Rotation.align_vectors(q - q.mean(axis=0), p - p.mean(axis=0))
-            base = RigidTransform.from_components(q.mean(axis=0) - turn.apply(p.mean(axis=0)), turn)
-        if ways[1]:
-            back = predicted.inv() * base.inv() * T
-            turn = back.rotation.mean() if posed else Rotation.identity()
-            tool = RigidTransform.from_components(np.median(back.translation, axis=0) if posed else np.zeros(3), turn)
+    """Placement by which poses, or positions, agree best, the others where they stand."""
+    base, tool = align_poses(predicted, samples.T_base_platform, ways, 6 if samples.measured == "pose" else 3)
     there = RigidTransform.from_translation(none.origin)
     return replace(none, base=there.inv() * base * there, tool=tool, ends=ways)
 
@@ -322,7 +313,13 @@ def samples_without_displacement(calibration: Calibration, recording: Recording,
 
 def _without_displacement(calibration: Calibration, samples: Samples, instrument: Instrument | None) -> PlacedSamples:
     """The same of samples with the physics that is known. instrument : as rig.toml states it, or None"""
-    fitted = calibration.correction.fitted
+    fitted, ends = calibration.correction.fitted, free_ends(instrument, calibration.correction.nominal)
+    if any(ends):
+        predicted = calibration.correction.predict(samples.effective)
+        level = stays_level(calibration.correction.nominal)
+        T, turn, line = poses_aligned_with_machine(samples.T_base_platform, predicted, ends, level)
+        own, common = turn @ samples.covariance @ turn.T, turn @ samples.common
+        return PlacedSamples(replace(samples, T_base_platform=T, covariance=own, common=common), lines=(line,))
     if not has_placements(fitted, samples.measured):
         return PlacedSamples(samples)
     assert isinstance(fitted, (Arm, Chain))

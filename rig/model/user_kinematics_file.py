@@ -6,6 +6,7 @@ The file is run: it is a program, to be trusted as one. What is wrong with it is
 """
 
 import ast
+import re
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,7 +14,7 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from traceback import extract_tb
 from types import ModuleType
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -162,7 +163,7 @@ class KinematicsFile:
         function, by_name = getattr(self.module, name), self.by_name(p)
         with self._reported(name), np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore", np.exceptions.ComplexWarning)  # of a complex step that a function discards
-            found = function(given, by_name) if batched else [function(one, by_name) for one in given]
+            found = function(given, by_name) if batched else [_one(function, one, by_name, shape) for one in given]
             out = np.asarray(found)
         expected = (len(given), *shape)
         if out.shape != expected and len(given):
@@ -242,6 +243,20 @@ def parameter_columns(file: KinematicsFile, poses: Floats, p: Floats, which: Int
 
         out[..., k] = file.derivative(moved, difference_step(float(tolerances[j])))
     return out
+
+
+def _one(
+    function: Callable[..., Any], given: Floats, by_name: dict[str, Floats | float], shape: tuple[int, ...]
+) -> Floats:
+    """What a function answers of one pose; NaN where Python's math has no answer, as numpy's functions have it."""
+    try:
+        return cast(Floats, function(given, by_name))
+    except ZeroDivisionError:
+        return np.full(shape, np.nan)
+    except ValueError as error:
+        if not re.match(r"math domain error|expected a \w+ (input|number)", str(error)):
+            raise
+        return np.full(shape, np.nan)
 
 
 def _turn(axis: int, angle: float | complex) -> Floats:
