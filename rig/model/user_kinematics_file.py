@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from traceback import extract_tb
 from types import ModuleType
-from typing import Any, Literal, cast
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -246,11 +246,14 @@ def parameter_columns(file: KinematicsFile, poses: Floats, p: Floats, which: Int
 
 
 def _one(
-    function: Callable[..., Any], given: Floats, by_name: dict[str, Floats | float], shape: tuple[int, ...]
+    function: Callable[[Floats, dict[str, Floats | float]], Floats],
+    given: Floats,
+    by_name: dict[str, Floats | float],
+    shape: tuple[int, ...],
 ) -> Floats:
     """What a function answers of one pose; NaN where Python's math has no answer, as numpy's functions have it."""
     try:
-        return cast(Floats, function(given, by_name))
+        return function(given, by_name)
     except ZeroDivisionError:
         return np.full(shape, np.nan)
     except ValueError as error:

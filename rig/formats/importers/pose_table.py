@@ -92,6 +92,7 @@ def read_poses(
     commands_of_rows : of n rows' (times, frame numbers, n) what was commanded, (n, 6) m, or None where that is not
         known
     are_plausible : whether times (n,) s from the first can be so; of_commands : headers of columns that are commands
+    Raises RigError for what cannot be used, and for positions alone where no instrument measures these
     """
     cells = read_foreign_table_header_and_cells(table, "poses")
     if of_commands:
