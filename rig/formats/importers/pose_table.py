@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats, Integers
-from rig.errors import FileError, RigError
+from rig.errors import FileError, NotConverged, RigError
 from rig.formats.checked_entries import LARGEST_RIG, nearest_known_word
 from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import (
@@ -28,8 +28,8 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.numbers_and_units import ANGLES, LENGTHS
 from rig.model.design import Design
 from rig.model.hands_places_and_tolerances import hand_names
-from rig.model.mechanisms import hexapod, kinematics_of
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, is_hexapod
+from rig.model.mechanisms import kinematics_of
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_axes
 from rig.model.pose import poses_pointing_along
 from rig.recording.recording_tables import DISTANCE, directions_of_angles
 
@@ -124,7 +124,7 @@ def read_poses(
     if kind in ("direction", "distance"):
         T, table, more = (_directions if kind == "direction" else _distances)(cells, found, table)
         return ImportedPoses(T, False, frame, t, table, (*cells.said, *said, *more), hand)
-    rotations, table, more = _rotations(cells, found, table, design, p, q)
+    rotations, table, more = _rotations(cells, found, table, design, q)
     alone = rotations is None
     if alone and (design.instrument is None or kind == "orientation"):
         raise RigError(
@@ -225,7 +225,7 @@ def _size(design: Design) -> float:
 
 
 def _rotations(
-    cells: Cells, found: dict[str, int], table: ForeignTable, design: Design, p: Floats, q: Floats | None
+    cells: Cells, found: dict[str, int], table: ForeignTable, design: Design, q: Floats | None
 ) -> ReadRotations:
     """(Rotation (n,) or None where there are none, ForeignTable, sentences)."""
     group = next((g for g in (QUATERNION, EULERS, NUMBERED, VECTOR) if len(set(g) & set(found)) >= 3), None)
@@ -247,7 +247,7 @@ def _rotations(
         rotation, unit, R = ways[0]
         told = () if table.rotation else (f"{table.file.name}: rotations are {_name(rotation, unit)}",)
         return R, replace(table, rotation=rotation, rotation_unit=unit), told
-    return _by_commands(ways, table, design, p, q)
+    return _by_commands(ways, table, design, q)
 
 
 def _name(rotation: str, unit: str | None) -> str:
@@ -286,35 +286,28 @@ def _angles(
     return found
 
 
-def _disagreement_with_commands(
-    design: Design, p: Floats, q: Floats | None
-) -> Callable[[Rotation], tuple[float, str]] | None:
-    """How far rotations (n,) at positions p (n, 3) m are from what was commanded, q (n, axes), and that in words; None
-    where it cannot be determined.
+def _disagreement_with_commands(design: Design, q: Floats | None) -> Callable[[Rotation], tuple[float, str]] | None:
+    """How far rotations (n,) are from what was commanded, q (n, axes), and that in words; None where it cannot be
+    determined.
 
-    Rows of which nothing commanded is known, NaN, do not count. Of an arm the turns between one pose and the next are
-    compared: they depend neither on where the instrument stands nor on where its target sits.
+    The turns between one pose and the next are compared, but for a tenth, which may be wrong: they depend neither on
+    where the instrument stands nor on where its target sits. Rows of which nothing commanded is known, NaN, do
+    not count.
     """
     m = design.mechanism
-    if q is None:
+    if q is None or not has_axes(m):
         return None
     known = np.isfinite(q).all(axis=1)
-    p, q = p[known], q[known]
-    if len(p) < LEAST:
+    if known.sum() < LEAST:
         return None
-    if is_hexapod(m):
-
-        def of_lengths(R: Rotation) -> tuple[float, str]:
-            off = float(np.sqrt(((hexapod.inverse(RigidTransform.from_components(p, R[known]), m) - q) ** 2).mean()))
-            return off, f"{off * 1e3:.3g} mm"
-
-        return of_lengths
-    if not has_links(m):
+    try:
+        turns = _turns_between_rows(kinematics_of(m).forward(q[known], m).rotation)
+    except NotConverged:  # of commands that close on no pose, which the check of the recording names
         return None
-    turns = _turns_between_rows(kinematics_of(m).forward(q, m).rotation)
 
     def of_turns(R: Rotation) -> tuple[float, str]:
-        off = float(np.sqrt(np.mean((_turns_between_rows(R[known]) - turns) ** 2)))
+        squares = np.sort((_turns_between_rows(R[known]) - turns) ** 2)
+        off = float(np.sqrt(np.mean(squares[: max(len(squares) * 9 // 10, 1)])))
         return off, f"{np.degrees(off):.2g} degrees"
 
     return of_turns
@@ -325,9 +318,7 @@ def _turns_between_rows(R: Rotation) -> Floats:
     return (R[:-1].inv() * R[1:]).magnitude()
 
 
-def _by_commands(
-    ways: list[Reading], table: ForeignTable, design: Design, p: Floats, q: Floats | None
-) -> ReadRotations:
+def _by_commands(ways: list[Reading], table: ForeignTable, design: Design, q: Floats | None) -> ReadRotations:
     """The reading with which the commands agree; zyx about fixed axes is XYZ about moving ones, and of the same the
     first counts.
     """
@@ -335,7 +326,7 @@ def _by_commands(
     for way in ways:
         if not any((way[2] * other[2].inv()).magnitude().max() < 1e-9 for other in distinct):
             distinct.append(way)
-    miss = _disagreement_with_commands(design, p, q)
+    miss = _disagreement_with_commands(design, q)
     if miss is not None:
         ranked = sorted(distinct, key=lambda way: miss(way[2])[0])
         if len(ranked) == 1 or miss(ranked[0][2])[0] < BETTER * miss(ranked[1][2])[0]:

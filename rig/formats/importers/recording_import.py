@@ -291,6 +291,12 @@ def _placed(
         if t is None:
             raise RigError(f"{posed.table.file}: the poses have no times, and the number of commands differs")
         numbers = list(range(n)) if posed.frame is None else posed.frame.astype(int).tolist()
+        if posed.frame is None and len(set(t)) < n:
+            raise RigError(
+                f"{posed.table.file}: {n - len(set(t))} of {n} rows have the time of another. Where a column says of "
+                "which of an arm's reflectors or hands each is, state these in rig.toml as [[mechanism.hand]] (docs/"
+                "several-hands.md) and --set poses.columns.hand=HEADER; else write times with milliseconds at least"
+            )
         if len(set(numbers)) < n:
             raise RigError(f"{posed.table.file}: a frame occurs twice")
         order = sorted(range(n), key=lambda k: (t[k], numbers[k]))

@@ -9,6 +9,9 @@ import pytest
 from rig.errors import RigError
 from rig.formats.importers import import_recipe, recording_import
 from rig.formats.importers.command_and_sensor_tables import read_sensors
+from rig.model.mechanisms import hexapod
+from rig.model.pose import exp
+from rig.planning.configuration_generators import evenly_spread_configurations
 from rig.recording.recording_folder import load_recording
 from tests.calib.checks.test_mistakes import said
 from tests.conftest import BENCH
@@ -107,6 +110,39 @@ def test_axes_of_a_kinematics_file(tmp_path, recwarn):
         shutil.rmtree(tmp_path / "rec")
         (tmp_path / "rec.import.toml").unlink()
     assert not [one for one in recwarn if "omplex" in str(one.message)]
+
+
+def test_rows_of_several_reflectors_ask_for_hands(tmp_path):
+    """Three rows of a time are three reflectors; stated as hands of one joint they are read."""
+    points = "t,reflector,x [mm],y [mm],z [mm]\n"
+    points += "".join(f"{k},SMR{i},{300 + k},{20 * k},{400 - k + 9 * i}\n" for k in range(8) for i in (1, 2))
+    stated = INSTRUMENT + "position_sigma = 2e-5\n"
+    found = imported(tmp_path, ARM + stated, JOINTS, points)
+    assert found.status and "8 of 16 rows have the time of another" in found.text and "hand=HEADER" in found.text
+    hands = "".join(f'[[mechanism.hand]]\nname = "SMR{i}"\njoint = 2\n' for i in (1, 2))
+    found = imported(tmp_path, ARM + hands + stated, JOINTS, points, "poses.columns.hand=reflector")
+    assert found.status == 0 and len(found.recording.poses.frame) == 16, found.text
+
+
+def test_euler_angles_are_read_as_the_commands_turn(tmp_path):
+    """Yaw, pitch and roll of a hexapod's platform, in the frame of an instrument that stands anywhere."""
+    rng = np.random.default_rng(2)
+    rig = (BENCH / "fit" / "rig.toml").read_text()
+    m = load_recording(BENCH / "fit").design.mechanism
+    lengths = evenly_spread_configurations(m, 16)
+    real = hexapod.forward(lengths + 5e-4 * rng.normal(size=6), m)
+    seen = exp(rng.normal(size=6)) * real * exp(0.3 * rng.normal(size=6))
+    angles = seen.rotation.as_euler("ZYX", degrees=True)
+    rows = zip(range(16), 1e3 * seen.translation, angles)
+    poses = "t [s],x [mm],y [mm],z [mm],yaw [deg],pitch [deg],roll [deg]\n"
+    poses += "".join(",".join([str(k), *(f"{x:.6f}" for x in (*p, *a))]) + "\n" for k, p, a in rows)
+    commands = "t [s]," + ",".join(f"l{i} [m]" for i in range(1, 7)) + "\n"
+    commands += "".join(",".join([str(k), *(f"{x:.9f}" for x in row)]) + "\n" for k, row in enumerate(lengths))
+    rig += "\n" + INSTRUMENT + "position_sigma = 1e-5\nrotation_sigma = 4e-5\n"
+    found = imported(tmp_path, rig, commands, poses, "commands.relative=zero")
+    assert found.status == 0, found.text
+    off = found.recording.poses.T_base_platform.rotation.inv() * seen.rotation
+    assert off.magnitude().max() < 1e-6
 
 
 def test_a_recipe_repeats_a_reading_by_travel(tmp_path):
