@@ -161,7 +161,8 @@ def read_commands(table: ForeignTable, design: Design) -> ImportedCommands:
     names = axis_header_names(axes)
     if design.instrument is not None and design.instrument.kind == "direction" and len(axes) == len(DIRECTION):
         names = {axis: (*names[axis], *words) for axis, words in zip(axes, DIRECTION.values())}
-    found = find_columns(cells, "commands", {**TIME, **FRAME, **names}, axes)
+    units = dict(zip(axes, mechanisms.axis_units(design.mechanism)))
+    found = find_columns(cells, "commands", {**TIME, **FRAME, **names}, axes, units)
     values, table, told = _values(
         cells,
         [found[name] for name in axes],
