@@ -15,6 +15,7 @@ from calib.diagnosis.engine.problem_interface import AliasedNodes, Fit, Model, P
 from rig.model.hands_places_and_tolerances import Place
 
 SAME = 0.02  # of a finding's evidence, by which two scans beside the same terms may differ and still be the same
+TAKEN = 0.5  # of a smooth function's delta chi-square, which it keeps at most beside a name that stands for the same
 RESTARTS = 2  # times the most terms that there may be, replacements after which terms are confirmed as they stand
 
 
@@ -281,11 +282,14 @@ def _outdone(problem: Problem[Fit, Model, C], model: Model, fit: Fit, score: Sco
         return False
     size, place, alike = problem.linear(model).size, score.candidate.site, problem.policy.alike
     before = _smooth_functions(problem, model, place)
-    likelier = [u.shortest(size) for u in before if u.evidence(size) > score.evidence(size) + alike]
+    likelier = [u for u in before if u.evidence(size) > score.evidence(size) + alike]
     if not likelier:
         return False
-    far_from_usual = any(score.complexity(size) > cost + alike for _, cost in likelier)
-    return far_from_usual or bool(_smooth_functions(problem, problem.residual(fit), place))
+    after = _smooth_functions(problem, problem.residual(fit), place)
+    kept = {(u.place, u.depends_on, u.freedom): u.delta_chi2 for u in after}
+    likelier = [u for u in likelier if kept.get((u.place, u.depends_on, u.freedom), 0.0) < TAKEN * u.delta_chi2]
+    far_from_usual = any(score.complexity(size) > u.shortest(size)[1] + alike for u in likelier)
+    return far_from_usual or bool(likelier and after)
 
 
 def _smooth_functions(problem: Problem[Fit, Model, C], model: Model, place: Place) -> list[LackOfFit]:
