@@ -18,7 +18,6 @@ from vision.checks import corner_and_lens_convention_trials as conventions
 from vision.checks import target_mistake_trials as targets
 from vision.checks.corner_and_lens_convention_trials import LOST, SampledRecording, Trial, measure_trial, sample_frames
 from vision.lenses.lens_calibration import alternative_initial_lenses, are_lenses_plausible
-from vision.predict import are_markers_placed
 from vision.recording_adjustment import Measurement, has_hand_cameras, recording_seen_from_hand
 
 FINE = 0.3  # px; a misfit below it is noise and what calibration takes up
@@ -46,11 +45,8 @@ def find_corner_mistakes(recording: Recording, corners: Corners, thorough: bool 
     """Find the mistakes of rig.toml and corners.csv that a recording's corners show, in order.
 
     corners : Corners of its images or its corners.csv; thorough : whether many frames are held against the commands,
-    not a few, and the search goes on for longer. Of an arm with several hands the first is checked whose target is
-    seen; markers whose places only measuring finds show no mistake
+    not a few, and the search goes on for longer. Of an arm with several hands the first is checked whose target is seen
     """
-    if not are_markers_placed(recording.design):
-        return ()
     recording, corners = first_seen_hand(recording, corners)
     held, recording = has_hand_cameras(recording.design), recording_seen_from_hand(recording)
     seen = sample_frames(recording.design, corners, *recording.exposures.times())
@@ -70,8 +66,6 @@ def find_corner_mistakes(recording: Recording, corners: Corners, thorough: bool 
 
 def misplaced_or_exchanged_camera_sentences(recording: Recording, corners: Corners) -> list[str]:
     """Sentences on fixed cameras that are misplaced in rig.toml or exchanged, where the corners show it."""
-    if not are_markers_placed(recording.design):
-        return []
     seen = sample_frames(recording.design, corners, *recording.exposures.times())
     m = None if seen is None else measure_trial(seen).measured
     if m is None or has_hand_cameras(recording.design):
