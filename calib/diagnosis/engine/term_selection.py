@@ -12,6 +12,7 @@ import numpy as np
 
 from calib.diagnosis.engine.candidate_score import (
     SEVERAL,
+    Scans,
     Score,
     best_effect_at_several_axes,
     score_raised_to_likelihood_ratio,
@@ -19,7 +20,6 @@ from calib.diagnosis.engine.candidate_score import (
 from calib.diagnosis.engine.candidates_thresholds_and_outliers import C
 from calib.diagnosis.engine.finding_confirmation import (
     Finding,
-    Scans,
     confirm_terms,
     is_significant,
     labelled_progress,

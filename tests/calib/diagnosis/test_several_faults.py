@@ -69,3 +69,12 @@ def test_axes_that_differ_in_what_the_whole_machine_shows_leave_nothing_unknown(
     effects = tuple(diagnosis_report(result).findings)
     for one in hidden:
         assert one.is_named(effects) or one.is_in_stated_set(effects), (str(one), [str(f) for f in effects])
+
+
+@pytest.mark.slow
+def test_a_profile_as_fine_as_the_data_show_leaves_nothing_unknown_beside_a_lag(tmp_path):
+    case, hidden = drawn(68004, 3)
+    result = diagnose(recording_folder.load_recording(record(case, tmp_path / "rec"))).found
+    effects = tuple(diagnosis_report(result).findings)
+    assert not result.left
+    assert all(one.is_named(effects) for one in hidden if one.effect in ("servo_lag", "transmission_error"))
