@@ -125,11 +125,11 @@ class SimulationResult(OneLineRepr):
     def __str__(self) -> str:
         plan = self.simulation.plan
         names = ", ".join(f"{effect.name} at {effect.place}" for effect in self.effects) or "none"
-        said = f"{len(plan.t)} frames over {plan.commands.t[-1] / 60:.1f} min, effects: {names}"
+        message = f"{len(plan.t)} frames over {plan.commands.t[-1] / 60:.1f} min, effects: {names}"
         conflict = recording_simulation.conflict_of_driven_struts(self.simulation)
         if conflict is None:
-            return said
-        return f"{said}; struts press against each other: each gives way by {quantity_text(conflict, 'm')} RMS"
+            return message
+        return f"{message}; struts press against each other: each gives way by {quantity_text(conflict, 'm')} RMS"
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""

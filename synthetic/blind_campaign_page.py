@@ -83,14 +83,14 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
 
     Figures with intervals, by effect, by strength, confusion, wrong answers.
     """
-    said = ", ".join(
+    message = ", ".join(
         f"{name} {', '.join(map(str, value)) if isinstance(value, list) else value}"
         for name, value in settings.items()
         if value
     )
     parts = [
         paragraph_html(
-            f"{len(cases)} blinded cases ({said}). Strength is an effect's signal-to-noise over all corners "
+            f"{len(cases)} blinded cases ({message}). Strength is an effect's signal-to-noise over all corners "
             "once cameras and geometry "
             f"have absorbed what they can; an effect is strong from {diagnosis_score.STRONG:g} on. Intervals "
             "are Clopper and Pearson's, 95 %."
@@ -142,19 +142,19 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
 
 def campaign_verdict(figures: list[Figure]) -> Verdict:
     """Verdict on a campaign: which figures reach their goal, and which certainly do not."""
-    asked = [f for f in figures if f.goal is not None and f.trials]
-    missed = [f for f in asked if f.hits < (f.goal or 0) * f.trials]
-    if not asked:
+    requested = [f for f in figures if f.goal is not None and f.trials]
+    missed = [f for f in requested if f.hits < (f.goal or 0) * f.trials]
+    if not requested:
         return judge_evidence(
             Evidence("no figure is judged", missing=(MissingEvidence("no case provides a required figure", MORE),))
         )
     surely = [f for f in missed if f.high < (f.goal or 0)]
     few = [
-        f for f in asked if f not in missed and f.low < (f.goal or 0) < 1
+        f for f in requested if f not in missed and f.low < (f.goal or 0) < 1
     ]  # of no number of cases is all surely reached
     missing = [MissingEvidence(f"{_said(f)} falls short") for f in missed if f not in surely]
     missing += [MissingEvidence(f"too few cases to decide: {'; '.join(map(_said, few))}", MORE)] if few else []
-    reached = f"{len(asked) - len(missed)} of {len(asked)} figures reach their goals"
+    reached = f"{len(requested) - len(missed)} of {len(requested)} figures reach their goals"
     return judge_evidence(
         Evidence(
             reached,

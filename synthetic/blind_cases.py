@@ -244,7 +244,7 @@ def _drawn(
     slight = [] if eyes is None else [draw_typical_printing_errors(design, rng)]
     secret = secret_machine_and_truth_file.draw_machine(design, rng, float(rng.uniform(0.5, 1.5)), [*effects, *slight])
     done = simulation.simulate_world(secret, route, rng)
-    kept = {
+    retained = {
         name: v for name, v in done.log.channels.items() if not ("temperature" in withheld and "temperature" in name)
     }
     disturbance = (
@@ -252,7 +252,15 @@ def _drawn(
     )
     noise = _log(rng, *NOISE) if eyes is None else eyes.noise
     return DrawnCase(
-        kind, replace(done, log=Sensors(done.log.t, kept)), text, noise, disturbance, plan, rng, tuple(effects), eyes
+        kind,
+        replace(done, log=Sensors(done.log.t, retained)),
+        text,
+        noise,
+        disturbance,
+        plan,
+        rng,
+        tuple(effects),
+        eyes,
     )
 
 

@@ -313,18 +313,18 @@ def _clipped(points, count, axis, limit, sign, out) -> int:
     """Part of a convex polygon points (count, 2) whose coordinate `axis` is above a limit (sign 1) or below (-1), in
     out; its count.
     """
-    kept = 0
+    retained = 0
     for k in range(count):
         a, b = points[k], points[(k + 1) % count]
         da, db = sign * (a[axis] - limit), sign * (b[axis] - limit)
         if da >= 0:
-            out[kept, 0], out[kept, 1] = a[0], a[1]
-            kept += 1
+            out[retained, 0], out[retained, 1] = a[0], a[1]
+            retained += 1
         if (da > 0 and db < 0) or (da < 0 and db > 0):
             t = da / (da - db)
-            out[kept, 0], out[kept, 1] = a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])
-            kept += 1
-    return kept
+            out[retained, 0], out[retained, 1] = a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])
+            retained += 1
+    return retained
 
 
 @njit(cache=True, nogil=True)

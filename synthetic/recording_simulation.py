@@ -70,7 +70,7 @@ class Simulation:
         back = np.argsort(order)
         return [T[back] for T in stage_poses_of_run(run)]
 
-    def poses_of_hands(self) -> dict[str, RigidTransform]:
+    def hand_pose_of_each_row(self) -> dict[str, RigidTransform]:
         """{name of a hand: T_base_platform (n,)} at the exposures; one without a name where there are not several."""
         names = hand_names(self.world.true.mechanism)
         if not names:
@@ -332,7 +332,7 @@ def write_recording(
         )
     instrument, looks = simulation.world.stated.instrument, bool(cameras and simulation.world.stated.targets)
     if instrument is not None or not looks:
-        _write_measured_poses(out / "poses.csv", simulation.poses_of_hands(), instrument or EXACT, rng)
+        _write_measured_poses(out / "poses.csv", simulation.hand_pose_of_each_row(), instrument or EXACT, rng)
     if not looks:
         return
     if images is None:

@@ -43,7 +43,7 @@ from vision.bundle.priors_of_unknowns import stated_lens_prior_sigmas
 from vision.camera_and_command_clocks import Clocks, clocks_of_recording
 from vision.checks.recording_refusal_and_cube_layout_remarks import (
     Notice,
-    ignore_notice,
+    discard_notice,
     make_spoilt_corner_refusal,
     refuse_spoilt_files,
 )
@@ -259,7 +259,7 @@ def measure(
     recording: Recording,
     options: MeasureOptions = MeasureOptions(),
     progress: Progress | None = None,
-    notice: Notice = ignore_notice,
+    notice: Notice = discard_notice,
 ) -> MeasurementResult:
     """MeasurementResult of a recording, as `rig measure` makes it.
 

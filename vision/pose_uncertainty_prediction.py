@@ -62,8 +62,10 @@ def predict_pose_uncertainty(
     sightings, uv = _sightings(measured, body)
     share = _share(measured)
     seen = share * np.bincount(sightings.frame, minlength=len(body)) >= LEAST
-    kept = seen[sightings.frame]
-    own, common = _covariances(measured, body[seen], sightings.take(kept), uv[kept], (np.cumsum(seen) - 1, share))
+    retained = seen[sightings.frame]
+    own, common = _covariances(
+        measured, body[seen], sightings.take(retained), uv[retained], (np.cumsum(seen) - 1, share)
+    )
     k = measured.common.shape[2]
     rest = common[..., k:]
     covariance, common = own + rest @ np.swapaxes(rest, 1, 2), common[..., :k]

@@ -109,8 +109,8 @@ class Measurement(OneLineRepr):
     def used(self) -> Observations:
         """Observations that were adjusted, with the weights they were given: the inliers of the solved frames."""
         solved = np.searchsorted(self.observations.frames, self.frames)
-        kept = replace(observations_of_frames(self.observations, solved), covariance=self.weights)
-        return kept.take(self.inliers[np.isin(self.observations.frame, solved)])
+        retained = replace(observations_of_frames(self.observations, solved), covariance=self.weights)
+        return retained.take(self.inliers[np.isin(self.observations.frame, solved)])
 
     def ids(self) -> list[int]:
         """Identity of each row of the marker map."""
@@ -183,10 +183,10 @@ def measure_observations(
     fit = fit if places else adjust_with_estimated_printing_errors(observations, fit, tuple(free))
     solved, keep = fit.solved, np.isin(observations.frame, fit.solved)
     observations = replace(observations, covariance=fit.covariance)
-    kept, good = observations_of_frames(observations, solved), fit.inliers[keep]
-    weights, standing = inflate_repeated_corner_covariance(kept, good, fit.adjustment.state)
+    retained, good = observations_of_frames(observations, solved), fit.inliers[keep]
+    weights, standing = inflate_repeated_corner_covariance(retained, good, fit.adjustment.state)
     result = adjust_bundle(
-        replace(kept, covariance=weights).take(good),
+        replace(retained, covariance=weights).take(good),
         fit.adjustment.state,
         free,
         stated=stated,
@@ -195,8 +195,8 @@ def measure_observations(
     numbers, covariance = observations.frames[solved], result.platform_covariance
     result, common = _in_order(result)
     residuals = np.full((len(observations), 2), np.nan)
-    residuals[keep] = kept.uv - predict_corners(kept, result.state)[0]
-    noise = np.sqrt(np.median(np.einsum("nii->n", kept.covariance)) / 2)
+    residuals[keep] = retained.uv - predict_corners(retained, result.state)[0]
+    noise = np.sqrt(np.median(np.einsum("nii->n", retained.covariance)) / 2)
     return Measurement(
         replace(design, cameras=result.state.cameras),
         numbers,
@@ -252,9 +252,9 @@ def _located(
     if not other:
         return found, cameras
     moved = tuple(replace(c, pose=other.get(i, c.pose)) for i, c in enumerate(cameras))
-    again = locate_frames(undistorted, moved, t, progress)
-    if _disagreement(undistorted, again, moved) < _disagreement(undistorted, found, cameras):
-        return again, moved
+    repeated = locate_frames(undistorted, moved, t, progress)
+    if _disagreement(undistorted, repeated, moved) < _disagreement(undistorted, found, cameras):
+        return repeated, moved
     return found, cameras
 
 
@@ -404,7 +404,7 @@ def measure_without_remounted_cubes(
     weights[solved & ~on_remounted_cube] = found.weights
     seen = replace(observations, covariance=covariance)
     at = np.flatnonzero(solved & on_remounted_cube)
-    kept = seen.take(at)
-    kept = replace(kept, frames=found.frames, frame=np.searchsorted(found.frames, kept.frames[kept.frame]))
-    residuals[at] = kept.uv - predict_corners(kept, found.adjustment.state)[0]
+    own = seen.take(at)
+    own = replace(own, frames=found.frames, frame=np.searchsorted(found.frames, own.frames[own.frame]))
+    residuals[at] = own.uv - predict_corners(own, found.adjustment.state)[0]
     return replace(found, observations=seen, inliers=inliers, residuals=residuals, weights=weights[solved])

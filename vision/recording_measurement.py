@@ -153,7 +153,7 @@ def _measured(
     frames, t = recording.exposures.times()
     markers, motion = marker_map(design), None if rates is None else ReadoutMotion(recording, rates)
 
-    def said(label: str) -> Callable[[int, int], None] | None:
+    def message(label: str) -> Callable[[int, int], None] | None:
         return (lambda done, of: progress(label, done, of)) if progress else None
 
     def solved(
@@ -183,20 +183,20 @@ def _measured(
             f"{recording.folder}: frames.csv names no images and there is no corners.csv, so there is "
             "nothing to measure"
         )
-    found = collect_corners(recording, markers, said("reading images"))
+    found = collect_corners(recording, markers, message("reading images"))
     if not len(found.corners.frame):
         raise NotEnoughData(
             f"{recording.folder}: no marker of rig.toml was found in any of {_why_none(recording, found, markers)}"
         )
     measured = solved(found.corners, found.correlation, look)
-    again = search_missed_markers(recording, found, measured, markers, said("looking again"))
-    if len(again.corners.frame) > len(found.corners.frame):
-        found = again
+    repeated = search_missed_markers(recording, found, measured, markers, message("looking again"))
+    if len(repeated.corners.frame) > len(found.corners.frame):
+        found = repeated
         measured = solved(found.corners, found.correlation)
     for _ in range(ROUNDS):
         if largest_lens_difference(found.corners, found.cameras, measured.design.cameras) < SETTLED:
             break
-        found = refit_corners(recording, found, measured.design.cameras, markers, said("placing anew"))
+        found = refit_corners(recording, found, measured.design.cameras, markers, message("placing anew"))
         measured = solved(found.corners, found.correlation)
     return measured, found
 

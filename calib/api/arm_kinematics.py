@@ -131,7 +131,11 @@ def _closed(T: RigidTransform, form: SixJointArm, steps: bool) -> tuple[str, lis
         {
             "q": q.tolist(),
             "singular": _singular(flags),
-            **({"steps": _steps(arm_dynamics_and_step_by_step_kinematics.inverse_steps(T, form, q))} if steps else {}),
+            **(
+                {"steps": _steps(arm_dynamics_and_step_by_step_kinematics.steps_of_closed_form_inverse(T, form, q))}
+                if steps
+                else {}
+            ),
         }
         for q, flags in zip(found.q[found.there], found.singular[found.there].tolist())
     ]

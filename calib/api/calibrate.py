@@ -72,7 +72,7 @@ from rig.recording.recording_tables import write_table
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_and_display import OneLineRepr, Verdict, result_html
 from vision.camera_and_command_clocks import Clocks
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,15 +102,15 @@ class CalibrateOptions:
         return self.find or self.diagnosis is not None
 
     def __post_init__(self) -> None:
-        asked = "--find" if self.find else "--diagnosis"
+        requested = "--find" if self.find else "--diagnosis"
         if self.with_findings and self.joint:
             raise RigError(
-                f"{asked} solves cameras, lenses, geometry and physics from all corners together; omit --joint"
+                f"{requested} solves cameras, lenses, geometry and physics from all corners together; omit --joint"
             )
         if self.with_findings and self.limbs is not None:
-            raise RigError(f"{asked} needs the camera images of every pose; omit --limbs")
+            raise RigError(f"{requested} needs the camera images of every pose; omit --limbs")
         if self.with_findings and self.extend is not None:
-            raise RigError(f"{asked} corrects findings by their models, --extend by interpolation; give only one")
+            raise RigError(f"{requested} corrects findings by their models, --extend by interpolation; give only one")
         if self.effects and not self.with_findings:
             raise RigError("--effects extends a diagnosis: give --find or --diagnosis as well")
         if self.extend is not None and self.joint:
@@ -225,7 +225,7 @@ def calibrate(
     recordings: Recording | Sequence[Recording],
     options: CalibrateOptions = SEARCHED,
     progress: Progress | None = None,
-    notice: Notice = ignore_notice,
+    notice: Notice = discard_notice,
 ) -> CalibrationResult:
     """CalibrationResult of a recording, or of several of one rig jointly, as `rig calibrate` makes it.
 
@@ -282,8 +282,8 @@ def _calibrated(
     if findings is None and (options.with_findings or pointing and not options.quick):
         beside = fit_of_measured_effects(recording, sampled)
         searched = sampled if beside is None else replace(sampled, samples=beside.samples)
-        asked = DiagnosisOptions(sampled=searched, kinds=tuple(kinds.values()))
-        findings = findings_of_diagnosis(diagnose(recording, asked, progress))
+        requested = DiagnosisOptions(sampled=searched, kinds=tuple(kinds.values()))
+        findings = findings_of_diagnosis(diagnose(recording, requested, progress))
     findings = findings_with_missing_instrument_effects_added(findings, recording, sampled)
     known = None
     if mechanism.bodies:

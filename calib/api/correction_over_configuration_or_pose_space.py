@@ -106,7 +106,7 @@ def certify_additional_pass(
     Returns (Certified, methods tried, samples used)
     Raises NotEnoughData where a part holds no samples; the rest as `certify_extended_correction`
     """
-    correction, said = previous_calibration.correction, progress or silent_progress
+    correction, report = previous_calibration.correction, progress or silent_progress
     some = samples.take(_within(samples, correction, requested_pass))
     found = fitted_or_nominal_geometry(samples, correction.nominal, True)
     if (
@@ -132,7 +132,7 @@ def certify_additional_pass(
         struts if requested_pass.space != POSE else _pose_space_field(lambda of: correction, requested_pass.poses),
         requested_pass.kind,
         rng,
-        said,
+        report,
     )
     if requested_pass.space == BOTH:
         done, more = certify_interpolation_method(
@@ -141,7 +141,7 @@ def certify_additional_pass(
             _pose_space_field(_again(done.correction, correction, requested_pass), requested_pass.poses),
             requested_pass.kind,
             rng,
-            said,
+            report,
         )
         tried = (*tried, *more)
     found = replace(

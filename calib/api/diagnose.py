@@ -39,7 +39,7 @@ from rig.recording.frame_selection_and_content_hashes import content_hashes_of_f
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_and_display import OneLineRepr, State, Verdict, result_html
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice, recorded_or_sampled_corners
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice, recorded_or_sampled_corners
 
 AN_HOUR = ExperimentOptions()
 
@@ -134,7 +134,7 @@ def diagnose(
     recordings: Recording | Sequence[Recording],
     options: DiagnoseOptions = DiagnoseOptions(),
     progress: Progress | None = None,
-    notice: Notice = ignore_notice,
+    notice: Notice = discard_notice,
 ) -> DiagnosisResult:
     """DiagnosisResult of a recording, or of several of one rig jointly, as `rig diagnose` makes it.
 

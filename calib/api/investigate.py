@@ -54,10 +54,10 @@ def certify_investigation(out: Path, rig: InvestigatedRig, rounds: Sequence[Inve
 
     Returns lines on what was done
     """
-    said = []
+    lines = []
     recordings = [str(recording_path(out, look.number)) for look in rounds]
     calibration, number = out / "calibration.json", len(rounds)
-    poses, commands, plan, again = (
+    poses, commands, plan, repeated = (
         out / f"verify{number}{suffix}" for suffix in ("-poses.csv", "-commands.csv", ".csv", "")
     )
     done = plan.exists()
@@ -69,7 +69,7 @@ def certify_investigation(out: Path, rig: InvestigatedRig, rounds: Sequence[Inve
     except RigError as error:
         return (f"not calibrated: {error}",)
     found = ", ".join(rounds[-1].findings) or "no physics"
-    said.append(f"{calibration.name}: of {len(recordings)} recording{'s' * (len(recordings) > 1)}, with {found}")
+    lines.append(f"{calibration.name}: of {len(recordings)} recording{'s' * (len(recordings) > 1)}, with {found}")
     try:
         if not done:
             _wanted(poses, rig, calibration)
@@ -89,17 +89,17 @@ def certify_investigation(out: Path, rig: InvestigatedRig, rounds: Sequence[Inve
             write_plan_table(
                 plan, replace(build_plan(rig.design, f"commands:{commands}"), turned=stands), rig.design.mechanism.axes
             )
-        rig.record(plan, again, rig.options.seed + VERIFYING)
-        rig.call("verify", str(calibration), str(again))
-        said.append(f"verified on new poses, commanded through the correction: {again.name}")
+        rig.record(plan, repeated, rig.options.seed + VERIFYING)
+        rig.call("verify", str(calibration), str(repeated))
+        lines.append(f"verified on new poses, commanded through the correction: {repeated.name}")
     except RigError as error:
-        return (*said, f"not verified: {error}")
+        return (*lines, f"not verified: {error}")
     try:
-        rig.call("certify", str(calibration), str(again), "--out", str(out / "certificate"))
-        said.append("certificate")
+        rig.call("certify", str(calibration), str(repeated), "--out", str(out / "certificate"))
+        lines.append("certificate")
     except RigError as error:
-        said.append(f"no certificate: {error}")
-    return tuple(said)
+        lines.append(f"no certificate: {error}")
+    return tuple(lines)
 
 
 def _wanted(path: Path, rig: InvestigatedRig, calibration: Path) -> None:
@@ -216,10 +216,10 @@ def _begin(out: Path, rig: InvestigatedRig) -> None:
     options = rig.options
     own = {"schema": "investigation/1", "rig": rig.digest, "by": rig.by, "seed": options.seed}
     if options.resume:
-        kept = json_toml_and_yaml_loading.load_json(out / STATE, "investigation", "investigation/1")
+        stored = json_toml_and_yaml_loading.load_json(out / STATE, "investigation", "investigation/1")
         for name, value in own.items():
-            if kept.tree.get(name) != value:
-                kept.fail(f"is of another {name}: {kept.tree.get(name)!r}, not {value!r}", name)
+            if stored.tree.get(name) != value:
+                stored.fail(f"is of another {name}: {stored.tree.get(name)!r}, not {value!r}", name)
         return
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise RigError(

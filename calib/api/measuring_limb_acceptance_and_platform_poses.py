@@ -35,7 +35,7 @@ from rig.recording.wanted_poses_and_roll_pitch_yaw import write_poses_as_roll_pi
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_and_display import OneLineRepr, Verdict, result_html
 from vision.api import Progress
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice
 
 FIGURES = ("bias", "scatter", "expected", "limits", "surely", "tolerance", "moved", "passed")
 
@@ -225,7 +225,7 @@ def measure_poses_by_limbs(
     limbs: LimbSource,
     anyway: bool = False,
     progress: Progress | None = None,
-    notice: Notice = ignore_notice,
+    notice: Notice = discard_notice,
 ) -> MeasuredLimbPoses:
     """Poses of a recording measured by its accepted measuring limbs, as `rig measure --limbs` makes them.
 

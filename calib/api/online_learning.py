@@ -34,7 +34,7 @@ from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_and_display import OneLineRepr, Refutation, Verdict, result_html
 from vision.api import Progress
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +119,7 @@ def learn(
     recording: Recording,
     options: LearnOptions = LearnOptions(),
     progress: Progress = lambda *_: None,
-    notice: Notice = ignore_notice,
+    notice: Notice = discard_notice,
 ) -> LearningResult:
     """Learn from a recording's poses (LearningResult).
 
@@ -158,7 +158,7 @@ def learn_from_samples(
     sampled: Sampled,
     state: Path | None = None,
     progress: Progress = lambda *_: None,
-    notice: Notice = ignore_notice,
+    notice: Notice = discard_notice,
 ) -> LearningResult:
     """Learn from samples measured otherwise, by the filter (LearningResult).
 

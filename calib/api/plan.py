@@ -189,7 +189,7 @@ def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress
     visited = 0 if options.given is None else len(options.given)
     gain = (seen.singular.prod() / even.singular.prod()) ** (1 / 42)
     counted = f"{options.count} configurations" + (f" besides {visited} given" if visited else "")
-    said = [
+    lines = [
         f"{counted}: condition number of the 42 parameters "
         f"{seen.condition:.0f}, "
         f"with the same number evenly spread {even.condition:.0f}",
@@ -199,15 +199,15 @@ def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress
     ]
     hidden = [part for part in before if not part.determined]
     if visited and not hidden:
-        said.append("the given configurations already determine all 42; the worst, before and after:")
+        lines.append("the given configurations already determine all 42; the worst, before and after:")
     elif visited:
-        said.append(
+        lines.append(
             f"{len(hidden)} combinations that the given configurations do not determine to {PLAUSIBLE * 1e3:g} mm "
             "become visible; the worst:"
         )
     else:
-        said.append("the worst determined combinations:")
-    said += [
+        lines.append("the worst determined combinations:")
+    lines += [
         f"  {_sigma(part.sigma)} -> {_sigma(standard_error_along(chosen.root, part.direction))}  {part.name}"
         if visited
         else f"  {_sigma(part.sigma)}  {part.name}"
@@ -219,7 +219,7 @@ def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress
         if unseen
         else f"{counted} determine all 42 parameters, {gain:.1f} times as precisely as evenly spread ones"
     )
-    return PlanResult(design, chosen.commands, not unseen, why, said)
+    return PlanResult(design, chosen.commands, not unseen, why, lines)
 
 
 def _plan_of_any(design: Design, mechanism: Commanded, options: PlanOptions, progress: Progress) -> PlanResult:
@@ -231,47 +231,47 @@ def _plan_of_any(design: Design, mechanism: Commanded, options: PlanOptions, pro
         if design.cameras and design.targets
         else None
     )
-    said, asked, sigma = [], None, options.sigma
+    lines, requested, sigma = [], None, options.sigma
     if design.instrument is not None and design.instrument.kind == "direction":
-        asked = _pointing_parameters(require_arm(mechanism))
+        requested = _pointing_parameters(require_arm(mechanism))
         if sigma == FOR_PARAMETERS.sigma:
             sigma = (sigma[0], cast(float, design.instrument.rotation_sigma))
-        said.append(f"standard errors are the Cramer-Rao bound for directions of {sigma[1] * 1e6:.4g} urad per axis")
+        lines.append(f"standard errors are the Cramer-Rao bound for directions of {sigma[1] * 1e6:.4g} urad per axis")
     noise = None
-    if design.tilt_sensors and has_links(mechanism) and asked is None:
-        asked, noise = _parameters_seen_by_tilt_sensors(design, mechanism), np.repeat(sigma, 3)
+    if design.tilt_sensors and has_links(mechanism) and requested is None:
+        requested, noise = _parameters_seen_by_tilt_sensors(design, mechanism), np.repeat(sigma, 3)
         noise = np.r_[noise, np.repeat([sensor.sigma for sensor in design.tilt_sensors], 2)]
-        said.append(f"{len(design.tilt_sensors)} tilt sensors are counted, and how they are mounted is determined too")
+        lines.append(f"{len(design.tilt_sensors)} tilt sensors are counted, and how they are mounted is determined too")
     found = informative_configurations(
-        mechanism, options.count, sigma, looked, SEED, lambda done, of: progress("choosing", done, of), asked, noise
+        mechanism, options.count, sigma, looked, SEED, lambda done, of: progress("choosing", done, of), requested, noise
     )
     if looked is not None:
-        said.append(
+        lines.append(
             f"{FEWEST} markers or more are seen in {found.seen:.0%} of the configurations all over the "
             "limits; chosen among these"
         )
     if found.undetermined:
-        said.append(
+        lines.append(
             f"{found.undetermined} combinations are determined by no pose: they remain as stated and are not considered"
         )
-    said.append(
+    lines.append(
         f"{options.count} configurations for {len(found.names)} parameters; standard errors, and by as "
         "many spread evenly, the least "
         "gain first:"
     )
     worst = (found.sigma / found.even).argsort()[::-1]
-    said += [
+    lines += [
         f"  {found.sigma[k] * 1e6:9.2f} {found.even[k] * 1e6:9.2f} u{found.units[k]}  {found.names[k]}"
         for k in worst[:SHOWN]
     ]
     why = f"{options.count} configurations for {len(found.names)} parameters"
-    return PlanResult(design, found.values, True, why, ["", *said])
+    return PlanResult(design, found.values, True, why, ["", *lines])
 
 
 def _parameters_seen_by_tilt_sensors(design: Design, arm: Arm) -> IndependentParameters:
     """An arm's parameters, then how its tilt sensors are mounted, by poses and what the sensors show beside them."""
     plain, sensors = independent_parameter_names_units_sizes_and_jacobian(arm), design.tilt_sensors
-    kept = [parameter_names(arm).index(name) for name in plain.names]
+    retained = [parameter_names(arm).index(name) for name in plain.names]
     places = ["gravity", *(f"tilt sensor {sensor.name}" for sensor in sensors)]
     more = [f"{place} {axis}" for place in places for axis in ("rx", "ry", "rz")]
     sizes = np.r_[plain.size, np.full(3, GRAVITY_SIGMA), np.repeat([sensor.mount_sigma for sensor in sensors], 3)]
@@ -279,8 +279,8 @@ def _parameters_seen_by_tilt_sensors(design: Design, arm: Arm) -> IndependentPar
     def jacobian(q: Floats) -> Floats:
         whole = parameter_jacobian(q, arm)
         tilted = planned_tilt_columns(sensors, design.gravity, q, arm, whole)
-        tilted = np.concatenate([tilted[..., : whole.shape[2]][..., kept], tilted[..., whole.shape[2] :]], axis=2)
-        posed = np.pad(whole[..., kept], ((0, 0), (0, 0), (0, len(more))))
+        tilted = np.concatenate([tilted[..., : whole.shape[2]][..., retained], tilted[..., whole.shape[2] :]], axis=2)
+        posed = np.pad(whole[..., retained], ((0, 0), (0, 0), (0, len(more))))
         return np.concatenate([posed, tilted], axis=1)
 
     return IndependentParameters((*plain.names, *more), (*plain.units, *["rad"] * len(more)), sizes, jacobian, True)
@@ -341,20 +341,20 @@ def _keeping_promise(design: Design, promise: float, options: PlanOptions, progr
             if visited
             else "by the stated geometry, with no configuration visited"
         )
-        said = [
+        lines = [
             f"the promise of {quantity_text(promise, 'm')} is met {met}: "
             f"{quantity_text(found.left[0], 'm')} remaining; there is nothing to "
             f"visit"
         ]
     else:
-        said = [
+        lines = [
             f"{count} configurations besides {visited} given meet {promise * 1e6:.4g} um: "
             f"{found.left[0] * 1e6:.4g} -> "
             f"{found.left[-1] * 1e6:.4g} um RMS over the workspace, which 97.5 % of machines meet; errors "
             "that all poses share are additional",
             "remaining after each: " + " ".join(f"{value * 1e6:.3g}" for value in found.left[1:]) + " um",
         ]
-    return PlanResult(design, found.commands, True, said[0], said)
+    return PlanResult(design, found.commands, True, lines[0], lines)
 
 
 def _separating(design: Design, texts: tuple[str, str], options: PlanOptions) -> PlanResult:
@@ -373,18 +373,18 @@ def _separating(design: Design, texts: tuple[str, str], options: PlanOptions) ->
         )
     trials = _separations(design, effects, options)
     trials.sort(key=lambda trial: -trial[0].misfit / np.sqrt(trial[0].frames))
-    said = ["misfit of the best-fitting wrong model, in standard deviations (and for 100 exposures):"]
-    said += [
+    lines = ["misfit of the best-fitting wrong model, in standard deviations (and for 100 exposures):"]
+    lines += [
         f"  {found.misfit:9.1f} {found.misfit * 10 / np.sqrt(found.frames):9.1f}   cosine "
         f"{found.cosine:6.3f}   {found.plan}"
         for found, _ in trials[:SHOWN]
     ]
     best, chosen = trials[0]
     if best.misfit < LEAST:
-        said.append("no plan tried distinguishes them at that size")
-    said.append(f"best: {best.plan} (rig simulate --plan {best.plan} simulates it)")
+        lines.append("no plan tried distinguishes them at that size")
+    lines.append(f"best: {best.plan} (rig simulate --plan {best.plan} simulates it)")
     why = f"{' and '.join(texts)} are distinguished by {best.misfit:.1f} standard deviations with {best.plan}"
-    return PlanResult(design, chosen.commands.values, best.misfit >= LEAST, why, said, t=chosen.commands.t)
+    return PlanResult(design, chosen.commands.values, best.misfit >= LEAST, why, lines, t=chosen.commands.t)
 
 
 def _separations(design: Design, effects: list[Effect], options: PlanOptions) -> list[tuple[Separation, Plan]]:

@@ -30,7 +30,7 @@ from rig.model.pose import direction_difference
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_and_display import WORST, Verdict, result_html
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice
 
 QUESTIONS = ("how wrong", "why", "how sure", "what to do", "measure next")
 MENTIONED = 3  # findings in a line
@@ -258,7 +258,7 @@ def why(
     options: WhyOptions = NOTHING_STATED,
     folder: Path | None = None,
     progress: Progress | None = None,
-    notice: Notice = ignore_notice,
+    notice: Notice = discard_notice,
     links: Sequence[Link] = (),
 ) -> WhyResult:
     """Why a machine is not where its model says (WhyResult), from its data.
@@ -272,21 +272,21 @@ def why(
     """
     require_data(data)
     with tempfile.TemporaryDirectory(prefix="rig-why-") as scratch:
-        kept = Path(scratch) if folder is None else folder
-        recording, assumed = recording_of_data(data, options, kept, notice)
+        retained = Path(scratch) if folder is None else folder
+        recording, assumed = recording_of_data(data, options, retained, notice)
         require_one_hand(recording.design.mechanism, "rig why answers")
         _require_commands(recording, data)
         diagnosed = diagnose(recording, DiagnoseOptions(anyway=options.anyway), progress, notice)
-        diagnosis = kept / "diagnosis"
+        diagnosis = retained / "diagnosis"
         diagnosis.mkdir()
         diagnosed.write(diagnosis)
-        diagnosed.write_page(kept / "diagnosis.html", links)
+        diagnosed.write_page(retained / "diagnosis.html", links)
         with_findings = bool(diagnosed.report.findings) and not recording.design.mechanism.bodies
-        asked = CalibrateOptions(
+        requested = CalibrateOptions(
             diagnosis=diagnosis if with_findings else None, quick=not with_findings, anyway=options.anyway
         )
-        calibrated = calibrate(recording, asked, progress)
-        save(kept / "calibration.json", calibrated.calibration)
+        calibrated = calibrate(recording, requested, progress)
+        save(retained / "calibration.json", calibrated.calibration)
         try:
             following, problem = diagnosed.next_experiment(progress=progress or silent_progress), ""
         except RigError as error:  # a machine of which no plan can be foretold
@@ -314,8 +314,8 @@ def _repeats(calibrated: CalibrationResult) -> RepeatedConfigurations | None:
     samples = calibrated.sampled.samples
     _, label, size = np.unique(np.round(samples.commanded / SAME), axis=0, return_inverse=True, return_counts=True)
     label = label.reshape(-1)
-    again = size[label] > 1
-    if not again.any():
+    repeated = size[label] > 1
+    if not repeated.any():
         return None
     T, p = samples.T_base_platform, samples.T_base_platform.translation
     squares = np.zeros(2)

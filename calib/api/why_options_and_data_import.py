@@ -115,8 +115,8 @@ def _of_tables(
     if _is_radians(cells, design, found):
         added.append("commands.unit=rad")
     stated = {setting.partition("=")[0].strip() for setting in settings}
-    kept = [setting for setting in added if setting.partition("=")[0] not in stated]
-    return recipe_of_options(rig, [], dict(tables), (*kept, *settings))
+    retained = [setting for setting in added if setting.partition("=")[0] not in stated]
+    return recipe_of_options(rig, [], dict(tables), (*retained, *settings))
 
 
 def _columns_by_joint_name(cells: Cells, axes: Sequence[str], joint_names: Sequence[str]) -> dict[str, str]:

@@ -325,14 +325,14 @@ def _budget(c: Certificate) -> list[str]:
         )
         for row in c.budget.rows
     ]
-    said = [
+    lines = [
         f"Commanded pose: {certificate_sentences.expanded_uncertainty_text(c.budget.machine)}",
         f"a measured one: {certificate_sentences.expanded_uncertainty_text(c.budget.measuring)}",
     ]
     return [
         heading_html("Uncertainty contributions (U, coverage 95 %)"),
         captioned_html(_budget_figure(c), "Contributions to the uncertainty of a position, coverage 95 %."),
-        paragraph_html("; ".join(said) + ". Unknown contributions are in neither."),
+        paragraph_html("; ".join(lines) + ". Unknown contributions are in neither."),
         table_html(("contribution", "to", "position, um", "rotation, urad", "k", "kind", "how"), rows),
         note_html(
             "95 % of the error's lengths lie within U = k u, with u their RMS. k depends on the directions "

@@ -131,16 +131,16 @@ def _claim_line(claim_check: AgainstClaim) -> str:
     """The calibration's claim against what a held-out recording shows."""
     if not claim_check.parts:
         return f"Nothing that {claim_check.recording} measured is claimed by the calibration."
-    said = []
+    lines = []
     for name, (_, beyond, (middle, low, high)) in claim_check.parts.items():
         size = micrometre_text if name == "position" else _microradian_text
-        said.append(
+        lines.append(
             f"{name} error {size(beyond)} RMS beyond measuring noise, claimed {size(middle)} ({size(low)} to "
             f"{size(high)})"
         )
     return (
         f"The calibration's claim is {claim_status_text(claim_check.found)} by {claim_check.recording}: "
-        f"{'; '.join(said)}{explaining_rigid_motion_text(claim_check.found)}."
+        f"{'; '.join(lines)}{explaining_rigid_motion_text(claim_check.found)}."
     )
 
 

@@ -74,7 +74,7 @@ def calibration_evidence(
     refutations : of its file, by later recordings; statement : in place of its own; steps : where it is good
     """
     claim = calibration.claim
-    said = "this calibration makes no claim" if claim is None else claim_lines(claim)[0]
+    message = "this calibration makes no claim" if claim is None else claim_lines(claim)[0]
     missing, refuted = list(_missing(calibration)), [one.line for one in refutations if one.state == State.BAD]
     if claim is not None and claim.ratio is not None:
         if claim.ratio[2] < 1:
@@ -89,7 +89,7 @@ def calibration_evidence(
         unexplained = (*unexplained, *nameless, *passing)
     doubted = tuple(one.line for one in refutations if one.state != State.BAD)
     return Evidence(
-        said if statement is None else statement,
+        message if statement is None else statement,
         tuple(steps),
         _error_to_claim_ratio(calibration.held_out, claim),
         (*unexplained, *doubted),
@@ -140,9 +140,11 @@ def evidence_with_verification(
         doubt = f"{count} pose{'s lie' if count > 1 else ' lies'} far off all others"
         return replace(evidence, missing=(*evidence.missing, MissingEvidence(doubt, AGAIN)))
     if verification.refutes:
-        said = f"the claim is NOT kept{recording_name and f' by {recording_name}'}: {refutation_sentence(verification)}"
+        message = (
+            f"the claim is NOT kept{recording_name and f' by {recording_name}'}: {refutation_sentence(verification)}"
+        )
         return replace(
-            evidence, refuted=(said, *evidence.refuted), look=evidence.look if next_step is None else next_step
+            evidence, refuted=(message, *evidence.refuted), look=evidence.look if next_step is None else next_step
         )
     ratios = [part.of_allowed for part in verification.parts.values()] + (
         [] if evidence.held_out is None else [evidence.held_out]

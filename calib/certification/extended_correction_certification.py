@@ -123,16 +123,16 @@ def certify_extended_correction(
 
     Returns (Certified, methods tried)
     """
-    said = progress or silent_progress
+    report = progress or silent_progress
     label = configuration_numbers(samples.commanded, axis_travel_limits(nominal))
-    said("fitting the geometry", 0, 1)
+    report("fitting the geometry", 0, 1)
     found = fitted_or_nominal_geometry(samples, nominal, request.alone)
     sizes = (
         None
         if request.alone or label.max() + 1 < LEAST
         else strut_deviation_sizes_of_samples(samples, uncertified_geometry(nominal, found, label), rng)
     )
-    said("fitting the geometry", 1, 1)
+    report("fitting the geometry", 1, 1)
 
     def stand(some: Samples) -> ExtensionBasis:
         geometry = found if some is samples else fitted_or_nominal_geometry(some, nominal, request.alone, found.prior)
@@ -144,7 +144,7 @@ def certify_extended_correction(
 
     against = None if sizes is None or (sizes.of_place() > SURELY).any() else ELSE
     done, tried = certify_interpolation_method(
-        samples, (nominal, label, found), stand, request.kind, rng, said, against
+        samples, (nominal, label, found), stand, request.kind, rng, report, against
     )
     field = done.correction.extension
     if field is not None:
@@ -230,10 +230,12 @@ def certify_interpolation_method(
             field, left = replace(field, misfit=field.misfit * scale), replace(left, scale=scale)
         elif isinstance(field, RadialMap):
             field, left = replace(field, inflation=max(1.0, scale)), replace(left, scale=max(1.0, scale))
-    again = mean_square_held_out_errors_by_configuration(
+    repeated = mean_square_held_out_errors_by_configuration(
         pose_errors(correct(field).predict(samples.effective), samples), samples, label
     ).beyond()
-    return Certified(correct(field), found, label, held[kind], left=replace(left, fitted=float(again[0]))), tuple(tried)
+    return Certified(correct(field), found, label, held[kind], left=replace(left, fitted=float(repeated[0]))), tuple(
+        tried
+    )
 
 
 def _without(samples: Samples, nominal: Parallel, found: Identified, field: Field, alone: bool) -> Identified:
@@ -242,8 +244,8 @@ def _without(samples: Samples, nominal: Parallel, found: Identified, field: Fiel
     """
     taken = field.value(samples.commanded)
     if not alone:
-        again = identify_platform(samples, nominal, taken, found.prior)
-        found = replace(found, covariance=again.covariance, root=again.root, scatter=again.scatter)
+        repeated = identify_platform(samples, nominal, taken, found.prior)
+        found = replace(found, covariance=repeated.covariance, root=repeated.root, scatter=repeated.scatter)
     return replace(found, residuals=found.residuals - taken)
 
 

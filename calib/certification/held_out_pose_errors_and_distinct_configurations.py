@@ -190,16 +190,16 @@ def held_out_poses(
             raise RigError(f"a certificate speaks for poses, and of these the {one} alone was measured")
     if "direction" in measured and len(measured) > 1:
         raise RigError("directions were measured in some recordings and poses in others: certify with either alone")
-    kept = [np.flatnonzero(_is_at_rest(commands, samples.t)) for samples, commands, _, _ in recordings]
-    moving = sum(len(samples) - len(k) for k, (samples, *_) in zip(kept, recordings))
-    if not sum(map(len, kept)):
+    retained = [np.flatnonzero(_is_at_rest(commands, samples.t)) for samples, commands, _, _ in recordings]
+    moving = sum(len(samples) - len(k) for k, (samples, *_) in zip(retained, recordings))
+    if not sum(map(len, retained)):
         raise NotEnoughData(
             f"none of {moving} exposures is of a machine at rest for {REST:g} s; a certificate describes "
             "poses that are held: record some at rest (rig run without --in-motion); rig verify takes those in motion"
         )
     each = [
         (samples.take(k), commands, plain[k], errors[k])
-        for k, (samples, commands, plain, errors) in zip(kept, recordings)
+        for k, (samples, commands, plain, errors) in zip(retained, recordings)
     ]
     sizes = [len(samples) for samples, *_ in each]
     ends = np.cumsum(sizes)
@@ -261,15 +261,17 @@ def pose_repeatability(poses: HeldPoses) -> Repeatability:
 def _scatter(poses: HeldPoses, group: Integers) -> tuple[float | None, float | None, int, int]:
     """(position m, rotation rad, visits, groups) of groups with two visits at least."""
     size = np.bincount(group)
-    again = np.flatnonzero(size[group] > 1)
-    if not len(again):
+    repeated = np.flatnonzero(size[group] > 1)
+    if not len(repeated):
         return None, None, 0, 0
-    index = np.unique(group[again], return_inverse=True)[1]
+    index = np.unique(group[repeated], return_inverse=True)[1]
     count = int(index.max()) + 1
     mean = (
-        np.stack([np.bincount(index, weights=column) for column in poses.errors[again].T], axis=1)
+        np.stack([np.bincount(index, weights=column) for column in poses.errors[repeated].T], axis=1)
         / np.bincount(index)[:, None]
     )
-    off = poses.errors[again] - mean[index]
-    lengths = [float(np.sqrt((off[:, part] ** 2).sum() / (len(again) - count))) for part in (slice(0, 3), slice(3, 6))]
-    return lengths[0], lengths[1] if poses.rotations else None, len(again), count
+    off = poses.errors[repeated] - mean[index]
+    lengths = [
+        float(np.sqrt((off[:, part] ** 2).sum() / (len(repeated) - count))) for part in (slice(0, 3), slice(3, 6))
+    ]
+    return lengths[0], lengths[1] if poses.rotations else None, len(repeated), count

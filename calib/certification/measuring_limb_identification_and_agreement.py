@@ -128,8 +128,8 @@ def samples_with_limb_readings_as_commands(samples: Samples, frames: Integers, l
     both = np.isin(samples.frame, frames)
     if not both.any():
         raise NotEnoughData("no frame has both a pose by vision and readings of the limbs")
-    kept = samples.take(both)
-    return replace(kept, commanded=lengths[np.searchsorted(frames, kept.frame)])
+    retained = samples.take(both)
+    return replace(retained, commanded=lengths[np.searchsorted(frames, retained.frame)])
 
 
 def calibrate_limbs(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[Limbs, Identified]:

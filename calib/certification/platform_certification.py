@@ -113,18 +113,18 @@ def certify_platform(
     progress : called with (label, done, of), or None
     """
     label = configuration_numbers(samples.commanded, axis_travel_limits(nominal))
-    said = progress or silent_progress
-    said("fitting the geometry", 0, 1)
+    report = progress or silent_progress
+    report("fitting the geometry", 0, 1)
     alone = identify_geometry(samples, nominal)
     first = uncertified_geometry(nominal, alone, label)
     if label.max() + 1 < LEAST:  # nothing says whether a remainder pays
-        said("fitting the geometry", 1, 1)
+        report("fitting the geometry", 1, 1)
         return first
     sizes = strut_deviation_sizes_of_samples(samples, first, rng)
     correction, found = calibrate_correction(
         samples, nominal, geometry=alone, axes_with_remainder=sizes.of_place() > SURELY
     )
-    said("fitting the geometry", 1, 1)
+    report("fitting the geometry", 1, 1)
     like, good = correction.remainder, sizes.inliers
     covariance = samples.total_covariance()[good]
 
@@ -135,7 +135,9 @@ def certify_platform(
             for how in (("none", like) if any(like) else ("none",))
         ]
 
-    before, after, *more = [errors[good] for errors in held_out_errors_by_fold(samples, label, corrections, said)]
+    before, after, *more = [
+        errors[good] for errors in held_out_errors_before_and_after_corrections(samples, label, corrections, report)
+    ]
     done = replace(first, held_out=compare_errors(before, after, covariance, rng, label[good]))
     if more:
         weight = inverse_covariance(covariance)
@@ -158,7 +160,7 @@ def silent_progress(label: str, done: int, of: int) -> None:
     """Progress callback that reports nothing."""
 
 
-def held_out_errors_by_fold(
+def held_out_errors_before_and_after_corrections(
     samples: Samples, label: Integers, correct: Callable[[Samples], Sequence[AnyCorrection]], progress: Progress
 ) -> list[Floats]:
     """Held-out errors before and after each correction.

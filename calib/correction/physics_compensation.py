@@ -28,7 +28,7 @@ from rig.model.base_and_link_tilts import GRAVITY, BaseTilt, has_gravity
 from rig.model.design import Actuator, Design, Platform
 from rig.model.hands_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
-from rig.model.mechanisms.arm import poses_of_hands
+from rig.model.mechanisms.arm import hand_pose_of_each_row
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, has_links, is_parallel
 from rig.model.mechanisms.redundant_struts import with_followers_of
 from rig.model.pose import exp
@@ -65,9 +65,9 @@ class Unknown:
         if self.by:
             before, after = self.held_out
             gained, whole = (quantity_text(v, self.held_out_unit) for v in (max(before - after, 0.0), before))
-            said = f"a smooth curve undoes {gained} of {whole} (held out)"
-            said += "; over time it holds within the recorded time only" if TIME in self.by else ""
-            return f"unknown at {self.place}, by {' and '.join(self.by)}: {said}"
+            lines = f"a smooth curve undoes {gained} of {whole} (held out)"
+            lines += "; over time it holds within the recorded time only" if TIME in self.by else ""
+            return f"unknown at {self.place}, by {' and '.join(self.by)}: {lines}"
         if self.corrected:
             reason = "corrected as a smooth function of the configuration"
         elif at.kind in ("camera", "cameras", "marker", "markers", "target"):
@@ -190,16 +190,16 @@ def samples_with_effects(
 
 
 def poses_with_predicted_rotations(design: Design, samples: Samples) -> RigidTransform:
-    """Poses (n,) of an arm's samples, rotations predicted.
+    """Poses (n,) of an arm's samples; where positions alone were measured, rotations are predicted by its joints.
 
-    Where positions alone were measured, rotations are as the arm has them.
+    Else they are those measured.
     """
     T = samples.T_base_platform
     if samples.measured != "position":
         return T
     m = design.mechanism
     if has_links(m):
-        predicted = poses_of_hands(samples.effective, m, samples.hand)
+        predicted = hand_pose_of_each_row(samples.effective, m, samples.hand)
     else:
         predicted = mechanisms.kinematics_of(m).forward(samples.effective, m)
     return RigidTransform.from_components(T.translation, predicted.rotation)

@@ -139,9 +139,13 @@ def inputs_of_camera_and_geometry_fit(measured: Measurement, samples: Samples) -
     used = measured.used()
     keep = np.isin(used.frames, samples.frame)
     rows = keep[used.frame]
-    kept = replace(used.take(rows), frames=used.frames[keep], frame=(np.cumsum(keep) - 1)[used.frame[rows]])
-    commanded = samples.effective[np.searchsorted(samples.frame, kept.frames)]
-    return kept, commanded, State(measured.adjustment.state.cameras, measured.T_base_platform[np.flatnonzero(keep)], {})
+    retained = replace(used.take(rows), frames=used.frames[keep], frame=(np.cumsum(keep) - 1)[used.frame[rows]])
+    commanded = samples.effective[np.searchsorted(samples.frame, retained.frames)]
+    return (
+        retained,
+        commanded,
+        State(measured.adjustment.state.cameras, measured.T_base_platform[np.flatnonzero(keep)], {}),
+    )
 
 
 def _lens(camera: Camera) -> Floats:

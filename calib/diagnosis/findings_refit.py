@@ -221,8 +221,8 @@ def refit_platform_with_findings(
     Raises RigError for a machine without struts, and what refining raises
     """
     nominal = require_parallel(recording.design.mechanism)
-    said = progress or silent_progress
-    said("refining physics and geometry jointly", 0, 1)
+    report = progress or silent_progress
+    report("refining physics and geometry jointly", 0, 1)
     point, _, _ = operating_point_of_recording(recording, progress, sampled=sampled)
     point = operating_point_without_distant_corners(
         correct_marker_swaps(point, [e for e in findings.effects if e.discrete])
@@ -232,7 +232,7 @@ def refit_platform_with_findings(
     )
     refined, unknown = refinement_with_curves(refined, findings.unknown)
     effects, own = _combined(refined, findings)
-    said("refining physics and geometry jointly", 1, 1)
+    report("refining physics and geometry jointly", 1, 1)
     k, samples = refined.point.with_effects(_motion(effects)), sampled.samples
     if any(e.stage not in MOTION_STAGES for e in findings.effects):  # what cameras left out moved every pose
         samples = samples_of_freedoms(replace(samples, T_base_platform=k.T), recording.design.mechanism)
@@ -248,9 +248,9 @@ def _combined(refined: Refinement, findings: Findings) -> tuple[tuple[Effect, ..
     effects, own = [*refined.point.effects], refined.covariance
     coordinates: list[Coordinate] = refined.coordinates
     if findings.sigma is not None and refined.column is not None:
-        kept = [e for e in findings.effects if not e.discrete]
+        retained = [e for e in findings.effects if not e.discrete]
         told = len(findings.sigma)  # curves for what has no name stand behind these, and are of this recording alone
-        before = np.r_[[c.read(kept[c.effect]) for c in coordinates[:told]], refined.values[told:]]
+        before = np.r_[[c.read(retained[c.effect]) for c in coordinates[:told]], refined.values[told:]]
         weight = np.diag(np.r_[1 / np.maximum(findings.sigma, 1e-300) ** 2, np.zeros(len(coordinates) - told)])
         loose = np.diag(np.r_[np.zeros(told), [c.loose**2 for c in coordinates[told:]]])
         own = cast(Floats, np.linalg.inv(refined.model.linear.project(refined.column).gram + weight + loose))
@@ -329,7 +329,7 @@ def refit_arm_with_findings(
     The arm's geometry and the findings' parameters fitted together.
     Raises RigError where neither poses nor positions were measured, and what identifying raises
     """
-    said, samples, design = progress or silent_progress, sampled.samples, recording.design
+    report, samples, design = progress or silent_progress, sampled.samples, recording.design
     nominal = require_arm(design.mechanism)
     if samples.measured in UNPLACED and samples.measured != "direction":
         raise RigError(
@@ -338,7 +338,7 @@ def refit_arm_with_findings(
     commands = recording.commands
     if commands is None:
         raise RigError(f"{recording.folder}: nothing was commanded")
-    said("refining physics and geometry jointly", 0, 1)
+    report("refining physics and geometry jointly", 0, 1)
     before = None
     if findings.sigma is not None:
         before = Prior(
@@ -350,6 +350,6 @@ def refit_arm_with_findings(
         samples, History(design, commands, smooth_temperatures(recording.sensors)[0]), start, findings.effects, before
     )
     found, unknown = arm_fit_with_curves(found, findings.unknown)
-    said("refining physics and geometry jointly", 1, 1)
+    report("refining physics and geometry jointly", 1, 1)
     physics = _physics(found.effects, found.own, unknown, len(parameter_names(nominal)), recording, samples.t)
     return ArmRefit(found, physics)

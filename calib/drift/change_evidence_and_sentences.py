@@ -316,8 +316,8 @@ def change_verdict_lines(
         out.append(f"  THE MEASURING SYSTEM HAS CHANGED, {since}: {_suspect_with_size(named, reference)}")
     else:
         out.append(f"  THE CALIBRATION IS NO LONGER VALID, {since}: {_suspect_with_size(named, reference)}")
-    kept = [one for k, one in enumerate(verdict.suspects[:SHOWN]) if k == 0 or one.odds >= LEAST]
-    out.append("  odds: " + ", ".join(f"{one.name} {one.odds:.3f}" for one in kept))
+    retained = [one for k, one in enumerate(verdict.suspects[:SHOWN]) if k == 0 or one.odds >= LEAST]
+    out.append("  odds: " + ", ".join(f"{one.name} {one.odds:.3f}" for one in retained))
     out.append(f"  to do: {REMEASURE[_key(named, reference)]}")
     return out
 

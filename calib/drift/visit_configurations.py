@@ -138,10 +138,10 @@ class _VisitInformation:
     def worth(self, order: list[int], k: int) -> Floats:
         """(n,) logarithm of the volume in which changes are known, were each candidate the k-th of the order."""
         n, every = len(self.candidates), np.arange(len(self.candidates))
-        kept = [i for i in range(len(order)) if i not in (k, k + 1)]
+        retained = [i for i in range(len(order)) if i not in (k, k + 1)]
         before = self.start if k == 0 else self.candidates[order[k - 1]]
-        rest = np.array([self.start, *self.candidates[order]])[kept]
-        held = self.rows(np.array([order[i] for i in kept], int), rest).reshape(-1, 20)
+        rest = np.array([self.start, *self.candidates[order]])[retained]
+        held = self.rows(np.array([order[i] for i in retained], int), rest).reshape(-1, 20)
         new = self.rows(every, np.broadcast_to(before, (n, 6)))
         if k + 1 < len(order):
             new = np.concatenate([new, self.rows(np.full(n, order[k + 1]), self.candidates)], axis=1)

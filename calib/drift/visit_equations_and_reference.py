@@ -265,10 +265,10 @@ def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, refe
     """What corners say, linearised where they fit best. T : (n,) expected; lenses are each visit's own, as good as
     stated.
     """
-    a, kept = measured.adjustment, measured.used()
-    u, estimate = adjustment_unknowns(kept, a.state, a.stated, FREE)
-    _, derivatives = whitened_residuals_and_derivatives(kept, estimate, u, whitener_of_observations(kept))
-    blocks = normal_equations(kept, derivatives, u, np.zeros(u.shared))
+    a, retained = measured.adjustment, measured.used()
+    u, estimate = adjustment_unknowns(retained, a.state, a.stated, FREE)
+    _, derivatives = whitened_residuals_and_derivatives(retained, estimate, u, whitener_of_observations(retained))
+    blocks = normal_equations(retained, derivatives, u, np.zeros(u.shared))
     frames, at = 6 * len(samples), {Place("target", name): s for name, s in u.targets.items()}
     at |= {Place("camera", a.state.cameras[i].name): s for i, s in u.poses.items()}
     away = np.concatenate([log(T.inv() * a.state.platform).ravel() / POSE_SCALE, np.zeros(u.shared)])

@@ -287,9 +287,9 @@ def _cosines(question: ArmQuestion, table: Floats, shapes: Floats) -> Floats:
     """
     named = question.named
     first, own = named[0].fitted.fit, named[0].number
-    kept = np.ones(first.X.count, bool)
-    kept[first.slices[own]] = False
-    old = first.X.at(np.eye(first.X.count)[:, kept])
+    retained = np.ones(first.X.count, bool)
+    retained[first.slices[own]] = False
+    old = first.X.at(np.eye(first.X.count)[:, retained])
     done = [
         Columns(first.arms.joints, (h.fitted.fit.terms[h.number].part,))
         .take(first.used)
@@ -297,7 +297,9 @@ def _cosines(question: ArmQuestion, table: Floats, shapes: Floats) -> Floats:
         .at(h.fitted.fit.theta[h.fitted.fit.slices[h.number], None])
         for h in named
     ]
-    N = np.concatenate([old.reshape(-1, kept.sum()), table[:, kept], np.diag(np.sqrt(first.prior()))[:, kept]])
+    N = np.concatenate(
+        [old.reshape(-1, retained.sum()), table[:, retained], np.diag(np.sqrt(first.prior()))[:, retained]]
+    )
     S = np.concatenate(
         [np.concatenate(done, axis=2).reshape(-1, len(named)), shapes, np.zeros((first.X.count, len(named)))]
     )

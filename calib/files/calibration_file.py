@@ -168,8 +168,8 @@ def additional_pass_provenance(own: Json, previous_provenance: Calibration, requ
 
     Its own, the passes before it, and the marks of all data.
     """
-    kept = ("recording", "inputs_sha256", "arguments", "created", "pass")
-    first = {name: previous_provenance.provenance[name] for name in kept if name in previous_provenance.provenance}
+    retained = ("recording", "inputs_sha256", "arguments", "created", "pass")
+    first = {name: previous_provenance.provenance[name] for name in retained if name in previous_provenance.provenance}
     passes = [*previous_provenance.provenance.get("passes", []), first]
     return {
         **own,

@@ -144,8 +144,8 @@ def fit_least_squares(
         if length > SETTLED and not before / 2 < length < ROUNDED:
             continue
         left = linear.residual - linear.common @ step.shared
-        kept = _agreeing(left, used) if robust else used
-        if (kept == used).all():
+        retained = _agreeing(left, used) if robust else used
+        if (retained == used).all():
             half = solve_triangular(step.root, np.eye(len(step.root)))
             c = linear.common.shape[2]
             return Fit(
@@ -158,7 +158,7 @@ def fit_least_squares(
                 step.cost,
                 iteration,
             )
-        used = kept
+        used = retained
     raise RigError(
         f"the least squares did not settle in {MAX_ITERATIONS} iterations: the last step was {last:.3g} sigma"
     )

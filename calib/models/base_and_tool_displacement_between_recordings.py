@@ -214,10 +214,10 @@ def estimate_placement(
         found = found.stepped(step)
         if np.abs(step).max() < SETTLED:
             break
-    asked = asked_numbers(ends, samples.measured)
-    freedom = max(white.left.size - int(asked.sum()), 1)
+    requested = asked_numbers(ends, samples.measured)
+    freedom = max(white.left.size - int(requested.sum()), 1)
     excess = max(1.0, float(((white.weight[:, None] * white.left) ** 2).sum()) / freedom)
-    return replace(found, covariance=np.linalg.inv(H) * excess * np.outer(asked, asked))
+    return replace(found, covariance=np.linalg.inv(H) * excess * np.outer(requested, requested))
 
 
 def _aligned(predicted: RigidTransform, samples: Samples, none: Placement, ways: tuple[bool, bool]) -> Placement:
@@ -227,10 +227,9 @@ def _aligned(predicted: RigidTransform, samples: Samples, none: Placement, ways:
     return replace(none, base=there.inv() * base * there, tool=tool, ends=ways)
 
 
-def tested_placement(placement: Placement, always: tuple[bool, bool], clear: bool) -> Placement:
-    """Placement of both ends, with the ends that stand elsewhere.
+def placement_with_significant_displacements(placement: Placement, always: tuple[bool, bool], clear: bool) -> Placement:
+    """Placement of base and tool, with those of both that have moved by more than chance, or that are always asked for.
 
-    By more than chance, or that are always asked for.
     always : whether base and tool are placed anew in each recording, as far as anybody states
     clear : whether a displacement does CLEAR times as much as it leaves; else only an end of `always` is asked for
     The ends are to be estimated once more where these are fewer than both
@@ -340,7 +339,7 @@ def _without_displacement(calibration: Calibration, samples: Samples, instrument
         return replace(one, covariance=one.covariance + shared)
 
     both = estimated((True, True))
-    tested = tested_placement(both, always, is_clear(predicted, samples, both, scatter))
+    tested = placement_with_significant_displacements(both, always, is_clear(predicted, samples, both, scatter))
     if not any(tested.ends):
         return PlacedSamples(samples)
     found = both
@@ -384,8 +383,8 @@ def _by_shared_errors(
     G = np.linalg.solve(H, np.einsum("nka,nkp->ap", white.columns, J))
     common = samples_in_reference(samples, found, predicted).common[:, : white.left.shape[1]]
     B = np.linalg.solve(H, np.einsum("nka,nkc->ac", white.columns, white.W @ common))
-    asked = asked_numbers(found.ends, samples.measured)
-    return (G @ calibration.covariance @ G.T + B @ B.T) * np.outer(asked, asked)
+    requested = asked_numbers(found.ends, samples.measured)
+    return (G @ calibration.covariance @ G.T + B @ B.T) * np.outer(requested, requested)
 
 
 def placement_lines(placements: Sequence[Placement], names: Sequence[str]) -> list[str]:

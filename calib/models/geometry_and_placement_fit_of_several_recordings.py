@@ -25,9 +25,9 @@ from calib.models.base_and_tool_displacement_between_recordings import (
     estimate_placement,
     is_clear,
     placement_columns,
+    placement_with_significant_displacements,
     samples_in_reference,
     target_poses,
-    tested_placement,
 )
 from calib.models.chain import error_model_and_identification as chains
 from calib.models.chain.error_model_and_identification import identify_chain
@@ -52,18 +52,18 @@ def _joined_in_reference(parts: Sequence[Samples], placements: Sequence[Placemen
     for k, (part, place) in enumerate(zip(parts, (none, *placements))):
         T = target_poses(part, machine)
         one = samples_in_reference(part, place, T)
-        asked = asked_numbers(place.ends, part.measured)
+        requested = asked_numbers(place.ends, part.measured)
         columns = np.zeros((len(part), 6, count))
         below = []
         if k:
             own = slice(12 * k - 12, 12 * k)
-            columns[..., own] = placement_columns(T, place.origin) * asked
+            columns[..., own] = placement_columns(T, place.origin) * requested
             if part.measured == "position":  # which stand in the frame of poses
                 columns[:, :3] = T.rotation.as_matrix() @ columns[:, :3]
         for stage in one.below:
             seen = np.zeros((len(part), 6, count))
             if k:
-                seen[..., own] = placement_columns(stage.T_base_stage, place.origin) * asked
+                seen[..., own] = placement_columns(stage.T_base_stage, place.origin) * requested
                 seen[..., own][..., 6:] = 0.0
             below.append(replace(stage, common=seen))
         moved.append(replace(one, common=columns, below=tuple(below)))
@@ -158,9 +158,9 @@ def remove_base_and_tool_displacement(recording: Recording) -> tuple[Recording, 
     tested = []
     for one, part in zip(found, parts[1:]):
         clear = any(free) or is_clear(target_poses(part, fit.machine), part, one, fit.scatter)
-        again = tested_placement(one, (False, False), clear)
-        own = one if again.ends == (True, True) else _placement(part, fit.machine, fit.scatter, again.ends)
-        tested.append(replace(own, p_values=again.p_values))
+        repeated = placement_with_significant_displacements(one, (False, False), clear)
+        own = one if repeated.ends == (True, True) else _placement(part, fit.machine, fit.scatter, repeated.ends)
+        tested.append(replace(own, p_values=repeated.p_values))
     if any(any(one.ends) for one in tested):
         tested, fit = _placed_with_geometry(parts, tested, fit.machine, nominal)
     return _recording_in_reference(recording, parts, tested, fit), tested
@@ -199,8 +199,8 @@ def _placed_with_geometry(
         placements = [one.stepped(own) for one, own in zip(placements, step.reshape(-1, 12))]
         if np.abs(step).max() < PLACED:
             break
-    asked = np.concatenate([asked_numbers(one.ends, samples.measured) for one in placements])
-    covariance = covariance * np.outer(asked, asked)
+    requested = np.concatenate([asked_numbers(one.ends, samples.measured) for one in placements])
+    covariance = covariance * np.outer(requested, requested)
     blocks = [covariance[k : k + 12, k : k + 12] for k in range(0, len(covariance), 12)]
     done = [replace(one, covariance=own) for one, own in zip(placements, blocks)]
     return done, _PlacedFit(machine, fit.scatter, covariance)

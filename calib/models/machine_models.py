@@ -271,12 +271,12 @@ def _selected_freedoms(
     free: Booleans, names: tuple[str, ...], units: tuple[str, ...], size: Floats, jacobian: Callable[[Floats], Floats]
 ) -> IndependentParameters:
     """Freedoms of those of the parameters that are free (p,) bool."""
-    kept = np.flatnonzero(free).tolist()
+    retained = np.flatnonzero(free).tolist()
     return IndependentParameters(
-        tuple(names[k] for k in kept),
-        tuple(units[k] for k in kept),
-        size[kept],
-        lambda values: jacobian(values)[..., kept],
+        tuple(names[k] for k in retained),
+        tuple(units[k] for k in retained),
+        size[retained],
+        lambda values: jacobian(values)[..., retained],
         False,
     )
 

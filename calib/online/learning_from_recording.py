@@ -170,11 +170,11 @@ def _new_poses(
     taken off). Raises RigError where none is left: what is learnt twice counts twice
     """
     marks = content_hashes_of_frames(recording)
-    frames, again = recording.exposures.times()[0], frames_with_known_hashes(marks, learnt)
-    _require_new_frames(recording, marks, again)
-    if again:
-        notice(f"{len(again)} of {len(frames)} frames have been learnt already and are skipped")
-    fresh = [frame for frame in frames.tolist() if frame not in set(again)]
+    frames, repeated = recording.exposures.times()[0], frames_with_known_hashes(marks, learnt)
+    _require_new_frames(recording, marks, repeated)
+    if repeated:
+        notice(f"{len(repeated)} of {len(frames)} frames have been learnt already and are skipped")
+    fresh = [frame for frame in frames.tolist() if frame not in set(repeated)]
     found = sampler()
     chosen = np.isin(found.samples.frame, fresh)
     if not chosen.any():

@@ -224,23 +224,23 @@ def set_exposures(
     Where there is neither, markers are made bright without clipping.
     Returns ({camera: s}, lines of a report)
     """
-    made, said, markers = dict[str, float](), [], marker_map(design)
+    made, lines, markers = dict[str, float](), [], marker_map(design)
     for source in shutter.sources:
         name = source.name
         wanted = of_run.get(name) if stated is None else stated
         if not source.can_set_exposure:
-            said.append(f"camera {name!r} sets its exposure itself")
+            lines.append(f"camera {name!r} sets its exposure itself")
         elif wanted is not None:
             made[name] = source.set_exposure(wanted)
-            said.append(
+            lines.append(
                 f"camera {name!r}: exposure {made[name] * 1e3:.3g} ms" + (", as before" if stated is None else "")
             )
         else:
             made[name], level = set_exposure_for_markers(
                 source, partial(marker_white_level, camera=design.camera(name), markers=markers), FIRST_EXPOSURE
             )
-            said.append(f"camera {name!r}: exposure {made[name] * 1e3:.3g} ms, markers' white at {level:.0f} of 255")
-    return made, said
+            lines.append(f"camera {name!r}: exposure {made[name] * 1e3:.3g} ms, markers' white at {level:.0f} of 255")
+    return made, lines
 
 
 def run_observer(

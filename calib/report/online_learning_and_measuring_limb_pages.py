@@ -222,10 +222,10 @@ def measuring_limbs_verdict(agreement: Agreement, withdrawal_reason: str | None)
         )
     failing = ", ".join(axis for i, axis in enumerate(AXES) if not agreement.passed[i])
     surely = [axis for i, axis in enumerate(AXES) if agreement.proven_limits[i] > agreement.tolerance[i]]
-    said = f"the measuring limbs do not pass: {failing}"
+    message = f"the measuring limbs do not pass: {failing}"
     return judge_evidence(
         Evidence(
-            said,
+            message,
             refuted=(f"{', '.join(surely)} certainly beyond the tolerance",) if surely else (),
             missing=() if surely else (MissingEvidence("their agreement is not shown"),),
         )

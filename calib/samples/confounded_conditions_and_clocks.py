@@ -78,12 +78,12 @@ class Confounds:
     def line(self) -> str:
         """The confounds of a recording in one line."""
         if self.serious:
-            said = [
+            lines = [
                 _sentence(cause, [row for row in self.serious if row.cause == cause])
                 for cause in dict.fromkeys(r.cause for r in self.serious)
             ]
             return (
-                "; ".join(said)
+                "; ".join(lines)
                 + "; record the same poses in a balanced order (`rig plan` and --plan sobol:N write one)"
             )
         if not self.rows:

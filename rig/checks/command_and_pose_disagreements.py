@@ -132,14 +132,14 @@ def command_pose_mistakes(moves: CommandsAndPoses) -> Iterator[Mistake]:
     shifts = [one for one in tried if SHIFTED in one[1] and one[0] < ALIKE * left]
     if shifts and CLOCK in what:  # an offset of clocks, being fitted, is as good wherever frames are evenly spaced
         left, what, do = min(shifts, key=lambda one: one[0])
-    said = f"commands and measured poses differ by {before * 1e3:.3g} mm"
+    message = f"commands and measured poses differ by {before * 1e3:.3g} mm"
     if left < BETTER * before and left < max(AWAY, 0.3 * before):
         yield Mistake(
-            f"{what}: {said} RMS as recorded, by {left * 1e3:.3g} mm so", do, True, LIKELY * (1 - left / before)
+            f"{what}: {message} RMS as recorded, by {left * 1e3:.3g} mm so", do, True, LIKELY * (1 - left / before)
         )
     else:
         yield Mistake(
-            f"{said} RMS along the struts, and no common mistake explains it",
+            f"{message} RMS along the struts, and no common mistake explains it",
             "Check the joints, the struts' order and the zeros in rig.toml, and whether poses and commands match",
             before > SURE,
             0.3,

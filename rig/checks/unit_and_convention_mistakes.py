@@ -136,7 +136,7 @@ def environment_mistakes(design: Design) -> Iterator[Mistake]:
     g = np.asarray(design.gravity)
     size = float(np.linalg.norm(g))
     if not GRAVITY[0] <= size <= GRAVITY[1]:
-        said = next(
+        message = next(
             (
                 text
                 for unit, text in (
@@ -150,7 +150,10 @@ def environment_mistakes(design: Design) -> Iterator[Mistake]:
             "not the Earth's 9.81 m/s^2",
         )
         yield Mistake(
-            f"rig.toml: gravity is {said}: {size:g}", "State environment.gravity in m/s^2 in the base frame", False, 0.7
+            f"rig.toml: gravity is {message}: {size:g}",
+            "State environment.gravity in m/s^2 in the base frame",
+            False,
+            0.7,
         )
     home = design.mechanism.home_pose
     if home is not None and size > 0:
@@ -222,11 +225,13 @@ def _lengths(q: Floats, ranges: Floats, home: Floats) -> Iterator[Mistake]:
     if outside == 0:
         return
     advice = "commands.csv holds joint centre to joint centre, in metres"
-    said = f"{q.min():.6g} to {q.max():.6g}, where rig.toml's strut_range is {ranges.min():.6g} to {ranges.max():.6g} m"
+    message = (
+        f"{q.min():.6g} to {q.max():.6g}, where rig.toml's strut_range is {ranges.min():.6g} to {ranges.max():.6g} m"
+    )
     if axes.mean() <= FEW:
         which = ", ".join(str(k + 1) for k in np.flatnonzero(axes))
         yield Mistake(
-            f"commands.csv: lengths of strut {which} alone lie outside strut_range ({outside:.1%} of all): {said}",
+            f"commands.csv: lengths of strut {which} alone lie outside strut_range ({outside:.1%} of all): {message}",
             "Check its zero, its strut_range or those rows",
             bool(outside > MUCH),
             0.3,
@@ -235,7 +240,10 @@ def _lengths(q: Floats, ranges: Floats, home: Floats) -> Iterator[Mistake]:
     for unit, per_metre in UNITS.items():
         if _beyond(q / per_metre, ranges) <= outside / 4:
             yield Mistake(
-                f"commands.csv: lengths are in {unit}: {said}", f"Divide them by {per_metre:.6g}; {advice}", True, 0.95
+                f"commands.csv: lengths are in {unit}: {message}",
+                f"Divide them by {per_metre:.6g}; {advice}",
+                True,
+                0.95,
             )
             return
     for text, mended, how in (
@@ -246,7 +254,7 @@ def _lengths(q: Floats, ranges: Floats, home: Floats) -> Iterator[Mistake]:
         ("relative to the longest length", ranges[:, 1] - q, "Subtract them from each strut's longest length"),
     ):
         if _beyond(mended, ranges) <= outside / 4:
-            yield Mistake(f"commands.csv: lengths are {text}: {said}", f"{how}; {advice}", True, 0.9)
+            yield Mistake(f"commands.csv: lengths are {text}: {message}", f"{how}; {advice}", True, 0.9)
             return
     for unit, per_metre in UNITS.items():
         if (
@@ -254,7 +262,7 @@ def _lengths(q: Floats, ranges: Floats, home: Floats) -> Iterator[Mistake]:
             and np.ptp(q) > 0.02 * per_metre * np.ptp(ranges, axis=1).min()
         ):
             yield Mistake(
-                f"commands.csv: lengths are in {unit} and relative to home: {said}",
+                f"commands.csv: lengths are in {unit} and relative to home: {message}",
                 f"Divide them by {per_metre:.6g} and add the home lengths; {advice}",
                 True,
                 0.9,
@@ -262,21 +270,21 @@ def _lengths(q: Floats, ranges: Floats, home: Floats) -> Iterator[Mistake]:
             return
     if np.median(np.abs(q)) > 10 * ranges.max():
         yield Mistake(
-            f"commands.csv: lengths are in steps or counts: {said}",
+            f"commands.csv: lengths are in steps or counts: {message}",
             f"Divide them by the steps per metre; {advice}",
             True,
             0.7,
         )
     elif outside > MUCH:
         yield Mistake(
-            f"commands.csv: {outside:.0%} of the lengths lie outside strut_range: {said}",
+            f"commands.csv: {outside:.0%} of the lengths lie outside strut_range: {message}",
             f"Check the unit, the zero and strut_range; {advice}",
             True,
             0.5,
         )
     else:
         yield Mistake(
-            f"commands.csv: some lengths ({outside:.1%}) lie outside strut_range: {said}",
+            f"commands.csv: some lengths ({outside:.1%}) lie outside strut_range: {message}",
             "Check strut_range or those rows",
             False,
             0.3,
@@ -287,18 +295,18 @@ def _slides(q: Floats, limits: Floats) -> Iterator[Mistake]:
     """What an arm's slides (n, k) are commanded beyond their limits (k, 2) m."""
     if not q.size or (outside := _beyond(q, limits)) == 0:
         return
-    said = f"{q.min():.6g} to {q.max():.6g}, where rig.toml's limits are {limits.min():.6g} to {limits.max():.6g} m"
+    message = f"{q.min():.6g} to {q.max():.6g}, where rig.toml's limits are {limits.min():.6g} to {limits.max():.6g} m"
     for unit, per_metre in UNITS.items():
         if _beyond(q / per_metre, limits) <= outside / 4:
             yield Mistake(
-                f"commands.csv: slides are in {unit}: {said}",
+                f"commands.csv: slides are in {unit}: {message}",
                 f"Divide them by {per_metre:.6g}; slides are in metres",
                 True,
                 0.95,
             )
             return
     yield Mistake(
-        f"commands.csv: {outside:.1%} of the slides' positions lie outside the limits: {said}",
+        f"commands.csv: {outside:.1%} of the slides' positions lie outside the limits: {message}",
         "Check their unit, zeros and limits",
         outside > MUCH,
         0.5 if outside > MUCH else 0.3,
@@ -309,19 +317,21 @@ def _angles(q: Floats, limits: Floats) -> Iterator[Mistake]:
     if not q.size:
         return
     outside = _beyond(q, limits)
-    said = f"{q.min():.6g} to {q.max():.6g}, where rig.toml's limits are {limits.min():.6g} to {limits.max():.6g} rad"
+    message = (
+        f"{q.min():.6g} to {q.max():.6g}, where rig.toml's limits are {limits.min():.6g} to {limits.max():.6g} rad"
+    )
     if outside > 0 and _beyond(np.radians(q), limits) <= outside / 4 and np.abs(q).max() > 2.5 * np.pi:
-        yield Mistake(f"commands.csv: joint angles are in degrees: {said}", "State them in radians", True, 0.95)
+        yield Mistake(f"commands.csv: joint angles are in degrees: {message}", "State them in radians", True, 0.95)
     elif outside > MUCH:
         yield Mistake(
-            f"commands.csv: {outside:.0%} of the joint angles lie outside the limits: {said}",
+            f"commands.csv: {outside:.0%} of the joint angles lie outside the limits: {message}",
             "Check their unit, zeros and limits",
             True,
             0.5,
         )
     elif outside > 0:
         yield Mistake(
-            f"commands.csv: some joint angles ({outside:.1%}) lie outside the limits: {said}",
+            f"commands.csv: some joint angles ({outside:.1%}) lie outside the limits: {message}",
             "Check limits or those rows",
             False,
             0.3,

@@ -93,8 +93,8 @@ def _inverse_text(tree: Json) -> list[str]:
     for entry in tree["frames"]:
         lines.append(f"frame {entry['frame']}: {entry['state']}; {len(entry['solutions'])} solutions")
         for k, one in enumerate(entry["solutions"], 1):
-            said = "; ".join(_solution_remarks(one))
-            lines.append(f"  {k}: {_joints(one['q'], tree['units'])}{'; ' if said else ''}{said}")
+            message = "; ".join(_solution_remarks(one))
+            lines.append(f"  {k}: {_joints(one['q'], tree['units'])}{'; ' if message else ''}{message}")
             if "corrected" in one:
                 finished = "none near it" if one["corrected"] is None else _joints(one["corrected"], tree["units"])
                 lines.append(f"     as calibrated, finished numerically: {finished}")

@@ -117,19 +117,19 @@ def run(arguments: argparse.Namespace) -> None:
         return
     out = arguments.outputs.folder(arguments.out)
     imported, remarks = import_recording(recipe, out, arguments.out, arguments.skip_unreadable)
-    kept = arguments.out.parent / f"{arguments.out.name}.import.toml"
+    retained = arguments.out.parent / f"{arguments.out.name}.import.toml"
     if arguments.recipe is None:
-        write_text(arguments.outputs.file(kept), importers.recipe_toml(imported.recipe, kept.parent))
+        write_text(arguments.outputs.file(retained), importers.recipe_toml(imported.recipe, retained.parent))
     _say(imported)
     arguments.result = _result(
-        imported, [str(remark) for remark in remarks], kept if arguments.recipe is None else arguments.recipe
+        imported, [str(remark) for remark in remarks], retained if arguments.recipe is None else arguments.recipe
     )
     _print_camera_places(out)
     for remark in remarks:
         print(f"{'wrong' if remark.spoils else 'to look at'}: {remark}")
     print(
         f"written: {arguments.out}"
-        + (f"; {kept} repeats it (rig import --recipe)" if arguments.recipe is None else "")
+        + (f"; {retained} repeats it (rig import --recipe)" if arguments.recipe is None else "")
         + f"; `rig check {arguments.out}` checks it in detail"
     )
 
@@ -212,15 +212,15 @@ def _rig(arguments: argparse.Namespace, recipe: "Recipe") -> None:
             f"--out {arguments.out} is a rig.toml, which holds cameras only; images and tables make a folder, --out REC"
         )
     out = arguments.outputs.file(arguments.out)
-    design, text, said = importers.design_with_imported_cameras(recipe)
+    design, text, lines = importers.design_with_imported_cameras(recipe)
     write_text(out, text or "")
     arguments.result = {
         "schema": "imported/1",
         "cameras": [camera.name for camera in design.cameras],
-        "assumed": list(said),
+        "assumed": list(lines),
     }
     print(f"imported: {len(design.cameras)} cameras")
-    _say_assumed(said)
+    _say_assumed(lines)
     print(f"written: {arguments.out}")
 
 

@@ -139,7 +139,7 @@ def _print_agreement(found: Agreement, source: str) -> None:
     for i, axis in enumerate(AXES):
         low, high = found.limits[:, i] * 1e6
         moved = f"{found.moved[i] * 1e3:.1f} {'mm' if i < 3 else 'mrad'}"
-        said = (
+        message = (
             "passes"
             if found.passed[i]
             else (
@@ -151,7 +151,7 @@ def _print_agreement(found: Agreement, source: str) -> None:
         print(
             f"{axis:4}{found.bias[i] * 1e6:9.2f}{found.scatter[i] * 1e6:9.2f}{found.expected[i] * 1e6:9.2f}"
             f"{f'{low:.2f} .. {high:.2f}':>24}{found.proven_limits[i] * 1e6:15.2f}{found.tolerance[i] * 1e6:11.1f}"
-            f"{moved:>14}  {said}"
+            f"{moved:>14}  {message}"
         )
 
 

@@ -88,7 +88,7 @@ def _watch(arguments: Namespace) -> int:
         calibration_file.load(arguments.calibration),
         visit_history.calibration_digest(arguments.calibration),
     )
-    kept = None if arguments.history is None else arguments.outputs.file(arguments.history, own=True)
+    retained = None if arguments.history is None else arguments.outputs.file(arguments.history, own=True)
     page = page_path(arguments)
     known = arguments.history is not None and arguments.history.exists()
     history = visit_history.read_history(arguments.history, own) if known else History(own)
@@ -97,8 +97,8 @@ def _watch(arguments: Namespace) -> int:
     result = watch(calibration, loaded, history, refuted, progress)
     progress.close()
     output_display.print_refutations(arguments.calibration, refuted)
-    if kept is not None:
-        visit_history.write_history(kept, result.history)
+    if retained is not None:
+        visit_history.write_history(retained, result.history)
     if page is not None:
         result.write_page(page, arguments.calibration.name, page_links(arguments, arguments.page))
     if result.refutation is not None:
@@ -108,7 +108,7 @@ def _watch(arguments: Namespace) -> int:
         print_json(result.tree())
     else:
         print("\n".join([result.verdict.line, *result.lines()]))
-        if kept is not None:
+        if retained is not None:
             print(f"{result.history.number} visits in {arguments.history}")
     return exit_status(result.verdict)
 

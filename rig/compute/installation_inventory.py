@@ -46,7 +46,7 @@ def installation_inventory() -> list[InventoryItem]:
         InventoryItem("rig", "ok", f"{metadata.version('rig')}, {Path(__file__).parents[2]}"),
         InventoryItem("system", "ok", system),
         *installed_packages(),
-        check_graphics(),
+        check_opengl(),
         list_cameras(),
         list_genicam_producers(),
         list_serial_ports_and_access_rights(),
@@ -97,10 +97,10 @@ def _numbers(version: str) -> tuple[int, ...]:
     return tuple(int(part) for part in re.findall(r"\d+", version)[:3])
 
 
-def check_graphics() -> InventoryItem:
-    """Check graphics.
+def check_opengl() -> InventoryItem:
+    """Whether OpenGL draws an image.
 
-    Whether OpenGL draws, tried in a child process, since a broken driver ends its process.
+    Tried in a child process, since a broken driver ends its process.
     """
     try:
         done = subprocess.run([sys.executable, "-c", CONTEXT], capture_output=True, text=True, timeout=60)
@@ -108,9 +108,12 @@ def check_graphics() -> InventoryItem:
         return InventoryItem("OpenGL", "absent", "no answer within 60 s", "drawing images does not work; all else does")
     if done.returncode == 0:
         return InventoryItem("OpenGL", "ok", done.stdout.strip())
-    said = (done.stderr.strip().splitlines() or [f"ended by status {done.returncode}"])[-1]
+    message = (done.stderr.strip().splitlines() or [f"ended by status {done.returncode}"])[-1]
     return InventoryItem(
-        "OpenGL", "absent", said, "drawing images (simulate --images, emulate --cameras) does not work; all else does"
+        "OpenGL",
+        "absent",
+        message,
+        "drawing images (simulate --images, emulate --cameras) does not work; all else does",
     )
 
 

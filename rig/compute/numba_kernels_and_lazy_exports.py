@@ -59,10 +59,10 @@ def set_kernel_cache_folder() -> None:
 @cache
 def kernel_cache_folder() -> Path | None:
     """The cache folder for compiled kernels, None where numba writes next to the sources."""
-    kept = HERE / "__pycache__"
+    retained = HERE / "__pycache__"
     return (
         None
-        if os.access(kept if kept.is_dir() else HERE, os.W_OK)
+        if os.access(retained if retained.is_dir() else HERE, os.W_OK)
         else user_cache_folder(f"{HERE.parent} cannot be written")
     )
 
@@ -212,9 +212,9 @@ class Kernel:
             before = settings.CACHE_DIR
             try:
                 beside = Path(inspect.getfile(self._function)).parent / "__pycache__"
-                kept = private_folder_or_user_cache(Path(settings.CACHE_DIR or beside))
-                if kept != beside:
-                    settings.CACHE_DIR = str(kept)
+                retained = private_folder_or_user_cache(Path(settings.CACHE_DIR or beside))
+                if retained != beside:
+                    settings.CACHE_DIR = str(retained)
                 compiled: Any = numba.njit(**self._options)(self._function)
             finally:
                 settings.CACHE_DIR = before

@@ -153,14 +153,14 @@ def process_map(
                 )
         except WorkerEnded:
             futile += 1
-        kept = [
+        retained = [
             (k, result)
             for share, future in zip(shares, futures)
             if future.done() and not future.cancelled() and not future.exception()
             for (k, _), result in zip(share, future.result())
         ]
-        out.update(kept)
-        futile = 0 if kept else futile
+        out.update(retained)
+        futile = 0 if retained else futile
         if futile == ENDED:
             raise WorkerEnded(
                 f"{ENDED} worker processes were killed from outside, one after the other, as a system does "

@@ -173,7 +173,7 @@ def gravity_at_exposures(
     return logged_gravity(channel) if has_gravity(known) else np.broadcast_to(gravity, (count, 3))
 
 
-def times_between_small_turns(t: Floats, tilts: tuple[BaseTilt, ...], channels: Mapping[str, Floats]) -> Floats:
+def times_between_small_tilt_steps(t: Floats, tilts: tuple[BaseTilt, ...], channels: Mapping[str, Floats]) -> Floats:
     """Times (m,) s between which tilts turn little.
 
     Of a log's rows and of as many between as make no tilt turn by more than LARGEST_TURN at once.

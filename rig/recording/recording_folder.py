@@ -16,7 +16,13 @@ from rig.formats.csv_and_parquet_tables_and_time_origin import Table, TimeOrigin
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import require_complete_folder, write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model.base_and_link_tilts import GRAVITY, BaseTilt, gravity_channels, has_gravity, times_between_small_turns
+from rig.model.base_and_link_tilts import (
+    GRAVITY,
+    BaseTilt,
+    gravity_channels,
+    has_gravity,
+    times_between_small_tilt_steps,
+)
 from rig.model.design import Design
 from rig.model.hands_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
@@ -245,7 +251,7 @@ def sensors_with_gravity(gravity: Floats, tilts: tuple[BaseTilt, ...], sensors: 
             f"rig.toml states that the base tilts by {', '.join(missing)} ([[environment.tilt]]), which sensors.csv "
             "does not have: log it, or gravity in the base frame as " + ", ".join(GRAVITY)
         )
-    t = times_between_small_turns(sensors.t, tilts, sensors.channels)
+    t = times_between_small_tilt_steps(sensors.t, tilts, sensors.channels)
     channels: dict[str, Floats] = {
         name: np.asarray(np.interp(t, sensors.t, values)) for name, values in sensors.channels.items()
     }

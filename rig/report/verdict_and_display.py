@@ -229,7 +229,7 @@ def add_refutation(refutations_file: Path, folder: Path, new_refutation: Refutat
     It replaces one of the same file by the same command and recording.
     refutations_file : where the file waits to be put into the folder as NAME
     """
-    kept = [
+    retained = [
         one
         for one in load_refutations(folder)
         if (one.sha256, one.command, one.recording)
@@ -237,7 +237,7 @@ def add_refutation(refutations_file: Path, folder: Path, new_refutation: Refutat
     ]
     write_text(
         refutations_file,
-        json.dumps({"schema": SCHEMA, "refutations": [asdict(one) for one in (*kept, new_refutation)]}, indent=1)
+        json.dumps({"schema": SCHEMA, "refutations": [asdict(one) for one in (*retained, new_refutation)]}, indent=1)
         + "\n",
     )
 

@@ -98,14 +98,14 @@ def crossvalidate_adjustment(
     chi2 = expected = square = 0.0
     ratios = []
     root = np.linalg.inv(np.linalg.cholesky(u.basis.T @ total @ u.basis))
-    kept = [
+    retained = [
         part
         for part in parts
         if not len(root) or np.linalg.eigvalsh(root @ u.basis.T @ (total - part[0]) @ u.basis @ root.T)[0] > ALONE
     ]
-    if len(kept) < 2:
+    if len(retained) < 2:
         return NotHeldOut("every frame determines something of the cameras that no other does")
-    for reduced, right, left, dof, _ in kept:
+    for reduced, right, left, dof, _ in retained:
         H, g = total - reduced, drawn - right
         inner = np.linalg.inv(u.basis.T @ H @ u.basis) if u.basis.shape[1] else np.zeros((0, 0))
         delta = u.basis @ (inner @ (u.basis.T @ g))
@@ -116,7 +116,7 @@ def crossvalidate_adjustment(
         here -= surprise @ np.linalg.solve(u.basis.T @ total @ u.basis, surprise)
         chi2, expected, square = chi2 + cast(float, here), expected + dof, square + cast(float, plain)
         ratios.append(here / dof)
-    corners = sum(p[4] for p in kept)
+    corners = sum(p[4] for p in retained)
     mean = np.sqrt(np.median(np.einsum("nii->n", observations.covariance)) / 2)
     scatter = float(np.std(ratios, ddof=1) / np.sqrt(len(ratios)))
     return HeldOut(float(chi2), float(expected), scatter, float(mean * np.sqrt(square / (2 * corners))), corners)
@@ -183,12 +183,12 @@ def determined_combinations(adjustment: Adjustment) -> DeterminedUnknowns:
 
     Its covariance compared with the priors.
     """
-    kept = np.flatnonzero(
+    retained = np.flatnonzero(
         ~adjustment.of_prints
     )  # how markers are printed, no recording tells marker by marker: that is said in one line
-    u, names = adjustment.unknowns, [str(adjustment.shared_names[k]) for k in kept]
-    worth = np.where(np.isfinite(adjustment.prior), adjustment.prior, POSE_SIGMA)[kept]
-    covariance = adjustment.shared_covariance[np.ix_(kept, kept)]
+    u, names = adjustment.unknowns, [str(adjustment.shared_names[k]) for k in retained]
+    worth = np.where(np.isfinite(adjustment.prior), adjustment.prior, POSE_SIGMA)[retained]
+    covariance = adjustment.shared_covariance[np.ix_(retained, retained)]
     scaled = covariance / np.outer(worth, worth)
     values, vectors = np.linalg.eigh(scaled) if len(worth) else (np.zeros(0), np.zeros((0, 0)))
     weak = [
@@ -211,8 +211,8 @@ def determined_combinations(adjustment: Adjustment) -> DeterminedUnknowns:
 
 def _names(vector: Floats, names: list[str]) -> tuple[str, ...]:
     order = np.argsort(-(vector**2))
-    kept = [k for k in order[:4] if vector[k] ** 2 > NAMED] or [order[0]]
-    return tuple(names[k] for k in kept)
+    retained = [k for k in order[:4] if vector[k] ** 2 > NAMED] or [order[0]]
+    return tuple(names[k] for k in retained)
 
 
 def _datum(adjustment: Adjustment, on_platform: bool) -> str:

@@ -74,27 +74,27 @@ def adjust_with_estimated_printing_errors(
     is taken off it, and they are told again.
     """
     a = fit.adjustment
-    kept = replace(
+    retained = replace(
         observations_of_frames(observations, fit.solved),
         covariance=fit.covariance[np.isin(observations.frame, fit.solved)],
     )
     good = fit.inliers[np.isin(observations.frame, fit.solved)]
-    if len(np.unique(kept.marker[good])) < FEWEST:
+    if len(np.unique(retained.marker[good])) < FEWEST:
         return fit
     used, standing = np.zeros(len(good), bool), np.inf
     for turn in range(AGAIN):
-        weights, now = inflate_repeated_corner_covariance(kept, good, a.state)
+        weights, now = inflate_repeated_corner_covariance(retained, good, a.state)
         if now >= FALLS * standing and (turn >= SORTED or (good == used).all()):
             break
         used, standing = good, now
-        weighed = replace(kept, covariance=weights).take(used)
+        weighed = replace(retained, covariance=weights).take(used)
         printing = _printing(_print_information(weighed, fit.adjustment, free))
         if printing is None:
             return fit
         a = adjust_bundle(weighed, replace(a.state, markers=a.stated.markers), free, stated=a.stated, printing=printing)
-        good = is_within_gate(kept, a.state)
+        good = is_within_gate(retained, a.state)
     cost = (
-        a.cost - (a.whitened**2).sum() + (whitener_of_observations(kept.take(used))(a.residuals) ** 2).sum()
+        a.cost - (a.whitened**2).sum() + (whitener_of_observations(retained.take(used))(a.residuals) ** 2).sum()
     )  # standing errors in it, as in fit.scale
     scale = float(np.sqrt(cost / a.dof))
     inliers = fit.inliers.copy()

@@ -77,11 +77,11 @@ def adjust_robustly(
             raise NotEnoughData(f"none of {count} frames could be solved: " + "; ".join(reasons[:5]))
         mine = np.isin(observations.frame, solved)
         plain = observations_of_frames(observations, solved)
-        kept = replace(plain, covariance=factor[mine][:, None, None] * plain.covariance)
+        retained = replace(plain, covariance=factor[mine][:, None, None] * plain.covariance)
         gate = initial_gate * CLOSING**rounds
-        good = is_within_gate(kept, state.at(solved), gate)
+        good = is_within_gate(retained, state.at(solved), gate)
         weak = _unsupported(
-            kept,
+            retained,
             good,
             state,
             {(int(np.searchsorted(solved, f)), body) for f, body in single_sighting_bodies if f in solved},
@@ -99,7 +99,7 @@ def adjust_robustly(
         inliers, rounds = good, rounds + 1
         if progress:
             progress(rounds - 1, ROUNDS)
-        result = adjust_bundle(kept.take(good), state.at(solved), free, stated=stated)
+        result = adjust_bundle(retained.take(good), state.at(solved), free, stated=stated)
         state = _spread(result.state, state, solved)
         if state.moving and gate < BLURRED:
             factor[mine] = _scatter(plain, good, result.state)

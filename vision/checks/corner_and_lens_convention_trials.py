@@ -274,8 +274,10 @@ def alternative_lens_trials(sample: SampledRecording) -> Iterator[Candidate]:
         mended = [other(camera) for camera in cameras]
         if all(_same(a, b) for a, b in zip(mended, cameras)):
             continue
-        said = f"rig.toml: {what} of all cameras" if len(cameras) > 1 else f"rig.toml: camera {cameras[0].name}: {what}"
-        yield said, do, sample.with_cameras(tuple(mended))
+        message = (
+            f"rig.toml: {what} of all cameras" if len(cameras) > 1 else f"rig.toml: camera {cameras[0].name}: {what}"
+        )
+        yield message, do, sample.with_cameras(tuple(mended))
         for i, camera in enumerate(cameras if len(cameras) > 1 else ()):
             if not _same(mended[i], camera):
                 yield (

@@ -220,10 +220,10 @@ def _sized(first: Trial) -> tuple[list[Mistake], Trial]:
     ):
         return [], first
     who = next((t for t in first.seen.design.targets if body in (None, t.body)), None)
-    said = targets.size_ratio_text(share, who) + (f", those on the {body}" if body else "")
+    message = targets.size_ratio_text(share, who) + (f", those on the {body}" if body else "")
     return [
         Mistake(
-            f"rig.toml: {said}: corners lie {first.misfit:.3g} px RMS from their expected positions as it stands, "
+            f"rig.toml: {message}: corners lie {first.misfit:.3g} px RMS from their expected positions as it stands, "
             f"{best.misfit:.3g} px so",
             "Measure the outer side of a black border and state it as marker (or side), in metres; print "
             "without fitting to the page",

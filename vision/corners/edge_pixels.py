@@ -166,7 +166,7 @@ def collect_edge_pixels(
     """
     cx, cy, scale = marker.centre
     box, lens, seen, n = marker.box, marker.lens, marker.outlook, marker.n
-    rows, kept = raster.rows, raster.kept
+    rows, retained = raster.rows, raster.kept
     columns, x, y, entries = rows[0], rows[1], rows[2], rows[3]
     for k in range(box[2] - box[0]):
         columns[k] = (box[0] + k - cx) / scale
@@ -194,12 +194,12 @@ def collect_edge_pixels(
         _look(rows, (start - box[0], end - box[0]), marker, (v - cy) / scale, g, (reach_x, reach_y))
         line, found = crop[v - box[1]], np.uintp(0)
         for k in range(np.uintp(start - box[0]), np.uintp(end - box[0])):
-            kept[found] = k
+            retained[found] = k
             found = found + np.uintp(
                 seen[np.uint32(entries[k])] != NONE
             )  # written first and kept after: a processor cannot guess which pixels are
         for m in range(found):
-            c = np.uintp(kept[m])
+            c = np.uintp(retained[m])
             raster.x[count], raster.y[count], raster.greys[count], raster.entries[count] = (
                 x[c],
                 y[c],

@@ -92,19 +92,19 @@ def calibrate_photographs(
     height, width = images[0].shape[:2]
     K = np.array([[1.2 * width, 0, (width - 1) / 2], [0, 1.2 * width, (height - 1) / 2], [0, 0, 1]])
     camera = Camera(name, width, height, K, np.zeros(FIRST), RigidTransform.identity())
-    for again in (False, True):
+    for repeated in (False, True):
         views = []
         for k, image in enumerate(images):
             views.append(find_board_corners(image, board, camera))
             if progress:
-                progress("finding corners" + " again" * again, k + 1, len(images))
+                progress("finding corners" + " again" * repeated, k + 1, len(images))
         left_out = tuple((path, _reason(view)) for path, view in zip(paths, views) if len(view.corner) < LEAST_CORNERS)
         try:
             observations = observations_from_board_views(views, board)
         except NotEnoughData as error:
             named = "".join(f"\n  {path}: {reason}" for path, reason in left_out)
             raise NotEnoughData(f"{error}{named}") from None
-        if not again:
+        if not repeated:
             camera = calibrate_lens(observations, width, height, FIRST, name).camera
     models, fits = _models(observations, width, height, name, progress)
     held = [model.held for model in models.values() if model.held]

@@ -257,14 +257,14 @@ def learn_camera_edge_spread(
     spread = PLAIN_EDGE_SPREAD
     for _ in range(ROUNDS if seen else 0):
 
-        def again(item: tuple[Floats, ReadMarkers], spread: EdgeSpread = spread) -> tuple[Detection, Floats]:
+        def repeated(item: tuple[Floats, ReadMarkers], spread: EdgeSpread = spread) -> tuple[Detection, Floats]:
             full, read = item
             profile = empty_residual_profile()
             return fit_read_markers(
                 full, camera, marker_map, read, spread, search_distance=0.0, profile=profile
             ), profile
 
-        done = map_images_in_threads(again, seen, None)
+        done = map_images_in_threads(repeated, seen, None)
         blur = np.concatenate([d.blur for d, _ in done])
         if len(blur):
             spread = learn_edge_spread(

@@ -107,8 +107,8 @@ def _seen(before: Floats, K: Floats) -> Floats:
     before : (q, q) products of the directions with nuisances in; K : (q, p) with the nuisances' orthonormal basis"""
     scale = np.sqrt(np.maximum(np.diag(before), 1e-300))
     values, vectors = np.linalg.eigh((before - K @ K.T) / scale[:, None] / scale)
-    kept = values > SWALLOWED
-    return vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
+    retained = values > SWALLOWED
+    return vectors[:, retained] / np.sqrt(values[retained]) / scale[:, None]
 
 
 def _expected(shares: Floats) -> tuple[float, float]:

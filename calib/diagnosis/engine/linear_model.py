@@ -310,8 +310,8 @@ def orthonormal_combinations(gram: Floats) -> Floats:
     """
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram / scale[:, None] / scale)
-    kept = values > RANK * values[-1]
-    return vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
+    retained = values > RANK * values[-1]
+    return vectors[:, retained] / np.sqrt(values[retained]) / scale[:, None]
 
 
 def join_columns(columns: list[Column]) -> Column:

@@ -112,12 +112,12 @@ def solve_normal_equations(normal: Normal) -> Solved:
     b, G, raw = normal
     scale = np.sqrt(np.maximum(raw, 1e-300))
     values, vectors = np.linalg.eigh(G / scale[:, :, None] / scale[:, None, :])
-    kept = values > SWALLOWED
-    inverse = np.where(kept, 1 / np.where(kept, values, 1), 0)
+    retained = values > SWALLOWED
+    inverse = np.where(retained, 1 / np.where(retained, values, 1), 0)
     z = np.einsum("kji,kj->ki", vectors, b / scale)
     delta = (z**2 * inverse).sum(axis=1)
     coefficients = np.einsum("kij,kj->ki", vectors, z * inverse) / scale
-    return Solved(delta, list(coefficients), kept.sum(axis=1), np.clip(values, 0, 1).max(axis=1))
+    return Solved(delta, list(coefficients), retained.sum(axis=1), np.clip(values, 0, 1).max(axis=1))
 
 
 def solve_nonnegative(normal: Normal) -> Solved:

@@ -349,10 +349,10 @@ def _companions(
         if score.candidate.place in places or not close or len(problem.terms(fit)) >= policy.most:
             continue
         places.add(score.candidate.place)
-        again = problem.companion(fit, score)
-        if again is not None and is_significant(again, len(problem.candidates), size, policy):
+        repeated = problem.companion(fit, score)
+        if repeated is not None and is_significant(repeated, len(problem.candidates), size, policy):
             taken.add(_hypothesis_key(score))
-            fit = problem.add_term(fit, again)
+            fit = problem.add_term(fit, repeated)
     return fit
 
 

@@ -52,12 +52,12 @@ class RequestedEffects:
         only: Iterable[str] | None, without: Iterable[str], given: StatedTerms, kinds: tuple[type[Effect], ...] = ALL
     ) -> "RequestedEffects":
         """Asked with what is assumed besides. Raises RigError where that is left out at the same time."""
-        asked = RequestedEffects(tuple(only or ()), tuple(without), kinds)
+        requested = RequestedEffects(tuple(only or ()), tuple(without), kinds)
         assumed = tuple(f"{name} {place}" for name, place in given.assumed)
-        out = [text for text, (name, _) in zip(assumed, given.assumed) if {name, text} & set(asked.without)]
+        out = [text for text, (name, _) in zip(assumed, given.assumed) if {name, text} & set(requested.without)]
         if out:
             raise RigError(f"{' and '.join(out)} cannot be both assumed and excluded")
-        return RequestedEffects((*asked.only, *assumed) if asked.only else (), asked.without, kinds)
+        return RequestedEffects((*requested.only, *assumed) if requested.only else (), requested.without, kinds)
 
     def name(self, name: str) -> bool:
         """Whether an effect is asked for at any place."""

@@ -160,7 +160,7 @@ def evidence_sentence(finding: FindingEntry) -> str:
     ):
         return ""
     errors = f" ({e.gain_sigma:.1f} standard errors)" if e.gain_sigma is not None and np.isfinite(e.gain_sigma) else ""
-    said = [
+    lines = [
         f"held out, {value_text(e.heldout_before, e.unit)} without it and "
         f"{value_text(e.heldout_after, e.unit)} with it{errors}",
         f"probability of such a finding without an effect: {probability_text(e.p_value)}",
@@ -168,19 +168,19 @@ def evidence_sentence(finding: FindingEntry) -> str:
     ]
     if finding.said == ASSUMED:
         shown = e.p_value is not None and e.p_value <= SELDOM and e.delta_bic >= CONVINCING
-        said.append(
+        lines.append(
             "it was assumed, and this recording "
             + ("shows it independently as well" if shown else "would not have shown it independently")
         )
-    return f"How sure: {'; '.join(said)}."
+    return f"How sure: {'; '.join(lines)}."
 
 
 def unexplained_sentence(unknown: Sequence[FindingEntry]) -> str:
     """Sentence on what is unexplained: functions that fit it, or scatter that none fits."""
     fitted = [f for f in unknown if f.parameters["depends_on"].value]
-    said = ["A residual remains that no catalogued effect explains."]
-    said += ["A smooth function fits it; its cause is not identified."] if fitted else []
-    said += (
+    lines = ["A residual remains that no catalogued effect explains."]
+    lines += ["A smooth function fits it; its cause is not identified."] if fitted else []
+    lines += (
         [
             "Scatter above the noise may be an unmodelled effect as well as noise that is stated too "
             "small: this recording does not distinguish "
@@ -189,7 +189,7 @@ def unexplained_sentence(unknown: Sequence[FindingEntry]) -> str:
         if len(fitted) < len(unknown)
         else []
     )
-    return " ".join(said)
+    return " ".join(lines)
 
 
 def formula_suggestion_sentences(entry: SuggestionEntry) -> str:
@@ -274,13 +274,13 @@ def _interval(p: Value) -> str:
     return f"{text}; at its bound" if p.at_bound is not None else text
 
 
-def finding_line(finding: FindingEntry, most_numbers: int = 6) -> str:
+def finding_line(finding: FindingEntry, most_parameters_of_candidate: int = 6) -> str:
     """Line on a finding for a terminal, in SI units.
 
-    most_numbers : numbers of a parameter that are printed; of more, how many there are
+    most_parameters_of_candidate : numbers of a parameter that are printed; of more, how many there are
     """
     return f"{finding.effect} at {finding.place}: " + ", ".join(
-        _printed(name, p, most_numbers) for name, p in finding.parameters.items()
+        _printed(name, p, most_parameters_of_candidate) for name, p in finding.parameters.items()
     )
 
 
@@ -289,7 +289,7 @@ def _printed(name: str, p: Value, few: int) -> str:
     if isinstance(value, (int, float)):
         digits = ".1f" if unit == "s" and abs(value) >= LONG_TIME else ".4g"
         ends = [f"{end:{digits}}" for end in p.ci95] if p.ci95 else []
-        said = (
+        message = (
             {
                 None: " to ".join(ends),
                 "above": f"{ends[0]} or more",
@@ -299,7 +299,7 @@ def _printed(name: str, p: Value, few: int) -> str:
             if ends
             else ""
         )
-        interval = f" ({said})" if said else ""
+        interval = f" ({message})" if message else ""
         bound = ", at its bound" if p.at_bound is not None else ""
         return f"{name} {value:{digits}} {unit}{interval}{bound}"
     numbers = len(value) and isinstance(value[0], float)

@@ -161,11 +161,11 @@ def summary_sentence(report: Report) -> str:
         clear = report_sentences.all_clear_sentence(report.crowd, report.noise_from, report.noise_times)
         return f"There is {left}." if left else clear
     main = report.mattering or report.named
-    said = [f"{finding_title(f)}{finding_size_text(f)}{stated_beforehand_text(f)}" for f in main]
+    lines = [f"{finding_title(f)}{finding_size_text(f)}{stated_beforehand_text(f)}" for f in main]
     fewer = len(report.named) - len(main)
     slight = "1 more is significant but changes" if fewer == 1 else f"{fewer} more are significant but change"
-    said += [f"{slight} held-out errors negligibly"] if fewer else []
-    text = "; ".join([*said, *([f"besides, {left}"] if left else [])])
+    lines += [f"{slight} held-out errors negligibly"] if fewer else []
+    text = "; ".join([*lines, *([f"besides, {left}"] if left else [])])
     doubtful = dict.fromkeys(f.effect.replace("_", " ") for f in main if f.cannot_be_told_from)
     text += (
         f". This recording alone cannot distinguish the {' and the '.join(doubtful)} from alternatives: see its entry"
@@ -187,10 +187,10 @@ def diagnosis_verdict(report: Report) -> Verdict:
         for text in report.calibrations.unexplained
         if text not in (*left, *(one.text for one in rest))
     )
-    said = summary_sentence(report).removesuffix(".")
+    message = summary_sentence(report).removesuffix(".")
     return judge_evidence(
         Evidence(
-            said[0].lower() + said[1:],
+            message[0].lower() + message[1:],
             tuple(steps),
             unexplained=left,
             confounds=confound_sentences(report.confounds),
@@ -379,15 +379,15 @@ def held_out_entries(diagnosis: Diagnosis) -> Json:
 
 def repeatability_entry(diagnosis: Diagnosis) -> Json | None:
     """Entry on how well poses repeat; None where too few commands were repeated."""
-    again = diagnosis.repeats
-    if again is None:
+    repeated = diagnosis.repeats
+    if repeated is None:
         return None
     return {
-        "pairs": again.pairs,
-        f"mean_{again.unit}": again.mean,
-        f"rms_{again.unit}": again.rms,
-        **({} if again.unit == "rad" else {"mean_rad": again.mean_rad}),
-        "remainder_that_repeats": again.recurring_share,
+        "pairs": repeated.pairs,
+        f"mean_{repeated.unit}": repeated.mean,
+        f"rms_{repeated.unit}": repeated.rms,
+        **({} if repeated.unit == "rad" else {"mean_rad": repeated.mean_rad}),
+        "remainder_that_repeats": repeated.recurring_share,
     }
 
 

@@ -64,11 +64,11 @@ def worst_pose_contribution_figure(evidence: PoseContributions[Fit, C], selectio
         parts.append(svg_text(START - 6, y + 12, str(frames[pose]), "end"))
         for which in [*np.argsort(-sizes[pose, :-1]).tolist(), len(names) - 1]:
             wide = float(sizes[pose, which]) * scale
-            said = f"{names[which].replace('_', ' ')}: {sizes[pose, which] * 1e6:.1f} µm"
+            lines = f"{names[which].replace('_', ' ')}: {sizes[pose, which] * 1e6:.1f} µm"
             parts.append(
                 f'<rect class="fill {_colour(which, len(names))}" x="{at:.1f}" y="{y:.1f}" '
                 f'width="{wide:.1f}" height="{ROW - 3:g}">'
-                f"{svg_tooltip(said)}</rect>"
+                f"{svg_tooltip(lines)}</rect>"
             )
             at += wide
     for k, name in enumerate(names):
@@ -169,10 +169,10 @@ def residuals_without_effects(refinement: Refinement, omitted_effects: tuple[int
     Returns (closures (F, axes) m, corners (n, 2) px)
     """
     model, k = refinement.model, refinement.point
-    kept = [e for i, e in enumerate(k.effects) if i not in set(omitted_effects)]
-    if len(kept) == len(k.effects):
+    retained = [e for i, e in enumerate(k.effects) if i not in set(omitted_effects)]
+    if len(retained) == len(k.effects):
         return model_residuals(model)
-    done = residual_change_with_only_effects(model, kept)
+    done = residual_change_with_only_effects(model, retained)
     taken = model.linear.project(done).onto
     grown = [
         (0 if part is None else part[:, 0]) - (cast(Floats, basis) @ taken)[:, 0]

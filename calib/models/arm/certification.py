@@ -96,29 +96,29 @@ def certify_arm(
     physics : JointFit of what was found, which then is part of the model, or None
     Raises NotEnoughData, RigError as `calibrate`
     """
-    said = progress or silent_progress
+    report = progress or silent_progress
     label = configuration_numbers(samples.commanded, axis_travel_limits(nominal))
     parts = _parts(label)
-    said("fitting the geometry", 0, 1)
+    report("fitting the geometry", 0, 1)
     _enough_for_any(samples, nominal)
     start = start_arm_of_fit(
         sample_observations(samples), nominal, instrument
     )  # a basin, not a fit: the folds' own fits forget it
     known = samples if physics is None else physics.samples
     correction, found = calibrate_arm(known, nominal, instrument, False, start)
-    said("fitting the geometry", 1, 1)
+    report("fitting the geometry", 1, 1)
     if not _enough(samples, found, label, parts):
         return CertifiedArm(correction, found, label, None, None, None)
-    in_part, asked = samples.measured in UNPLACED, physics is not None
-    ways = [_PredictionMethod(asked, profiles) for profiles in ((False,) if in_part else (False, True))] + [
+    in_part, requested = samples.measured in UNPLACED, physics is not None
+    ways = [_PredictionMethod(requested, profiles) for profiles in ((False,) if in_part else (False, True))] + [
         _PredictionMethod(False, False)
-    ] * asked
+    ] * requested
     good = _counted(found, samples)
-    kept, of_kept = samples.take(good), label[good]
+    retained, of_kept = samples.take(good), label[good]
     errors = {
         way: (before[good], after[good])
         for way, (before, after) in zip(
-            ways, _held_out((samples, physics), nominal, instrument, (parts, start), ways, said)
+            ways, _held_out((samples, physics), nominal, instrument, (parts, start), ways, report)
         )
     }
     plain = errors[ways[0]]
@@ -128,11 +128,11 @@ def certify_arm(
     profiled = not in_part and is_significant_gain(loss[0] - loss[1])
     rows = rng.permutation(np.arange(len(samples)) % (parts.max() + 1))
     ((before, after),) = _held_out(
-        (samples, physics), nominal, instrument, (rows, start), [_PredictionMethod(asked, profiled)], said
+        (samples, physics), nominal, instrument, (rows, start), [_PredictionMethod(requested, profiled)], report
     )
     if profiled:
         correction, found = _profiled(known, correction, found)
-    covariance, best = kept.total_covariance(), full if profiled else plain
+    covariance, best = retained.total_covariance(), full if profiled else plain
     held, drawn, bare = (
         compare_errors(*each, covariance, rng, of_kept)
         for each in (best, (before[good], after[good]), errors[_PredictionMethod(False, False)])
@@ -149,7 +149,7 @@ def certify_arm(
             else np.zeros(2)
         )
         left = mean_square_held_out_errors_by_configuration(
-            best[1] - _shared_errors(kept, found.shared), kept, of_kept, 0.0, own
+            best[1] - _shared_errors(retained, found.shared), retained, of_kept, 0.0, own
         )
     return CertifiedArm(
         correction,
@@ -317,12 +317,12 @@ def _held_out(
             asked: _geometry(told[asked].take(part != k), nominal, instrument, start)
             for asked in {way.physics for way in ways}
         }
-        for (before, after), (asked, profiled) in zip(out, ways):
-            correction, found = plain[asked]
+        for (before, after), (requested, profiled) in zip(out, ways):
+            correction, found = plain[requested]
             if profiled:
-                correction, _ = _profiled(told[asked].take(part != k), correction, found)
+                correction, _ = _profiled(told[requested].take(part != k), correction, found)
             before[part == k], _ = errors_before_and_after_correction(correction, samples.take(part == k))
-            _, after[part == k] = errors_before_and_after_correction(correction, told[asked].take(part == k))
+            _, after[part == k] = errors_before_and_after_correction(correction, told[requested].take(part == k))
         said(
             "cross-validating configurations" + (", joints corrected" if any(way.profiles for way in ways) else ""),
             int(k) + 1,

@@ -191,16 +191,16 @@ def _mistakes(reached: ReachedPoses) -> Iterator[Mistake]:
         return
     before = position + REACH * rotation
     left, what, do = min(((other.one(), what, do) for what, do, other in _candidates(reached)), key=lambda one: one[0])
-    said = f"arm and measured poses differ by {position * 1e3:.3g} mm" + (
+    message = f"arm and measured poses differ by {position * 1e3:.3g} mm" + (
         "" if reached.alone else f" and {np.degrees(rotation):.3g} degrees"
     )
     if left < BETTER * before:
         yield Mistake(
-            f"{what}: {said} as it stands, by {left / before:.1%} of that so", do, True, LIKELY * (1 - left / before)
+            f"{what}: {message} as it stands, by {left / before:.1%} of that so", do, True, LIKELY * (1 - left / before)
         )
     else:
         yield Mistake(
-            f"{said}, and no common mistake explains it",
+            f"{message}, and no common mistake explains it",
             "Check the joints' zeros, signs and order, mechanism.joints, and whether poses and commands match",
             bool(before > 10 * AWAY[0]),
             0.3,
@@ -213,12 +213,12 @@ def _candidates(reached: ReachedPoses) -> Iterator[tuple[str, str, ReachedPoses]
     frames = len(reached.q)
     do = "Check how poses were numbered: one missing or extra at the start shifts all"
     for by in (-2, -1, 1, 2):
-        kept = (reached.index + by >= 0) & (reached.index + by < frames)
+        retained = (reached.index + by >= 0) & (reached.index + by < frames)
         yield (
             f"poses.csv: the frames are shifted by {abs(by)}: pose k is of command k "
             f"{'+' if by > 0 else '-'} {abs(by)}",
             do,
-            replace(reached, index=reached.index[kept] + by, v=reached.v[kept], T=reached.T[kept]),
+            replace(reached, index=reached.index[retained] + by, v=reached.v[retained], T=reached.T[retained]),
         )
     yield "poses.csv: the frames are in reverse order", do, replace(reached, index=frames - 1 - reached.index)
     text = np.array(sorted(range(frames), key=str))

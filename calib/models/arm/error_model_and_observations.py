@@ -85,7 +85,7 @@ def predicted_target_poses(q: Floats, arm: Arm, hand: Integers | None = None) ->
 
     hand : (m,) number of the hand that each row of q is of, None where it is the one that the arm is seen at
     """
-    return mechanism.poses_of_hands(q, arm, hand)
+    return mechanism.hand_pose_of_each_row(q, arm, hand)
 
 
 def joint_jacobian(q: Floats, arm: Arm, hand: Integers | None = None) -> Floats:
@@ -333,23 +333,23 @@ def parameter_rank(B: Floats, free: Booleans, names: tuple[str, ...], units: tup
     A column is dependent where, those before it given, the data leave its parameter less certain than PLAUSIBLE: a
     plain zero of the pivoted QR, but also a direction in which only rounding or noise would be fitted.
     """
-    asked = np.flatnonzero(free)
-    scaled = B[:, asked] * np.array([PLAUSIBLE[unit] for unit in units])[asked]
+    requested = np.flatnonzero(free)
+    scaled = B[:, requested] * np.array([PLAUSIBLE[unit] for unit in units])[requested]
     dead = np.linalg.norm(scaled, axis=0) < 1
-    live = asked[~dead]
+    live = requested[~dead]
     R, order = qr(scaled[:, ~dead], mode="r", pivoting=True)
     diagonal = np.abs(np.diag(R)[: min(R.shape)])
     rank = int((diagonal >= 1).sum())
     keep = np.zeros(len(free), bool)
     keep[live[order[:rank]]] = True
-    dependent = [(names[i], ()) for i in asked[dead]]
+    dependent = [(names[i], ()) for i in requested[dead]]
     if rank < len(live):
         partners = np.linalg.solve(R[:rank, :rank], R[:rank, rank:])
         for j, column in enumerate(partners.T):
             strong = np.abs(column) > NAMED * np.abs(column).max()
             dependent.append((names[live[order[rank + j]]], tuple(names[i] for i in live[order[:rank]][strong])))
     values = np.linalg.svd(R[:rank, :rank], compute_uv=False)
-    return Rank(keep, tuple(dependent), float(values[0] / values[-1]), len(asked))
+    return Rank(keep, tuple(dependent), float(values[0] / values[-1]), len(requested))
 
 
 CONFIGURATIONS = 60

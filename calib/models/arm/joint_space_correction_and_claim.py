@@ -158,9 +158,9 @@ def certify_extended_arm(
             "--extend takes an arm's poses, or its positions, since joint values are computed from them; here "
             f"{UNPLACED[samples.measured]}"
         )
-    said = progress or silent_progress
+    report = progress or silent_progress
     label = configuration_numbers(samples.commanded, axis_travel_limits(nominal))
-    said("fitting the geometry", 0, 1)
+    report("fitting the geometry", 0, 1)
     start = start_arm_of_fit(sample_observations(samples), nominal, instrument)
 
     def geometry(some: Samples) -> tuple[ArmCorrection, Identified]:
@@ -172,7 +172,7 @@ def certify_extended_arm(
 
     whole = geometry(samples)
     correction, found = whole
-    said("fitting the geometry", 1, 1)
+    report("fitting the geometry", 1, 1)
 
     def stand(some: Samples) -> ExtensionBasis:
         plain, by = whole if some is samples else geometry(some)
@@ -183,7 +183,7 @@ def certify_extended_arm(
         )
 
     done, tried = certify_interpolation_method(
-        samples, (correction.nominal, label, found), stand, request.kind, rng, said
+        samples, (correction.nominal, label, found), stand, request.kind, rng, report
     )
     corrected = replace(correction, extension=done.correction.extension)
     bare = next((one.held_out for one in tried if one.kind == NONE), None)
@@ -243,8 +243,10 @@ def _without(samples: Samples, correction: ArmCorrection, found: Identified, alo
         return replace(
             found, residuals=effective.residuals(correction.fitted) - np.einsum("mkj,j->mk", o.common, found.shared)
         )
-    again = identify_arm(effective, correction.fitted, independent_arm_parameters(correction.nominal, effective.kind))
-    return replace(again, arm=found.arm, rank=found.rank)
+    repeated = identify_arm(
+        effective, correction.fitted, independent_arm_parameters(correction.nominal, effective.kind)
+    )
+    return replace(repeated, arm=found.arm, rank=found.rank)
 
 
 def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.random.Generator) -> Claim:
@@ -333,10 +335,10 @@ def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.rando
             None,
             UNPLACED[samples.measured],
         )
-    kept, hands = samples.take(good), max(len(found.arm.hands), 1)
-    numbers = certified.label[good] * hands + (0 if kept.hand is None else kept.hand)
+    retained, hands = samples.take(good), max(len(found.arm.hands), 1)
+    numbers = certified.label[good] * hands + (0 if retained.hand is None else retained.hand)
     label = np.unique(numbers, return_inverse=True)[1]
-    each = mean_sample_per_configuration(kept, label, joint_jacobian(kept.commanded, found.arm, kept.hand))
+    each = mean_sample_per_configuration(retained, label, joint_jacobian(retained.commanded, found.arm, retained.hand))
     words = f"the middle {FILL * 100:.0f} % of the recorded angles, all joints independent"
     fitted = int(found.rank.free.sum())
     configurations = len(np.unique(certified.label[good]))
@@ -347,7 +349,7 @@ def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.rando
         return empty_claim_of_too_few_configurations(told, words)
     seen = np.stack([each.commanded.min(axis=0), each.commanded.max(axis=0)], axis=1)
     q = sobol_configurations(seen, PLACES, FILL)
-    hand = None if kept.hand is None else np.arange(len(q)) % hands  # the hands in turn
+    hand = None if retained.hand is None else np.arange(len(q)) % hands  # the hands in turn
     T = (
         correction.predict(q)
         if hand is None
@@ -365,14 +367,14 @@ def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.rando
     free = independent_arm_parameters(
         correction.nominal, observed.kind
     )  # of the figures stated: axes found a little off parallel tell no more
-    again = identify_arm(replace(observed, q=observed.q - correction.rho(observed.q)), correction.fitted, free)
+    repeated = identify_arm(replace(observed, q=observed.q - correction.rho(observed.q)), correction.fitted, free)
     whitened = np.linalg.solve(
-        np.linalg.cholesky(observed.covariance + np.diag(again.scatter**2)), again.residuals[..., None]
-    )[again.inliers]
-    freedom = max(whitened.size - int(again.rank.free.sum()), 1)
-    draws = rng.multivariate_normal(np.zeros(len(again.covariance)), again.covariance, DRAWS, method="eigh")
+        np.linalg.cholesky(observed.covariance + np.diag(repeated.scatter**2)), repeated.residuals[..., None]
+    )[repeated.inliers]
+    freedom = max(whitened.size - int(repeated.rank.free.sum()), 1)
+    draws = rng.multivariate_normal(np.zeros(len(repeated.covariance)), repeated.covariance, DRAWS, method="eigh")
     draws *= np.sqrt(draw_variance_ratio(float((whitened**2).sum()), freedom, DRAWS, rng))[:, None]
     return replace(
         claim_from_machine_draws(workspace, draws, each, told, rng),
-        unexplained=unexplained_scatter_sentences(again.scatter, observed.covariance),
+        unexplained=unexplained_scatter_sentences(repeated.scatter, observed.covariance),
     )

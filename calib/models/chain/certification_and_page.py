@@ -32,7 +32,11 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     configuration_numbers,
     mean_sample_per_configuration,
 )
-from calib.certification.platform_certification import Progress, held_out_errors_by_fold, silent_progress
+from calib.certification.platform_certification import (
+    Progress,
+    held_out_errors_before_and_after_corrections,
+    silent_progress,
+)
 from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import unexplained_scatter_sentences
 from calib.models.chain import error_model_and_identification
@@ -79,16 +83,16 @@ def certify_chain(
     rng : numpy Generator, for the bootstrap
     Raises what `identify_chain` raises
     """
-    said = progress or silent_progress
+    report = progress or silent_progress
     label = configuration_numbers(samples.commanded, mechanism.travel_ranges(nominal))
-    said("fitting the geometry", 0, 1)
+    report("fitting the geometry", 0, 1)
     found = identify_chain(samples, nominal)
     correction = _corrected(nominal, found)
-    said("fitting the geometry", 1, 1)
+    report("fitting the geometry", 1, 1)
     if label.max() + 1 < LEAST:
         return CertifiedChain(correction, found, label, None)
-    before, after = held_out_errors_by_fold(
-        samples, label, lambda some: [_corrected(nominal, identify_chain(some, nominal))], said
+    before, after = held_out_errors_before_and_after_corrections(
+        samples, label, lambda some: [_corrected(nominal, identify_chain(some, nominal))], report
     )
     good = found.inliers
     agreed = samples.take(good)
@@ -124,16 +128,16 @@ def chain_pose_covariance(calibration: Calibration, commands: Floats) -> Floats:
 def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.random.Generator) -> Claim:
     """Claim of a certified chain over its workspace, each configuration once."""
     found, nominal = certified.found, certified.correction.nominal
-    kept = samples.take(found.inliers)
+    retained = samples.take(found.inliers)
     label = np.unique(certified.label[found.inliers], return_inverse=True)[1]
-    each = mean_sample_per_configuration(kept, label, mechanism.jacobian(kept.commanded, nominal))
+    each = mean_sample_per_configuration(retained, label, mechanism.jacobian(retained.commanded, nominal))
     words = f"the middle {FILL * 100:.0f} % of every travel, all axes independent"
-    asked = int((error_model_and_identification.parameter_tolerances(nominal) > 0).sum())
+    requested = int((error_model_and_identification.parameter_tolerances(nominal) > 0).sum())
     told = ConfigurationInformation(
         len(each),
-        asked - len(found.undetermined),
-        asked - len(found.undetermined),
-        asked,
+        requested - len(found.undetermined),
+        requested - len(found.undetermined),
+        requested,
         "parameters that no pose determines remain as stated",
     )
     if len(each) < LEAST:

@@ -163,13 +163,13 @@ def allowed_configurations(commands: Floats, exclusion: ConfigurationExclusion |
 
     Raises RigError where none is.
     """
-    kept = commands if exclusion is None else commands[~exclusion(commands)]
-    if not len(kept):
+    retained = commands if exclusion is None else commands[~exclusion(commands)]
+    if not len(retained):
         raise RigError(
             f"none of {len(commands)} configurations within the strokes may be visited: the calibration "
             "leaves no pose of the nominal model in reach"
         )
-    return kept
+    return retained
 
 
 def total_information(G: Floats, picked: list[int] | Floats) -> Floats:

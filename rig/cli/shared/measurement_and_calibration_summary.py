@@ -253,7 +253,7 @@ def _print_workspace(calibration: Calibration) -> None:
 def _print_joints(done: arm_certification.CertifiedArm, physics: Physics | None) -> None:
     """Print what an arm's correction does beyond its geometry, and what that is worth on the held-out poses."""
     if done.held_out and done.geometry and done.scattered:
-        kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
+        retained = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
         bare = done.geometry.after.mean
         left, left_unit = (bare[0], "mm") if bare[0] == bare[0] else (bare[1], "mrad")
         beyond = [
@@ -262,7 +262,7 @@ def _print_joints(done: arm_certification.CertifiedArm, physics: Physics | None)
                 if physics is not None and physics.effects
                 else []
             ),
-            *([f"joints {', '.join(map(str, kept))} corrected over the configuration space"] if kept else []),
+            *([f"joints {', '.join(map(str, retained))} corrected over the configuration space"] if retained else []),
         ]
         print(
             "beyond the geometry: "
@@ -290,9 +290,12 @@ def _print_physics(physics: Physics | None) -> None:
     """Print which of the physics that a calibration knows its commands undo; nothing where it knows none."""
     if physics is None:
         return
-    again, known = physics.compensable_effects(), [f"{e.label()} at {e.place}" for e in physics.compensable_effects()]
+    repeated, known = (
+        physics.compensable_effects(),
+        [f"{e.label()} at {e.place}" for e in physics.compensable_effects()],
+    )
     print("effects compensated by commands: " + (", ".join(known) or "none"))
-    left = [f"{e.label()} at {e.place}" for e in physics.effects if e not in again]
+    left = [f"{e.label()} at {e.place}" for e in physics.effects if e not in repeated]
     if left:
         print(f"removed from the measurements, and not the commands' to undo: {', '.join(left)}")
     for u in physics.unknown:

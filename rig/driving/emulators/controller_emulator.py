@@ -101,11 +101,11 @@ class Emulator:
         if not self.plugged:
             raise LinkLost("unplugged")
         self._run_due()
-        kept = bytearray()
+        retained = bytearray()
         for byte in data:
-            if not self.at_once(byte) and len(kept) < self.buffer:  # what comes in one go; in between it is read
-                kept.append(byte)
-        self._in = (self._in + bytes(kept))[-LONGEST:]
+            if not self.at_once(byte) and len(retained) < self.buffer:  # what comes in one go; in between it is read
+                retained.append(byte)
+        self._in = (self._in + bytes(retained))[-LONGEST:]
         while (cut := min((at for at in (self._in.find(end) for end in self.ends) if at >= 0), default=-1)) >= 0:
             line, self._in = self._in[:cut], self._in[cut + 1 :]
             self.line(line)

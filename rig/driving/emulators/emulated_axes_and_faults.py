@@ -207,8 +207,8 @@ class MovingAxes:
                 end = begins[i + 1] if i + 1 < len(begins) else begins[i]
                 pieces = max(int(np.ceil((end - begins[i]) * np.sqrt(bends[i] / (8 * FINE)))), 1)
                 t.extend(np.linspace(begins[i], end, pieces, endpoint=False))
-            kept = np.array([one for one in t if one >= since] or [max(self.until, since)])
-            return kept, self.lengths_at(kept)
+            retained = np.array([one for one in t if one >= since] or [max(self.until, since)])
+            return retained, self.lengths_at(retained)
 
     def _piece(self, t: float) -> tuple[int, float]:
         i = max(bisect.bisect_right(self._t, t) - 1, 0)

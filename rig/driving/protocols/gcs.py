@@ -118,12 +118,12 @@ class GCS:
         off = [axis for axis, on in zip(self.axes, servo) if not on]
         if off:
             fault = "; ".join(filter(None, (fault, f"the servo of {' '.join(off)} is off")))
-        said = (
+        message = (
             f"ONT {on_target.astype(int).tolist()} SVO {servo.astype(int).tolist()} FRF "
             f"{referenced.astype(int).tolist()} ERR {error}"
         )
         return State(
-            "off" if off else "idle" if on_target.all() else "moving", positions, bool(referenced.all()), fault, said
+            "off" if off else "idle" if on_target.all() else "moving", positions, bool(referenced.all()), fault, message
         )
 
     def move(self, segment: Segment) -> Dialogue[Verdict]:
@@ -346,9 +346,9 @@ class GCSHexapod(GCS):
         self.frames = PoseFrames(hexapod.home if work is None else work, NONE if tool is None else tool)
 
     def hello(self) -> Dialogue[str]:
-        said = yield from super().hello()
+        message = yield from super().hello()
         yield from self._learn_pivot()
-        return f"{said}, pivot point {' '.join(f'{MM * value:g}' for value in self.frames.pivot)} mm"
+        return f"{message}, pivot point {' '.join(f'{MM * value:g}' for value in self.frames.pivot)} mm"
 
     def fence(self) -> Dialogue[bool]:
         same = yield from super().fence()

@@ -17,7 +17,7 @@ from rig.effects.framework.parameters_covariates_and_markers import (
     Covariate,
     Linear,
     Parameter,
-    controller_channel,
+    c_channel_expression,
     temperature_covariate,
 )
 from rig.errors import RigError
@@ -79,7 +79,7 @@ class BaseExpansion(Effect):
             (
                 "for (int i = 0; i < 6; i++) {",
                 f"    static const double GROWTH[3][3] = {{{rows}}};",
-                f"    const double warm = {controller_channel(AMBIENT)} - {REFERENCE_TEMPERATURE!r};",
+                f"    const double warm = {c_channel_expression(AMBIENT)} - {REFERENCE_TEMPERATURE!r};",
                 "    double before = 0.0, after = 0.0;",
                 "    for (int k = 0; k < 3; k++) {",
                 "        const double leg = tip[i][k] - BASE[i][k];",

@@ -115,12 +115,12 @@ def lean_under_link_weight(motion: Motion) -> BaseLean | None:
     if not has_links(motion.mechanism):
         raise RigError("base_lean is fitted for arms")
     table = _link_base_moments(motion)
-    kept = independent_load_columns((table - table.mean(axis=0)).reshape(-1, table.shape[2]))
+    retained = independent_load_columns((table - table.mean(axis=0)).reshape(-1, table.shape[2]))
     varies = motion.no_loads() is None and np.ptp(motion.payload()) > 0
-    if not len(kept) and not varies:
+    if not len(retained) and not varies:
         return None
     moments = np.zeros(table.shape[2])
-    moments[kept] = START
+    moments[retained] = START
     return BaseLean("rig", START if varies else 0.0, tuple(moments.tolist()), START_DEPTH)
 
 

@@ -125,11 +125,11 @@ class Compliance(Effect):
             stiffening = [Candidate(cls, place, nodes, column, "stiffening", extra=1)] if nodes else []
             return [Candidate(cls, place, [{}], column), *stiffening]
         table = motion.links()[:, motion.places.index(place)]
-        kept = independent_load_columns(table)
-        if not len(kept):
+        retained = independent_load_columns(table)
+        if not len(retained):
             return []
         node = {"_count": table.shape[1]}
-        return [Candidate(cls, place, [node], [Linear("moments", int(i), 1e-5) for i in kept], "links' moments")]
+        return [Candidate(cls, place, [node], [Linear("moments", int(i), 1e-5) for i in retained], "links' moments")]
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:

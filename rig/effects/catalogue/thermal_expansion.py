@@ -16,7 +16,7 @@ from rig.effects.framework.parameters_covariates_and_markers import (
     ControllerTerm,
     Covariate,
     Parameter,
-    controller_channel,
+    c_channel_expression,
     temperature_covariate,
 )
 from rig.model.hands_places_and_tolerances import Place
@@ -69,7 +69,7 @@ class ThermalExpansion(Effect):
         names = {i: _channels(motion.places[i])[0] for i in sits}
         return ControllerTerm(
             tuple(
-                f"d[{i}] += {self.coefficient!r} * ({controller_channel(name)} - {REFERENCE_TEMPERATURE!r}) * c[{i}];"
+                f"d[{i}] += {self.coefficient!r} * ({c_channel_expression(name)} - {REFERENCE_TEMPERATURE!r}) * c[{i}];"
                 for i, name in names.items()
             ),
             channels=tuple(names.values()),

@@ -38,7 +38,7 @@ class ControllerTerm:
     """An effect as a machine's controller computes it, in C99.
 
     statements : add m or rad to d[i], of commands c[axes] (m or rad), of a hexapod's joints BASE[6][3] and tip[6][3]
-        (m, base frame) and sensor channels, each named by `controller_channel`
+        (m, base frame) and sensor channels, each named by `c_channel_expression`
     gaps : (axes,) m or rad, the play of each axis, () for none; channels : names of the sensor channels; lag : s, by
         which what counts follows them, 0 for at once
     """
@@ -49,7 +49,7 @@ class ControllerTerm:
     lag: float = 0.0
 
 
-def controller_channel(name: str) -> str:
+def c_channel_expression(name: str) -> str:
     """C expression of a controller's sensor channel."""
     return f"channels[RIG_{name.upper()}]"
 

@@ -179,11 +179,11 @@ def require_existing_place(effect: Effect, design: Design) -> Effect:
         "target": [t.name for t in design.targets],
         "marker": [str(i) for t in design.targets for i in t.ids],
     }
-    asked = [(kind, name)] if name and kind in there else []
+    requested = [(kind, name)] if name and kind in there else []
     other = getattr(effect, "other", -1.0) if effect.discrete else -1.0
     if other >= 0:
-        asked.append(("marker", f"{other:g}"))
-    for what, one in asked:
+        requested.append(("marker", f"{other:g}"))
+    for what, one in requested:
         if one not in there[what]:
             near = nearest_known_word(one, there[what])
             raise RigError(
@@ -354,10 +354,10 @@ def _guarded(hook: Callable[..., T], name: str, path: Path) -> Callable[..., T]:
         if name in ARRAYS:
             expected = np.shape(getattr(Effect, name)(effect, *given))
             if np.shape(found) != expected or not np.isfinite(found).all():
-                said = f"numbers of shape {np.shape(found)}" if np.shape(found) != expected else "no finite number"
+                message = f"numbers of shape {np.shape(found)}" if np.shape(found) != expected else "no finite number"
                 raise FileError(
                     path,
-                    f"{effect.name}.{name} answers {said}; it must return finite numbers of shape {expected}",
+                    f"{effect.name}.{name} answers {message}; it must return finite numbers of shape {expected}",
                     hook.__code__.co_firstlineno,
                 )
         return found

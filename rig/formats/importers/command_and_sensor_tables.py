@@ -76,7 +76,7 @@ def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool], m
     stated = {header: [ours for ours, other in table.columns if other == header] for _, header in table.columns}
     found = find_columns(cells, "sensors", TIME, ("t",))
     read_times = cells.times(found["t"], "sensors", table, are_plausible)
-    kept, renamed = [("t", cells.header[found["t"]])], []
+    retained, renamed = [("t", cells.header[found["t"]])], []
     channels: list[tuple[str, Floats]] = []
     for at, header in enumerate(cells.header):
         if at == found["t"]:
@@ -95,16 +95,16 @@ def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool], m
                     "them"
                 )
             channels.append((name, values))
-            kept.append((name, header))
+            retained.append((name, header))
         if names != [header]:
             converted = unit in TO_SI and unit not in ("C", "kg", "m")
             renamed.append(f"{header} is {', '.join(names)}" + (f", from {unit}" if converted else ""))
-    said = (f"{table.file.name}: {'; '.join(renamed)}",) if renamed else ()
+    lines = (f"{table.file.name}: {'; '.join(renamed)}",) if renamed else ()
     return ImportedSensors(
         read_times.seconds,
         tuple(channels),
-        replace(cells.table, columns=tuple(kept), time_unit=read_times.unit, zone=read_times.zone),
-        (*cells.said, *read_times.said, *said),
+        replace(cells.table, columns=tuple(retained), time_unit=read_times.unit, zone=read_times.zone),
+        (*cells.said, *read_times.said, *lines),
     )
 
 
@@ -170,12 +170,12 @@ def read_commands(table: ForeignTable, design: Design) -> ImportedCommands:
         design,
     )
     frame = None if "frame" not in found else np.array(cells.numbers(found["frame"]))
-    t, said = None, (*cells.said, *told)
+    t, lines = None, (*cells.said, *told)
     if "t" in found:
         read_times = cells.times(found["t"], "commands", table, _pace(values, design))
-        t, said = read_times.seconds, (*said, *read_times.said)
+        t, lines = read_times.seconds, (*lines, *read_times.said)
         table = replace(table, time_unit=read_times.unit, zone=read_times.zone)
-    return _once(ImportedCommands(t, values, frame, table, said), cells)
+    return _once(ImportedCommands(t, values, frame, table, lines), cells)
 
 
 def _once(commanded: ImportedCommands, cells: Cells) -> ImportedCommands:
@@ -185,18 +185,18 @@ def _once(commanded: ImportedCommands, cells: Cells) -> ImportedCommands:
     t, values = commanded.t, commanded.values
     if t is None:
         return commanded
-    again = [k for k in range(1, len(t)) if t[k] == t[k - 1]]
-    odd = next((k for k in again if not np.array_equal(values[k], values[k - 1])), None)
+    repeated = [k for k in range(1, len(t)) if t[k] == t[k - 1]]
+    odd = next((k for k in repeated if not np.array_equal(values[k], values[k - 1])), None)
     if odd is not None:
         raise FileError(
             cells.path, f"two rows are of one time, {t[odd]:f} s, and differ; remove one of them", cells.lines[odd]
         )
-    if not again:
+    if not repeated:
         return commanded
-    keep = np.setdiff1d(np.arange(len(t)), again)
+    keep = np.setdiff1d(np.arange(len(t)), repeated)
     told = (
-        f"{cells.path.name}: {len(again)} rows occur twice, with their times, and are used once; the "
-        f"first is line {cells.lines[again[0]]}",
+        f"{cells.path.name}: {len(repeated)} rows occur twice, with their times, and are used once; the "
+        f"first is line {cells.lines[repeated[0]]}",
     )
     return replace(
         commanded,
@@ -278,15 +278,15 @@ def _unit_within_travel(
     per = {**ANGLES, **LENGTHS}
     fit = [unit for unit in units if fits_ranges(values / per[unit], ranges)]
     what = "angles" if units[0] == "rad" else "slides"
-    said = f"{what} run from {values.min():.6g} to {values.max():.6g}"
+    message = f"{what} run from {values.min():.6g} to {values.max():.6g}"
     if len(fit) > 1 and refuses_both:
         raise ambiguity_error(
-            f"{table.file}: the unit of its {what} is not stated, {said}, and both lie within the limits of rig.toml",
+            f"{table.file}: the unit of its {what} is not stated, {message}, both within the limits of rig.toml",
             [(f"up to {np.abs(values).max():.4g} {unit}", f"commands.unit={unit}") for unit in fit],
         )
     if not fit:
         raise RigError(
-            f"{table.file}: {said}, which is beyond the limits in rig.toml in {units[0]} and in {units[1]}; --set "
+            f"{table.file}: {message}, which is beyond the limits in rig.toml in {units[0]} and in {units[1]}; --set "
             f"commands.unit={units[1]} states one, or a header as q1 [{units[1]}]"
         )
     return fit[0]
@@ -295,30 +295,30 @@ def _unit_within_travel(
 def _lengths(
     values: Floats, unit: str | None, table: ForeignTable, ranges: Floats, home: Floats
 ) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
-    asked = ("mm",) if unit == "steps" else tuple(LENGTHS) if unit is None else (unit,)
+    requested = ("mm",) if unit == "steps" else tuple(LENGTHS) if unit is None else (unit,)
     fit = likely_length_units_and_zeros(
-        values, ranges, home, asked, ("zero", "home") if table.relative is None else (table.relative,)
+        values, ranges, home, requested, ("zero", "home") if table.relative is None else (table.relative,)
     )
     better = [(u, r) for u, r in fit if is_likely_length_unit(values, ranges, u, r)]
     fit = better if len(better) == 1 else fit
-    said = (
+    message = (
         f"{table.file}: lengths run from {values.min():.6g} to {values.max():.6g}{' mm' if unit == 'steps' else ''}, "
         f"and rig.toml's strut_range is {ranges.min():.6g} to {ranges.max():.6g} m"
     )
     names = {"zero": "joint to joint", "home": "from home"}
     if len(fit) > 1 and {u for u, _ in fit} - {fit[0][0]}:
         raise ambiguity_error(
-            f"{said}: they fit in several units", [(f"{u}, {names[r]}", f"commands.unit={u}") for u, r in fit]
+            f"{message}: they fit in several units", [(f"{u}, {names[r]}", f"commands.unit={u}") for u, r in fit]
         )
     if len(fit) > 1:
-        raise ambiguity_error(f"{said}: they fit both ways", [(names[r], f"commands.relative={r}") for _, r in fit])
+        raise ambiguity_error(f"{message}: they fit both ways", [(names[r], f"commands.relative={r}") for _, r in fit])
     if not fit and (unit is None or table.relative is None):
         raise RigError(
-            f"{said}: they fit in no unit, neither joint to joint nor from home; look at strut_range and "
+            f"{message}: they fit in no unit, neither joint to joint nor from home; look at strut_range and "
             "home, or state both: "
             "--set commands.unit=mm --set commands.relative=zero"
         )
-    u, r = fit[0] if fit else (asked[0], table.relative or "zero")
+    u, r = fit[0] if fit else (requested[0], table.relative or "zero")
     q = values / LENGTHS[u] + (home if r == "home" else 0.0)
     told = (
         ()

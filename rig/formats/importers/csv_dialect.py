@@ -201,10 +201,10 @@ def _parsed(table: ForeignTable, lines: list[tuple[int, str]], separator: str, d
         raise FileError(table.file, f"a cell has more than {LONGEST_CELL} characters", numbers[odd])
     if odd is not None:
         raise FileError(table.file, f"{len(body[odd])} cells in a table of {len(header)} columns", numbers[odd])
-    kept = [
+    retained = [
         k for k, name in enumerate(header) if name or any(row[k] for row in body)
     ]  # a separator at the ends of lines makes an empty column
-    body = [[_point(row[k], decimal) for k in kept] for row in body]
+    body = [[_point(row[k], decimal) for k in retained] for row in body]
     told = (
         ()
         if table.separator and table.decimal
@@ -212,7 +212,7 @@ def _parsed(table: ForeignTable, lines: list[tuple[int, str]], separator: str, d
     )
     return Cells(
         table.file,
-        tuple(header[k] for k in kept),
+        tuple(header[k] for k in retained),
         body,
         numbers,
         replace(table, separator=separator, decimal=decimal),

@@ -228,7 +228,7 @@ def group_images_into_exposures(
             "is to be put "
             "there, --set 'images.names=..' says how names are built, and other images go into another folder",
         )
-    said: tuple[str, ...] = ()
+    message: tuple[str, ...] = ()
     t = None
     if all(timed):
         stamps = [p.stamp.replace("_", "T") for p in image_files if p.stamp is not None]
@@ -241,12 +241,12 @@ def group_images_into_exposures(
             images.shift,
             lambda t: are_plausible(np.sort(t)),
         )
-        t, said, images = read.seconds, read.said, replace(images, time_unit=read.unit, zone=read.zone)
+        t, message, images = read.seconds, read.said, replace(images, time_unit=read.unit, zone=read.zone)
     numbers = [p.frame for p in image_files if p.frame is not None]
     if len(numbers) < len(image_files):
         if t is None:
             raise FileError(image_files[0].path, "its name has neither a frame nor a time")
-        return _grouped(image_files, t, images, said)
+        return _grouped(image_files, t, images, message)
     if images.tolerance is not None:
         raise RigError("images.tolerance groups images by their times, and these have frame numbers; leave it out")
     order = sorted(range(len(image_files)), key=lambda k: (numbers[k], image_files[k].camera))
@@ -262,7 +262,7 @@ def group_images_into_exposures(
         [image_files[k].camera for k in order],
         [image_files[k].path for k in order],
         images,
-        said,
+        message,
     )
 
 

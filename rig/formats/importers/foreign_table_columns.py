@@ -338,8 +338,8 @@ def lines_with_missing_header_added(table: ForeignTable, section: str, lines: li
             "column sample",
             lost[0],
         )
-    said = (f"{table.file.name}: samples were lost {len(lost)} times, first at line {lost[0]}",) if lost else ()
-    return TableWithHeader([(0, table.header), *(line for line in lines if line[1] != LOST)], table, said)
+    message = (f"{table.file.name}: samples were lost {len(lost)} times, first at line {lost[0]}",) if lost else ()
+    return TableWithHeader([(0, table.header), *(line for line in lines if line[1] != LOST)], table, message)
 
 
 def _sample_column(header: list[str]) -> str | None:

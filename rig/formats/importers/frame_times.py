@@ -64,13 +64,13 @@ def exposures_with_times(
         missing = [n for n in numbers if n not in at]
         if missing:
             raise RigError(f"{commanded.table.file}: frame {missing[0]}, of which there are images, has no row")
-        said = (
+        message = (
             f"images belong to the rows of {commanded.table.file.name} with their number, and were taken at the "
             "rows' times"
         )
     elif len(numbers) == len(commanded.t):
         at = dict(zip(numbers, commanded.t))
-        said = (
+        message = (
             f"the {len(numbers)} frames belong to the {len(numbers)} rows of {commanded.table.file.name}, in "
             "order, and were taken at the rows' "
             "times"
@@ -81,7 +81,7 @@ def exposures_with_times(
             "belongs to which? Give a table "
             "of the frames' times: --frames FILE.csv (frame or image, t)"
         )
-    return replace(exposed, t=[at[n] for n in exposed.frame], said=(*exposed.said, said)), recipe
+    return replace(exposed, t=[at[n] for n in exposed.frame], said=(*exposed.said, message)), recipe
 
 
 def _by_table(
@@ -131,8 +131,8 @@ def _by_table(
         if gone
         else ()
     )
-    said = (*exposed.said, *cells.said, *t.said, *absent)
-    return replace(exposed, t=[first[frame] for frame in exposed.frame], said=said), replace(recipe, frames=resolved)
+    message = (*exposed.said, *cells.said, *t.said, *absent)
+    return replace(exposed, t=[first[frame] for frame in exposed.frame], said=message), replace(recipe, frames=resolved)
 
 
 def _times_of_image_names(

@@ -105,15 +105,15 @@ def read_poses(
     names, needed = _columns_of_kind(cells, kind)
     found = find_columns(cells, "poses", {**TIME, **FRAME, **of_hands, **names}, (*needed, *of_hands))
     table = replace(cells.table, columns=column_headers_for_import_recipe(table, cells, found))
-    said: tuple[str, ...] = ()
+    lines: tuple[str, ...] = ()
     p, t = np.zeros((len(cells.rows), 3)), None
     if kind == "pose":
-        p, table, said = _positions(cells, found, table, design)
+        p, table, lines = _positions(cells, found, table, design)
     if "t" in found:
         read_times = cells.times(found["t"], "poses", table, are_plausible)
-        t, said, table = (
+        t, lines, table = (
             read_times.seconds,
-            (*said, *read_times.said),
+            (*lines, *read_times.said),
             replace(table, time_unit=read_times.unit, zone=read_times.zone),
         )
     frame = np.array(cells.numbers(found["frame"])) if "frame" in found else None
@@ -123,7 +123,7 @@ def read_poses(
         q = np.where((hand == 0)[:, None], q, np.nan)  # turns are compared of one hand
     if kind in ("direction", "distance"):
         T, table, more = (_directions if kind == "direction" else _distances)(cells, found, table)
-        return ImportedPoses(T, False, frame, t, table, (*cells.said, *said, *more), hand)
+        return ImportedPoses(T, False, frame, t, table, (*cells.said, *lines, *more), hand)
     rotations, table, more = _rotations(cells, found, table, design, q)
     alone = rotations is None
     if alone and (design.instrument is None or kind == "orientation"):
@@ -132,7 +132,7 @@ def read_poses(
             "[instrument] that measures positions alone: base, tool and position_sigma, without rotation_sigma"
         )
     T = RigidTransform.from_components(p, Rotation.identity(len(p)) if alone else rotations)
-    return ImportedPoses(T, alone, frame, t, table, (*cells.said, *said, *more), hand)
+    return ImportedPoses(T, alone, frame, t, table, (*cells.said, *lines, *more), hand)
 
 
 def _columns_of_kind(cells: Cells, kind: str) -> tuple[Headers, tuple[str, ...]]:
@@ -201,7 +201,7 @@ def _positions(
         raise RigError(
             f"{table.file}: x, y, z must be in one unit of {', '.join(LENGTHS)}; --set poses.unit=mm states it"
         )
-    said: tuple[str, ...] = ()
+    message: tuple[str, ...] = ()
     if unit is None:
         size, far = _size(design), float(np.median(np.linalg.norm(values, axis=1)))
         fit = [u for u in ("m", "mm") if REACH[0] * size <= far / LENGTHS[u] <= REACH[1] * size]
@@ -211,13 +211,16 @@ def _positions(
                 "origin in the middle",
                 [(u, f"poses.unit={u}") for u in ("m", "mm")],
             )
-        unit, said = fit[0], (f"{table.file.name}: positions are in {fit[0]}, as the rig measures some {size:.2g} m",)
+        unit, message = (
+            fit[0],
+            (f"{table.file.name}: positions are in {fit[0]}, as the rig measures some {size:.2g} m",),
+        )
     p = values / LENGTHS[unit]
     if np.abs(p).max() > LARGEST_RIG:
         raise RigError(
             f"{table.file}: a position of {np.abs(p).max():g} m is implausible; --set poses.unit=mm states another unit"
         )
-    return p, replace(table, unit=unit), said
+    return p, replace(table, unit=unit), message
 
 
 def _size(design: Design) -> float:
@@ -272,13 +275,13 @@ def _angles(
     that order.
     """
     unit = table.rotation_unit or next(iter(stated - {None}), None)
-    asked = (table.rotation,) if table.rotation else (*(() if euler else ("rotvec",)), *USUAL)
+    requested = (table.rotation,) if table.rotation else (*(() if euler else ("rotvec",)), *USUAL)
     found: list[Reading] = []
     for u in (unit,) if unit else ("rad", "deg"):
         v = values / ANGLES[u]
         if np.abs(v).max() > (7.0 if unit is None else 1e3):
             continue
-        for way in asked:
+        for way in requested:
             if way == "rotvec":
                 found.append((way, u, Rotation.from_rotvec(v)))
             elif way in EULER:

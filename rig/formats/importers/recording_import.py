@@ -74,10 +74,10 @@ def design_with_imported_cameras(recipe: Recipe) -> tuple[Design, str | None, tu
     design = design_from_rig_toml.load_design(recipe.rig)
     if recipe.cameras is None:
         return design, None, ()
-    text, said = rig_toml_with_cameras(
+    text, message = rig_toml_with_cameras(
         recipe.cameras, read_text(recipe.rig, design_from_rig_toml.LARGEST), design.cameras
     )
-    return design_from_rig_toml.design_of_entries(toml_entries(text, recipe.rig)), text, said
+    return design_from_rig_toml.design_of_entries(toml_entries(text, recipe.rig)), text, message
 
 
 def unpack_recipe_bags(recipe: Recipe, folder: Path) -> Recipe:
@@ -167,11 +167,11 @@ def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
         poses=posed.table if posed else None,
         sensors=logged.table if logged else None,
     )
-    said = (
+    message = (
         *of_cameras,
         *dict.fromkeys(line for part in (commanded, exposed, posed, logged) if part for line in part.said),
     )
-    return ImportedRecording(design, exposed, commanded, posed, logged, replace(recipe, said=said), said, rig)
+    return ImportedRecording(design, exposed, commanded, posed, logged, replace(recipe, said=message), message, rig)
 
 
 def _without_rotation_sigma(recipe: Recipe, text: str | None) -> str:
@@ -280,11 +280,11 @@ def _placed(
         t = posed.t or (
             commanded.t if commanded is not None and commanded.t is not None and len(commanded.t) == n else None
         )
-        said = posed.said if posed.t else (*posed.said, f"the {n} poses belong to the {n} rows of commands, in order")
+        lines = posed.said if posed.t else (*posed.said, f"the {n} poses belong to the {n} rows of commands, in order")
         if t is None and commanded is not None and commanded.t is None and len(commanded.values) == n:
             t = [Decimal(k) for k in range(n)]
-            said = (
-                *said,
+            lines = (
+                *lines,
                 "no times are stated, so a row is assumed to be a second: nothing that depends on time can be "
                 "determined from this",
             )
@@ -307,7 +307,7 @@ def _placed(
         empty = ImportedExposures(
             [numbers[k] for k in order], [t[k] for k in order], [""] * n, [Path()] * n, Images(()), ()
         )
-        return empty, replace(posed, frame=np.array(numbers), said=said)
+        return empty, replace(posed, frame=np.array(numbers), said=lines)
     known = dict(zip(exposed.frame, exposed.times()))
     if posed.frame is None and posed.t is not None:
         known_frames, at = list(known), list(known.values())

@@ -179,8 +179,8 @@ def read_times(
         bad = next(cell for cell in cells if not re.fullmatch(r"[+-]?\d{1,30}(\.\d{0,30})?([eE][+-]?\d{1,2})?", cell))
         raise RigError(f"{subject}: {short_repr(bad)} is not a time in {NAMES[unit or 's']}")
     values = [Decimal(cell) for cell in cells]
-    found, said = _unit(values, section, subject, are_plausible) if unit is None else (unit, ())
-    return Times([DIGITS.add(DIGITS.divide(value, TIMES[found]), by) for value in values], found, None, said)
+    found, message = _unit(values, section, subject, are_plausible) if unit is None else (unit, ())
+    return Times([DIGITS.add(DIGITS.divide(value, TIMES[found]), by) for value in values], found, None, message)
 
 
 def _unit(

@@ -62,7 +62,7 @@ def cells_with_arrays_as_columns(cells: Cells, section: str) -> Cells:
         return cells
     header: list[str] = []
     columns: list[list[str]] = []
-    table, said = cells.table, list(cells.said)
+    table, messages = cells.table, list(cells.said)
     for k, name in enumerate(cells.header):
         if k not in arrays:
             header.append(name)
@@ -81,14 +81,14 @@ def cells_with_arrays_as_columns(cells: Cells, section: str) -> Cells:
         else:
             names = _names(cells, name, section, shape, k)
             values = [list(one.values) for one in found]
-        said.append(f"{cells.path.name}: {name} holds {_in_words(shape)}: {', '.join(names)}")
+        messages.append(f"{cells.path.name}: {name} holds {_in_words(shape)}: {', '.join(names)}")
         header += names
         columns += [list(column) for column in zip(*values)]
     twice = next((name for name in header if header.count(name) > 1), None)
     if twice is not None:
         raise FileError(cells.path, f"two columns are {twice}, one of a list of numbers in {_listed(cells, arrays)}")
     rows = [list(row) for row in zip(*columns)]
-    return replace(cells, header=tuple(header), rows=rows, table=table, said=tuple(said))
+    return replace(cells, header=tuple(header), rows=rows, table=table, said=tuple(messages))
 
 
 def _is_of_joints(name: str) -> bool:
@@ -330,12 +330,12 @@ def read_matlab_rows(path: Path) -> FileRows:
         raise FileError(path, f"{what} of MATLAB's own; convert a table with table2struct(T, 'ToScalar', true)")
     count = _row_count(arrays)
     columns = {name: _column(array, count) for name, array in arrays.items()}
-    kept = {name: column for name, column in columns.items() if column is not None}
-    others = [f"{name} ({' x '.join(map(str, arrays[name].shape))})" for name in columns if name not in kept]
-    if len(kept) < 2 and (not kept or len(arrays) > 1):
+    retained = {name: column for name, column in columns.items() if column is not None}
+    others = [f"{name} ({' x '.join(map(str, arrays[name].shape))})" for name in columns if name not in retained]
+    if len(retained) < 2 and (not retained or len(arrays) > 1):
         raise FileError(path, f"has no variables with as many rows as each other: {', '.join(others)}")
-    said = () if not others else (f"{path.name}: left out, as they do not have {count} rows: {', '.join(others)}",)
-    return FileRows(tuple(kept), [list(row) for row in zip(*kept.values())], list(range(1, count + 1)), said)
+    message = () if not others else (f"{path.name}: left out, as they do not have {count} rows: {', '.join(others)}",)
+    return FileRows(tuple(retained), [list(row) for row in zip(*retained.values())], list(range(1, count + 1)), message)
 
 
 def _fields_of_structures(path: Path, structures: Sequence[Json]) -> Json:

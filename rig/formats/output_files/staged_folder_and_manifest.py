@@ -224,19 +224,21 @@ class StagedFolder:
             stale = self._stale(known, new)
             self._refuse(known, new, stale, inputs, force)
             entries = {name: ManifestEntry(self.command, (file_digest(self.folder / name),)) for name in new}
-            kept = {
+            retained = {
                 name: entry
                 for name, entry in known.files.items()
                 if name not in stale and name not in entries and os.path.lexists(self.place / name)
             }
-            old = {name: known.files[name] for name in known.files if name not in kept}
+            old = {name: known.files[name] for name in known.files if name not in retained}
             both = {
                 name: ManifestEntry(self.command, (*(old[name].sha256 if name in old else ()), *entry.sha256))
                 for name, entry in entries.items()
             }
             whole = origin if self.whole else known.origin
-            before = FolderManifest(replace(origin, complete=False) if self.whole else known.origin, kept | old | both)
-            for name, made in (("before", before), ("after", FolderManifest(whole, kept | entries))):
+            before = FolderManifest(
+                replace(origin, complete=False) if self.whole else known.origin, retained | old | both
+            )
+            for name, made in (("before", before), ("after", FolderManifest(whole, retained | entries))):
                 write_text(
                     self.folder / f"{NEW}{name}", made.text()
                 )  # here, so that a full disk refuses it before anything is moved

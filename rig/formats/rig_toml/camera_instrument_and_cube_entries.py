@@ -197,7 +197,7 @@ def _source(table: Entries) -> str | None:
             "source",
             value=source,
         )
-    return user_program_text(table, "source", source) if is_user_program(source) else source
+    return user_program_entry(table, "source", source) if is_user_program(source) else source
 
 
 INSTRUMENT_KINDS = ("pose", "orientation", "distance", "direction")
@@ -359,8 +359,8 @@ def replace_target_markers(text: str, markers: dict[str, tuple[Marker, ...]]) ->
 ENTRY_POINT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")  # of a package's entry point
 
 
-def user_program_text(table: Entries, key: str, stated: str) -> str:
-    """Text of a user's program as rig.toml states it.
+def user_program_entry(table: Entries, key: str, stated: str) -> str:
+    """Entry of rig.toml that names a user's program: a file or a package.
 
     A stated "file:PATH" with PATH joined to the folder of rig.toml, or "package:NAME" as it is.
     Raises FileError.

@@ -15,7 +15,7 @@ from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries, Required
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import camera_instrument_and_cube_entries
-from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table, user_program_text
+from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table, user_program_entry
 from rig.formats.rig_toml.mechanism_entries import (
     bodies_by_word,
     mechanism_of_table,
@@ -208,7 +208,7 @@ def _controller(table: Entries, mechanism: Mechanism, actuator: Actuator) -> Con
 def _protocol(table: Entries) -> str:
     stated = table.text("protocol")
     if is_user_program(stated):
-        return user_program_text(table, "protocol", stated)
+        return user_program_entry(table, "protocol", stated)
     if stated not in PROTOCOLS:
         table.refuse("protocol", f"one of {', '.join(map(repr, PROTOCOLS))}, file:NAME.py or package:NAME", stated)
     return stated
@@ -280,7 +280,7 @@ def _sensors(table: Entries) -> SensorPort:
             value=channels,
         )
     stated = table.text("port")
-    port = user_program_text(table, "port", stated) if is_user_program(stated) else _port(table)
+    port = user_program_entry(table, "port", stated) if is_user_program(stated) else _port(table)
     return SensorPort(port, table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels))
 
 

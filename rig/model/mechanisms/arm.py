@@ -97,7 +97,7 @@ def of_each_hand(function: Callable[[Floats, Arm], Floats], q: Floats, arm: Arm,
     return out
 
 
-def poses_of_hands(q: Floats, arm: Arm, hand: Integers | None) -> RigidTransform:
+def hand_pose_of_each_row(q: Floats, arm: Arm, hand: Integers | None) -> RigidTransform:
     """Poses (m,) of the hand (m,) of each row of joint values q (m, n); of the arm as it is where None."""
     return RigidTransform.from_matrix(of_each_hand(lambda own, one: joint_frames(own, one).tip, q, arm, hand))
 

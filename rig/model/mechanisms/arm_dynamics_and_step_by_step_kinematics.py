@@ -161,7 +161,9 @@ def hand_points_after_moving_each_joint(q: Floats, arm: Arm) -> list[KinematicsS
     return steps
 
 
-def inverse_steps(T_base_platform: RigidTransform, six_arm: SixJointArm, q: Floats) -> list[KinematicsStep]:
+def steps_of_closed_form_inverse(
+    T_base_platform: RigidTransform, six_arm: SixJointArm, q: Floats
+) -> list[KinematicsStep]:
     """Steps of the closed-form inverse of a pose for a solution q (6,) rad, from joint 1 to 6.
 
     q : of closed_form_inverse: of two readings the one near it is taken, and what a singular pose leaves free

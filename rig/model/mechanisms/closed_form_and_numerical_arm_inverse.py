@@ -301,15 +301,15 @@ def numerical_inverse_solutions(T_base_platform: RigidTransform, arm: Arm, start
         rest, place, turn, good = np.zeros((starts, 6)), left, left, left <= mechanism.GOOD
     q = mechanism.nearest_equivalent_angles(q, arm, np.zeros(q.shape))
     order = np.argsort(np.abs(mechanism.signed_limit_excess(q, arm)).max(axis=1) > 0, kind="stable")
-    kept = _once(q, [int(k) for k in order if good[k]], arm)
+    retained = _once(q, [int(k) for k in order if good[k]], arm)
     nearest = int(np.argmin(np.maximum(place, turn)))
-    return InverseSolutions(q[kept], rest[kept], (float(place[nearest]), float(turn[nearest])))
+    return InverseSolutions(q[retained], rest[retained], (float(place[nearest]), float(turn[nearest])))
 
 
 def _once(q: Floats, order: list[int], arm: Arm) -> list[int]:
     """Of indices into q (m, n) in an order those that are apart, whole turns aside."""
-    kept: list[int] = []
+    retained: list[int] = []
     for k in order:
-        if all(np.abs(mechanism.joint_value_difference(q[k], q[other], arm)).max() >= SAME for other in kept):
-            kept.append(k)
-    return kept
+        if all(np.abs(mechanism.joint_value_difference(q[k], q[other], arm)).max() >= SAME for other in retained):
+            retained.append(k)
+    return retained

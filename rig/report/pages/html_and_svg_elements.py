@@ -182,13 +182,14 @@ def table_html(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     header : of its columns, "" for one without; rows : of text and numbers
     """
     lines = [[str(cell) for cell in row] for row in rows]
-    said = [_of_text(column) for column in zip(*lines)] or [False] * len(header)
+    messages = [_of_text(column) for column in zip(*lines)] or [False] * len(header)
     head = "".join(
         f'<th scope="col"{_style(cell, text, WORDY)}>{escape_html(cell)}</th>' if cell else "<td></td>"
-        for cell, text in zip(header, said)
+        for cell, text in zip(header, messages)
     )
     cells = [
-        [f"<td{_style(cell, text, LONG)}>{escape_html(cell)}</td>" for cell, text in zip(line, said)] for line in lines
+        [f"<td{_style(cell, text, LONG)}>{escape_html(cell)}</td>" for cell, text in zip(line, messages)]
+        for line in lines
     ]
     body = "".join(f"<tr>{''.join(row)}</tr>" for row in cells)
     name = escape_html(", ".join(filter(None, header)))
@@ -202,8 +203,8 @@ def _of_text(column: Sequence[str]) -> bool:
     """Whether a column is of text, which begins at its left; of numbers, which end at its right, it is when half of its
     cells begin with one.
     """
-    said = [cell for cell in column if cell]
-    return 2 * sum(re.match(r"[-+±]?[\d.]", cell) is not None for cell in said) < len(said)
+    lines = [cell for cell in column if cell]
+    return 2 * sum(re.match(r"[-+±]?[\d.]", cell) is not None for cell in lines) < len(lines)
 
 
 def _style(cell: str, text: bool, long: int) -> str:

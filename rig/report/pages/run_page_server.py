@@ -208,10 +208,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """The page, its files, its events, its images."""
-        asked = self._allowed()
-        if asked is None:
+        requested = self._allowed()
+        if requested is None:
             return
-        path, query = asked
+        path, query = requested
         if path in FILES:
             name, kind = FILES[path]
             data = resources.files("rig.report.pages").joinpath(name).read_bytes()
@@ -231,10 +231,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         """The button. Only a page of this very server may press it."""
-        asked = self._allowed(post=True)
-        if asked is None:
+        requested = self._allowed(post=True)
+        if requested is None:
             return
-        if asked[0] != "/stop":
+        if requested[0] != "/stop":
             self._refuse(HTTPStatus.NOT_FOUND, "no such button")
             return
         self.server.page.pressed()

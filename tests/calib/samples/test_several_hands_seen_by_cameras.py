@@ -23,7 +23,7 @@ def simulated(tmp_path_factory):
     (folder / "rig.toml").write_text(seen_by_cameras())
     made = synthetic.simulate(folder / "rig.toml", synthetic.SimulateOptions(plan="sobol:16", seed=3))
     made.write(folder / "REC")
-    return folder / "REC", made.simulation.poses_of_hands()
+    return folder / "REC", made.simulation.hand_pose_of_each_row()
 
 
 def test_cameras_see_the_poses_of_both_hands(simulated):

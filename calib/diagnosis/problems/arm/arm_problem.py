@@ -124,8 +124,8 @@ class ArmProblem:
         return fit.with_terms([Term.of(score)])
 
     def companion(self, fit: Fit, score: JointScore) -> JointScore | None:
-        again = self.search(fit, [candidate_with_grid_nodes(score.candidate, [score.node])])
-        return replace(again[0], candidate=score.candidate) if again else None
+        repeated = self.search(fit, [candidate_with_grid_nodes(score.candidate, [score.node])])
+        return replace(repeated[0], candidate=score.candidate) if repeated else None
 
     def remove_term(self, fit: Fit, number: int) -> Fit:
         return self._weighed(fit, [t for i, t in enumerate(fit.terms) if i != number])
@@ -227,15 +227,15 @@ def nested_held_out_poses(
 
     Effects are chosen, and all is fitted, on two thirds of the stretches at a time.
     """
-    arms, kept = problem.arms, np.ones(len(problem.arms), bool) if problem.train is None else problem.train
+    arms, retained = problem.arms, np.ones(len(problem.arms), bool) if problem.train is None else problem.train
     parts = [time_stretch_folds(len(arms), count) % PARTS for count in counts]
 
     def predicted(one: tuple[int, int]) -> tuple[Floats, Floats, tuple[str, ...]]:
         part = parts[one[0]] == one[1]
         with threadpool_limits(1):
             chosen, bare = (
-                fit_selected_terms(replace(problem, train=kept & ~part)),
-                fit_terms_to_poses(arms, (), kept & ~part),
+                fit_selected_terms(replace(problem, train=retained & ~part)),
+                fit_terms_to_poses(arms, (), retained & ~part),
             )
         return (
             bare.left[part],
@@ -257,9 +257,11 @@ def nested_held_out_poses(
         before, after, far = np.empty(arms.left.shape), np.empty(arms.left.shape), np.empty(len(arms))
         for k in range(PARTS):
             before[part == k], after[part == k], _ = found[i, k]
-            far[part == k] = _farthest(arms.q[part == k], arms.q[(part != k) & kept])
+            far[part == k] = _farthest(arms.q[part == k], arms.q[(part != k) & retained])
         out.append(
-            HeldOutPoses(before[kept], after[kept], count, tuple(found[i, k][2] for k in range(PARTS)), far[kept])
+            HeldOutPoses(
+                before[retained], after[retained], count, tuple(found[i, k][2] for k in range(PARTS)), far[retained]
+            )
         )
     return out
 

@@ -13,7 +13,11 @@ import numpy as np
 from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.candidates_thresholds_and_outliers import Candidate, Node, NotAsked
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
-from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, least_poses, most_numbers
+from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import (
+    Arms,
+    least_poses,
+    most_parameters_of_candidate,
+)
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     EffectSites,
     MeasuredFinding,
@@ -107,10 +111,10 @@ def joint_candidates(arms: Arms, requested_effects: RequestedEffects) -> tuple[l
 
     Also what the recording cannot test.
 
-    A candidate of more numbers than the poses bear (`most_numbers`) is not asked for, and that is stated.
+    A candidate of more parameters than `most_parameters_of_candidate` is not requested, and that is stated.
     Raises RigError for a place where what is asked for cannot sit.
     """
-    asked: dict[str, list[JointCandidate]] = {}
+    requested: dict[str, list[JointCandidate]] = {}
     beyond: dict[str, list[tuple[int, bool]]] = {}
     poses, k, freedoms = arms.freedoms.shape
 
@@ -119,13 +123,13 @@ def joint_candidates(arms: Arms, requested_effects: RequestedEffects) -> tuple[l
         out = []
         for one in every:
             count = [_numbers(one, node) for node in one.grid]
-            most = most_numbers(poses, k, freedoms, one.joint is None)
+            most = most_parameters_of_candidate(poses, k, freedoms, one.joint is None)
             grid = [node for node, numbers in zip(one.grid, count) if numbers <= most]
             if len(grid) < len(count):
                 beyond.setdefault(kind.name, []).append((max(count), one.joint is None))
             if grid:
                 out.append(one if len(grid) == len(count) else replace(one, grid=grid))
-        asked.setdefault(kind.name, []).extend(out)
+        requested.setdefault(kind.name, []).extend(out)
         return out
 
     def sites_of(kind: type[Effect]) -> EffectSites:
@@ -141,7 +145,7 @@ def joint_candidates(arms: Arms, requested_effects: RequestedEffects) -> tuple[l
         return EffectSites(found, found, lacking)
 
     found, not_asked = requested_effects.candidates(sites_of, candidates_at)
-    return found, [*not_asked, *_beyond_poses(asked, beyond, arms)]
+    return found, [*not_asked, *_beyond_poses(requested, beyond, arms)]
 
 
 def _numbers(candidate: JointCandidate, node: Node) -> int:
@@ -158,7 +162,7 @@ def _beyond_poses(
     for name, found in asked.items():
         numbers, whole = max(beyond.get(name, [(0, False)]))
         if numbers:
-            most = most_numbers(count, k, freedoms, whole)
+            most = most_parameters_of_candidate(count, k, freedoms, whole)
             more = least_poses(k, freedoms, numbers, whole, count + 1)
             what = f"forms of more than {most} numbers are not asked for" if found else f"it takes {numbers} numbers"
             out.append(NotAsked(name, f"{count} poses bear {most} numbers of an effect; {what}: record {more} poses"))

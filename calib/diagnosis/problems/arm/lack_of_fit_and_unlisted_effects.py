@@ -244,12 +244,12 @@ def _shares(fit: Fit, cluster: int) -> dict[str, dict[str, Share]]:
     arms, used = fit.arms, fit.used
     count = arms.q.shape[1]
     products = [joint_motion_inner_products(fit, j) for j in range(count)]
-    asked = {
+    requested = {
         **smooth_functions_of_time_and_sensors(arms.t, arms.context.sensors),
         **smooth_functions_of_axis_motion(arms.context.moved().path, arms.commands, arms.t),
     }
     out = {}
-    for name, functions in asked.items():
+    for name, functions in requested.items():
         wide = np.broadcast_to(functions, (len(arms), count, functions.shape[2]))[used]
         out[name] = {
             JOINTS: share_explained_by_functions(

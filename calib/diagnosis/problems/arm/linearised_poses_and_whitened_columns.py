@@ -125,8 +125,8 @@ class Geometry:
         return self.move(self.basis @ sizes)
 
 
-def most_numbers(poses: int, k: int, freedoms: int, whole: bool) -> int:
-    """Most numbers that a candidate may have.
+def most_parameters_of_candidate(poses: int, k: int, freedoms: int, whole: bool) -> int:
+    """Most parameters that a candidate may have.
 
     Of each, ROOM rows are left to the geometry's freedoms in every fold.
     poses : that are fitted; k : numbers measured of each; freedoms : of the geometry; whole : whether the candidate
@@ -139,7 +139,7 @@ def most_numbers(poses: int, k: int, freedoms: int, whole: bool) -> int:
 def least_poses(k: int, freedoms: int, numbers: int = 1, whole: bool = False, start: int = LEAST) -> int:
     """Least count of poses that a candidate needs: for so many numbers, counted up from start."""
     count = start
-    while most_numbers(count, k, freedoms, whole) < numbers:
+    while most_parameters_of_candidate(count, k, freedoms, whole) < numbers:
         count += 1
     return count
 

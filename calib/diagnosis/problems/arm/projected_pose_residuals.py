@@ -237,10 +237,10 @@ def fit_terms_to_poses(
     used = np.ones(len(arms), bool) if train is None else train
     raw, k = term_columns(arms, terms), arms.left.shape[1]
     prior = np.concatenate([np.zeros(arms.freedoms.shape[2])] + [1 / term.prior**2 for term in terms])
-    kept, weighing = raw.take(used), _weighed(arms, arms.left, used, 0.0) if start is None else start
+    retained, weighing = raw.take(used), _weighed(arms, arms.left, used, 0.0) if start is None else start
     for last in reversed(range(rounds)):
         W = weighing.whitening(arms.own)
-        X = kept.whitened(W[used])
+        X = retained.whitened(W[used])
         H = X.gram()
         H[np.diag_indices_from(H)] += prior + LOOSE * np.diag(H) + 1e-300
         factor = cho_factor(H)

@@ -75,13 +75,13 @@ def _unlogged_temperature_alternatives(problem: PlatformProblem, selection: Plat
     kinds = [kind for kind in WARM if (k.axes if kind.stage != "view" else k.seen is not None)]
     findings = []
     for f in selection.findings:
-        asked = [
+        requested = [
             (kind, place)
             for kind in kinds
             for place in _places(kind, f.score.candidate.place)
             if lacks_temperature_log(k, kind.follows(place, effect_context(k)))
         ]
-        findings.append(_beside_temperatures(problem, selection, f, asked) if asked else f)
+        findings.append(_beside_temperatures(problem, selection, f, requested) if requested else f)
     return replace(selection, findings=findings)
 
 
@@ -124,12 +124,12 @@ def _noisy_log_temperature_alternatives(problem: PlatformProblem, selection: Pla
     for f in selection.findings:
         own = f.score.candidate
         listed = {(own.name, own.place), *((a.score.candidate.name, a.score.candidate.place) for a in f.alternatives)}
-        asked = [c for c in warm if c.place in _places(c.kind, own.place) and (c.name, c.place) not in listed]
-        if asked:
+        requested = [c for c in warm if c.place in _places(c.kind, own.place) and (c.name, c.place) not in listed]
+        if requested:
             model = problem.without_term(selection.fit, f.number)
             found = [
                 (s, f.score.evidence(model.size) - s.evidence(model.size))
-                for c in asked
+                for c in requested
                 if (s := _by_errors(model, c)) is not None
             ]
             more = [
@@ -298,9 +298,9 @@ def _reason(
     found = tolerance_model(model, problem.sensitivities)
     if found is None:
         return None
-    score, kept = finding.score, problem.sensitivities.at(model.point)
+    score, retained = finding.score, problem.sensitivities.at(model.point)
     share = share_not_explained_by_tolerances(
-        model, found, candidate_column(model, score.candidate, score.node, kept), not len(score.coefficients)
+        model, found, candidate_column(model, score.candidate, score.node, retained), not len(score.coefficients)
     )
     if is_significant(_weaken_score(score, share), selection.asked, problem.size(fit), problem.policy):
         return None

@@ -77,13 +77,15 @@ def find_lack_of_fit_by_place(
     place : where alone they are asked, None for everywhere; alpha : chance of any where there is nothing
     """
     k = model.point
-    asked: list[Callable[[], list[LackOfFit | None]]] = [partial(_struts, model)] if k.axes else []
+    requested: list[Callable[[], list[LackOfFit | None]]] = [partial(_struts, model)] if k.axes else []
     if k.seen is not None:
-        asked += [partial(_camera, model, i) for i in range(len(k.design.cameras))]
+        requested += [partial(_camera, model, i) for i in range(len(k.design.cameras))]
         ids, counts = np.unique(k.observed.markers.id[k.observed.sightings.marker], return_counts=True)
         edges = edge_shift_pixel_derivatives(k)
-        asked += [partial(_marker, model, edges, number, count) for number, count in zip(ids.tolist(), counts.tolist())]
-    found = [u for several in parallel_map(lambda question: question(), asked) for u in several]
+        requested += [
+            partial(_marker, model, edges, number, count) for number, count in zip(ids.tolist(), counts.tolist())
+        ]
+    found = [u for several in parallel_map(lambda question: question(), requested) for u in several]
     return significant_lack_of_fit(
         [u for u in found if u is not None and (place is None or is_lack_of_fit_at_place(u, place))], alpha
     )

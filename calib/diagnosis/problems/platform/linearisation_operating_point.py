@@ -309,9 +309,13 @@ def _seen(measured: Measurement, point: OperatingPoint) -> SeenCorners:
     if measured.to_frame_time is not None:  # here all cameras see the platform where it is at the frame's time
         o = replace(o, uv=o.uv + measured.to_frame_time)
     keep = np.isin(o.frames[o.frame], measured.frames)
-    kept = o.take(keep)
-    kept = replace(kept, frames=measured.frames, frame=np.searchsorted(measured.frames, kept.frames[kept.frame]))
-    return group_sightings(kept, measured.adjustment.state.placed if measured.places_free else marker_map(point.stated))
+    retained = o.take(keep)
+    retained = replace(
+        retained, frames=measured.frames, frame=np.searchsorted(measured.frames, retained.frames[retained.frame])
+    )
+    return group_sightings(
+        retained, measured.adjustment.state.placed if measured.places_free else marker_map(point.stated)
+    )
 
 
 def operating_point_without_distant_corners(point: OperatingPoint) -> OperatingPoint:

@@ -224,9 +224,9 @@ def _own_basis(J_local: Floats, edges: Integers) -> tuple[Floats, Floats]:
     scale = np.sqrt((J_local**2).sum(axis=0) / frames) + 1e-300
     for f, (a, b) in enumerate(zip(edges[:-1], edges[1:])):
         u, s, vt = np.linalg.svd(J_local[2 * a : 2 * b] / scale, full_matrices=False)
-        kept = s > 1e-9 * s[0]
-        local[2 * a : 2 * b, : kept.sum()] = u[:, kept]
-        to_local[f][:, : kept.sum()] = (vt[kept].T / s[kept]) / scale[:, None]
+        retained = s > 1e-9 * s[0]
+        local[2 * a : 2 * b, : retained.sum()] = u[:, retained]
+        to_local[f][:, : retained.sum()] = (vt[retained].T / s[retained]) / scale[:, None]
     return local, to_local
 
 

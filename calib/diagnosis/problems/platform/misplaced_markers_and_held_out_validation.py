@@ -174,8 +174,8 @@ def _wild_corners(k: OperatingPoint) -> Outliers:
         wild[i] = not (apart < ALIKE * np.linalg.norm(off[i])).any()
     if wild.sum() > MOST * len(wild):
         return Outliers(crowd=Crowd("images of markers", int(wild.sum()), len(wild)))
-    kept = np.bincount(s.frame[~wild], minlength=len(k.frames))[s.frame]
-    wild &= kept >= HELD
+    retained = np.bincount(s.frame[~wild], minlength=len(k.frames))[s.frame]
+    wild &= retained >= HELD
     rows, names = np.flatnonzero(wild).tolist(), [camera.name for camera in k.design.cameras]
     told = tuple(
         LeftOut(
@@ -199,12 +199,12 @@ def _near(k: OperatingPoint, middle: Floats, i: int) -> Floats:
     """
     s = k.observed.sightings
     same = s.camera == s.camera[i]
-    again = np.flatnonzero(same & (s.marker == s.marker[i]))
-    again = again[np.argsort(np.abs(k.t[s.frame[again]] - k.t[s.frame[i]]), kind="stable")][: 2 * IN_TIME + 1]
+    repeated = np.flatnonzero(same & (s.marker == s.marker[i]))
+    repeated = repeated[np.argsort(np.abs(k.t[s.frame[repeated]] - k.t[s.frame[i]]), kind="stable")][: 2 * IN_TIME + 1]
     image = np.flatnonzero(same & (s.frame == s.frame[i]))
     alike = np.flatnonzero(same)
     place = alike[cKDTree(middle[alike]).query(middle[i], k=min(IN_PLACE + 1, len(alike)))[1]]
-    return np.setdiff1d(np.concatenate([again, image, np.atleast_1d(place)]), [i])
+    return np.setdiff1d(np.concatenate([repeated, image, np.atleast_1d(place)]), [i])
 
 
 def find_marker_swaps(point: OperatingPoint, kinds: Sequence[type[Effect]]) -> list[Effect]:
@@ -300,9 +300,9 @@ def cross_validate_effect_by_regions(
 def _both(refined: Refinement, numbers: set[int], fold: Integers | None = None) -> tuple[HeldOut, HeldOut, Integers]:
     """(held out without the effects, with them, folds (F,)). fold : stretches of time where None"""
     model, k = refined.model, refined.point
-    asked = [k.effects[i] for i in sorted(numbers)]
+    requested = [k.effects[i] for i in sorted(numbers)]
     if fold is None:
-        fold = frame_folds(model.frames, any(e.sudden for e in asked), sides_of_sudden_changes(asked, k.t))
+        fold = frame_folds(model.frames, any(e.sudden for e in requested), sides_of_sudden_changes(requested, k.t))
     with_all = refined.marginalised
     after = held_out_residuals(with_all.linear, tuple(b.residual for b in with_all.linear.blocks), fold)
     others = [i for i, c in enumerate(refined.coordinates) if c.effect not in numbers]

@@ -205,8 +205,10 @@ def model_with_smooth_functions(
             K, b, G = found.onto, found.right, found.gram
             scale = np.sqrt(np.diag(G) + (K**2).sum(axis=0)) + 1e-300
             values, vectors = np.linalg.eigh(G / scale[:, None] / scale)
-            kept = values > SEEN
-            moved = pixels @ (vectors[:, kept] @ ((vectors[:, kept].T @ (b / scale)) / values[kept]) / scale)
+            retained = values > SEEN
+            moved = pixels @ (
+                vectors[:, retained] @ ((vectors[:, retained].T @ (b / scale)) / values[retained]) / scale
+            )
             seen = replace(model.point.observed, observations=replace(o, uv=o.uv - moved))
             model = linearise(replace(model.point, seen=seen))
         model = model.marginalise(model.fold(pixels))

@@ -101,19 +101,19 @@ def suggest_strut_formulas(
     model = problem.residual(fit)
     if not k.axes or not places:
         return []
-    said = progress or silent_progress
+    report = progress or silent_progress
     struts = [i for i in range(k.axes) if k.places[i] in places]
     sites = [_of_strut(k, i) for i in struts] + (
         [_of_all(k), _of_platform(k)] if len(struts) >= SEVERAL or Place("rig") in places else []
     )
     tried: list[Found | None] = []
     for site in sites:
-        said("trying formulas", len(tried), len(sites))
+        report("trying formulas", len(tried), len(sites))
         tried.append(_found(problem, fit, model, site))
     each = [found for site, found in zip(sites, tried) if found is not None and len(site.struts) == 1]
     whole = [found for site, found in zip(sites, tried) if found is not None and len(site.struts) > 1]
     each = min([each, *([one] for one in whole)], key=lambda several: _description(problem, fit, several))
-    said("trying formulas", len(sites), len(sites))
+    report("trying formulas", len(sites), len(sites))
     return [s for found in each if (s := _suggested(problem, fit, *found)) is not None]
 
 
@@ -152,9 +152,9 @@ def _found(problem: PlatformProblem, fit: PlatformFit, model: LinearisedModel, s
     first = _best(model, site)
     if first is None:
         return None
-    again = _weighed_beside(problem, fit, site, first)
-    second = _best(again, site)
-    return None if second is None else (site, second, again)
+    repeated = _weighed_beside(problem, fit, site, first)
+    second = _best(repeated, site)
+    return None if second is None else (site, second, repeated)
 
 
 def _best(model: LinearisedModel, site: Site) -> Formula | None:

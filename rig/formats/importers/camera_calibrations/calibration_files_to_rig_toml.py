@@ -70,7 +70,7 @@ def rig_toml_with_cameras(
         another size of image
     """
     known = {camera.name: camera for camera in present_cameras}
-    said: tuple[str, ...] = ()
+    lines: tuple[str, ...] = ()
     changed: list[Camera] = []
     for file in settings.files:
         kind, found = read_camera_calibration(file)
@@ -79,8 +79,8 @@ def rig_toml_with_cameras(
             raise RigError(f"{file}: two of its cameras would be one: --set cameras.names.THEIRS=OURS separates them")
         T_base, told = _anchor(named, known, settings, file)
         changed += [_camera(name, one, known.get(name), T_base) for name, one in named.items()]
-        said += (f"{file.name} is a result of {kind}: {len(found)} camera{'s' * (len(found) > 1)}", *told)
-        said += tuple(line for one in found for line in one.said)
+        lines += (f"{file.name} is a result of {kind}: {len(found)} camera{'s' * (len(found) > 1)}", *told)
+        lines += tuple(line for one in found for line in one.said)
     names = [camera.name for camera in changed]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice:
@@ -91,7 +91,7 @@ def rig_toml_with_cameras(
     units = stated_units(tomllib.loads(text))
     for camera in added:
         text = text.rstrip("\n") + "\n\n" + camera_toml(camera, has_pose=True, units=units)
-    return text, said + ((f"added to rig.toml: {', '.join(camera.name for camera in added)}",) if added else ())
+    return text, lines + ((f"added to rig.toml: {', '.join(camera.name for camera in added)}",) if added else ())
 
 
 def _ours(one: ForeignCamera, stated: Cameras, known: dict[str, Camera], alone: bool) -> str:

@@ -101,8 +101,8 @@ def _kalibr_camera(e: Entries, name: str, T: RigidTransform) -> ForeignCamera:
             ("distortion_model", "distortion_coeffs"),
             f"{name}: its equidistant lens becomes OpenCV's rational one",
         )
-        distortion, said = rational_lens_of_fisheye(e, keys, terms, matrix, wide, lens)
-        return ForeignCamera(name, wide, matrix, distortion, T, e, said)
+        distortion, message = rational_lens_of_fisheye(e, keys, terms, matrix, wide, lens)
+        return ForeignCamera(name, wide, matrix, distortion, T, e, message)
     e.fail(
         f"{e.name('distortion_model')} = {kind!r} is not supported; radtan, equidistant and none are",
         "distortion_model",
@@ -155,7 +155,7 @@ def _multical_camera(e: Entries, name: str, poses: Entries) -> ForeignCamera:
 CALISCOPE_NAME = re.compile(r"cam_\d{1,4}")
 
 
-def is_caliscope(root: Entries) -> bool:
+def is_caliscope_camera_array(root: Entries) -> bool:
     """Whether a file's root table is a Caliscope camera array."""
     return bool(_tables(root))
 
@@ -195,15 +195,15 @@ def _caliscope_camera(e: Entries, name: str) -> ForeignCamera:
         checked_image_size(e, "size"),
         e.array("distortions", (None,)),
     )
-    said: tuple[str, ...] = ()
+    message: tuple[str, ...] = ()
     name = e.text("name", default=name)
     if e.flag("fisheye", False):
         keys, lens = ("fisheye", "distortions"), f"{name}: its fisheye becomes OpenCV's rational lens"
-        distortion, said = rational_lens_of_fisheye(e, keys, values, matrix, wide, lens)
+        distortion, message = rational_lens_of_fisheye(e, keys, values, matrix, wide, lens)
     else:
         distortion = checked_distortion(e, "distortions", values)
     if "rotation" not in e.tree or "translation" not in e.tree:
-        return ForeignCamera(name, wide, matrix, distortion, None, e, said)
+        return ForeignCamera(name, wide, matrix, distortion, None, e, message)
     rows = e.get("rotation")
     whole = isinstance(rows, list) and bool(rows) and isinstance(rows[0], list)
     R = e.array("rotation", (3, 3)) if whole else Rotation.from_rotvec(e.turn("rotation")).as_matrix()
@@ -214,7 +214,7 @@ def _caliscope_camera(e: Entries, name: str) -> ForeignCamera:
         distortion,
         checked_camera_transform(e, "rotation", np.asarray(R), e.array("translation", (3,))).inv(),
         e,
-        said,
+        message,
     )
 
 
@@ -250,10 +250,10 @@ def read_opencv_or_ros(root: Entries) -> list[ForeignCamera]:
             f"{root.file.name}'s camera here"
         )
     keys = ("distortion_model" if model in FISHEYES else "fisheye_model", bent)
-    distortion, said = rational_lens_of_fisheye(
+    distortion, message = rational_lens_of_fisheye(
         root, keys, values, matrix, size, f"{name}: its fisheye becomes OpenCV's rational lens"
     )
-    return [ForeignCamera(name, size, matrix, distortion, None, root, said)]
+    return [ForeignCamera(name, size, matrix, distortion, None, root, message)]
 
 
 def _key(root: Entries, names: tuple[str, ...]) -> str | None:
@@ -278,6 +278,6 @@ def _matrix(root: Entries, key: str, shape: tuple[int, int] | None) -> Floats:
 PROGRAMS: dict[str, tuple[Callable[[Entries], bool], Callable[[Entries], list[ForeignCamera]]]] = {
     "Kalibr": (is_kalibr, read_kalibr),
     "multical": (is_multical, read_multical),
-    "caliscope": (is_caliscope, read_caliscope),
+    "caliscope": (is_caliscope_camera_array, read_caliscope),
     "ROS camera_info or OpenCV": (is_opencv_or_ros, read_opencv_or_ros),
 }  # whether a file's root table is of a program, and its cameras

@@ -126,7 +126,7 @@ def test_poses_of_two_hands_are_imported_with_the_hand_of_each(tmp_path):
     assert found.poses.frame.tolist() == [0, 0, 1, 1, 2, 2, 3, *np.repeat(range(4, 8), 2)]
     frames, _, q = found.commanded()
     q = q[np.searchsorted(frames, found.poses.frame)]
-    expected = serial.poses_of_hands(q, found.design.mechanism, found.poses.hand)
+    expected = serial.hand_pose_of_each_row(q, found.design.mechanism, found.poses.hand)
     assert np.abs(pose_difference(expected, found.poses.T_base_platform)).max() < 1e-8
 
 

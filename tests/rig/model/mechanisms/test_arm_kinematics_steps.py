@@ -18,7 +18,7 @@ def test_every_branch_is_read_joint_by_joint_and_returns_to_zero(name):
     found = closed_form_and_numerical_arm_inverse.closed_form_inverse(T, six)
     zero = six.hand + (six.key - six.hand[0])
     for i, b in np.argwhere(found.there):
-        steps = arm_dynamics_and_step_by_step_kinematics.inverse_steps(T[i], six, found.q[i, b])
+        steps = arm_dynamics_and_step_by_step_kinematics.steps_of_closed_form_inverse(T[i], six, found.q[i, b])
         assert [step.joint for step in steps] == list(range(7))
         np.testing.assert_allclose(
             np.exp(1j * np.array([step.value for step in steps[1:]])), np.exp(1j * found.q[i, b]), atol=1e-8
@@ -43,7 +43,7 @@ def test_the_points_of_a_branch_are_hand_worked():
     axes 5 and 6.
     """
     six = closed_form_and_numerical_arm_inverse.six_joint_arm(UR10)
-    steps = arm_dynamics_and_step_by_step_kinematics.inverse_steps(
+    steps = arm_dynamics_and_step_by_step_kinematics.steps_of_closed_form_inverse(
         mechanism.forward(np.zeros(6), UR10), six, np.zeros(6)
     )
     assert (
@@ -78,6 +78,6 @@ def test_singular_poses_take_what_the_solution_has():
     T = mechanism.forward(q, ARMS["puma"])
     found = closed_form_and_numerical_arm_inverse.closed_form_inverse(T, six, free_joint_values=q)
     b = int(np.nanargmin(np.abs(found.q - q).max(axis=1)))
-    steps = arm_dynamics_and_step_by_step_kinematics.inverse_steps(T, six, found.q[b])
+    steps = arm_dynamics_and_step_by_step_kinematics.steps_of_closed_form_inverse(T, six, found.q[b])
     np.testing.assert_allclose([step.value for step in steps[1:]], q, atol=1e-6)
     np.testing.assert_allclose(steps[-1].points, six.hand + (six.key - six.hand[0]), atol=1e-9)
