@@ -159,12 +159,17 @@ class CaptureSettings:
     pixel_format : GenICam's PixelFormat ("Mono8", "BayerRG8", "RGB8"), or four letters of a UVC format ("MJPG", "YUYV")
     gain : dB (GenICam, whose automatic gain is switched off), or the driver's own figure (UVC)
     focus : the driver's own figure, its automatic focus is switched off; white_balance : K, likewise (UVC)
+    trigger : the line of a GenICam camera whose edges expose, as "Line1", "" where the run triggers it; strobe : the
+        line that is high while it exposes, for other cameras; ptp : whether it keeps time by PTP (IEEE 1588)
     """
 
     pixel_format: str = ""
     gain: float | None = None
     focus: float | None = None
     white_balance: float | None = None
+    trigger: str = ""
+    strobe: str = ""
+    ptp: bool = False
 
 
 AS_IT_IS = CaptureSettings()  # of a camera of which nothing is to be set

@@ -101,17 +101,23 @@ class Simulator:
         self.send(line + "\n")
         return self.until("ok", "error:", "ALARM:")
 
+    def at_rest(self):
+        """A report of motors at rest, asked for after all that was asked for before has been read."""
+        line = ""
+        while not line.startswith(("<Idle", "<Alarm")):
+            while self.read(AGAIN):
+                pass
+            self.pending = False
+            line = self.asked()
+        return line
+
     def motors(self):
         """(6,) m, where its motors are at rest."""
-        while not (line := self.asked()).startswith(("<Idle", "<Alarm")):
-            pass
-        return motors_of(line)
+        return motors_of(self.at_rest())
 
     def pose(self):
         """(6,) mm and degrees, where it reports the platform at rest."""
-        while not (line := self.asked()).startswith("<Idle"):
-            pass
-        return np.array(re.search(r"\|MPos:([-\d.,]+)", line)[1].split(","), float)
+        return np.array(re.search(r"\|MPos:([-\d.,]+)", self.at_rest())[1].split(","), float)
 
     def stream(self, goals, every):
         """({line: motors (6,) m at its end}, [(line, motors (6,) m)] on the way) of lines to poses (n, 6).
