@@ -1,7 +1,8 @@
 """A soft IOC with six motor records of caproto, in a process of its own: trapezoidal moves, limits, homing and faults.
 
 RIG:m1 .. RIG:m6 in mm; RIG:stall and RIG:fault take the number of a motor that stalls in its next move, or whose
-driver fails in it; RIG:locked that of one whose VAL new clients may not write. Run as a program it takes the TCP port, and the place (mm) at which the motors stand.
+driver fails in it; RIG:locked that of one whose VAL new clients may not write. Run as a program it takes the TCP port,
+and the place (mm) at which the motors stand.
 """
 
 import asyncio

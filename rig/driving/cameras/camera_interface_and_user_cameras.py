@@ -128,10 +128,11 @@ class StampDifferences:
 
     def add(self, frames: dict[str, Frame]) -> None:
         """The cameras of one more frame."""
-        first, *others = frames.items() or [("", None)]
-        for name, frame in others:
-            after, known = frame.t - first[1].t, math.hypot(frame.t_sigma, first[1].t_sigma)
-            self._after.setdefault((first[0], name), []).append((after, known))
+        names = list(frames)
+        for name in names[1:]:
+            frame, first = frames[name], frames[names[0]]
+            row = frame.t - first.t, math.hypot(frame.t_sigma, first.t_sigma)
+            self._after.setdefault((names[0], name), []).append(row)
 
     def lines(self) -> list[str]:
         """A sentence for each camera but the first."""
