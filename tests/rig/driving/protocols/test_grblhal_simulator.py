@@ -134,6 +134,7 @@ def complete(out):
 def test_from_the_alarm_in_which_it_starts_the_first_run_completes(machine, tmp_path):
     simulator = machine[0]()
     assert simulator.report().startswith("<Alarm")
+    assert "rig home ends that" in run("status", tmp_path / "rig.toml").stdout
     run("run", tmp_path / "rig.toml", *PLAN, "--out", tmp_path / "rec")
     assert complete(tmp_path / "rec")
     again = run("run", tmp_path / "rig.toml", *PLAN, "--out", tmp_path / "rec", "--resume")
@@ -143,7 +144,7 @@ def test_from_the_alarm_in_which_it_starts_the_first_run_completes(machine, tmp_
 @pytest.mark.slow
 def test_a_limit_switch_ends_a_run_and_no_run_homes_out_of_it_unasked(machine, tmp_path):
     simulator = machine[0]("$21=1")
-    run("home", tmp_path / "rig.toml")
+    run("home", tmp_path / "rig.toml", "--unlock")  # in the alarm in which it starts, which no unlocking ends
     simulator.send(b"G53G1X-101F600\n", "ALARM:1")  # onto its own switch
     failed = run("run", tmp_path / "rig.toml", *PLAN, "--out", tmp_path / "rec", ok=False)
     assert "limit switch" in failed.stderr, failed.stderr
