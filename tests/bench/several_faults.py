@@ -24,7 +24,7 @@ from rig.recording import recording_folder
 from tests.truth import FAULTS, Case, draw, errors, record, rms
 from tests.truth.case import _seen
 from tests.truth.draw_faults import HURRIED, LOADED, SLOW, Asked, fits
-from tests.truth.laws import Law, stood
+from tests.truth.laws import Law, passed, stood
 
 RECORDINGS = 12
 POSES = 120
@@ -90,11 +90,14 @@ def drawn(
 
 
 def _law(case: Case, name: str, axis: int | None, rng: np.random.Generator) -> Law:
-    """A law of a fault, at an axis of this number or at any, that moves the poses of a case by more than their noise.
+    """A law of a fault, at an axis of this number or at any, that moves the poses of a case by more than their noise
+    beyond what constant offsets of its axes do, which its geometry takes up.
 
     Raises ValueError where none of many does.
     """
     count, plain = case.owner.width, stood(case.machine, case.way, case.day, ())
+    scale = np.repeat(case.sigma, 3)
+    offsets = _errors_by_constant_offsets(case, plain) / np.tile(scale, len(plain))[:, None]
     for _ in range(TRIES):
         axes = np.zeros(count)
         if axis is not None or rng.uniform() < 0.5:
@@ -108,10 +111,22 @@ def _law(case: Case, name: str, axis: int | None, rng: np.random.Generator) -> L
         )
         found = FAULTS[name](asked)
         law = found[int(rng.integers(len(found)))]
-        moved, turned = rms(errors(stood(case.machine, case.way, case.day, (law,)), plain))
+        whole = errors(stood(case.machine, case.way, case.day, (law,)), plain) / scale
+        taken = (offsets @ np.linalg.lstsq(offsets, whole.ravel())[0]).reshape(whole.shape)
+        moved, turned = rms((whole - taken) * scale)
         if max(moved / case.sigma[0], turned / case.sigma[1]) > SEEN:
             return law
     raise ValueError(f"no {name} of {TRIES} drawn moves the poses by {SEEN:g} times their noise")
+
+
+def _errors_by_constant_offsets(case: Case, plain: np.ndarray) -> np.ndarray:
+    """(6 n, axes) errors of the poses of a case, one below the other, by 1 m or rad more of each axis."""
+    values = passed(case.way, case.way.looked, case.day, case.machine)
+    at, step = values.values[values.at], 1e-6
+    return np.stack(
+        [errors(case.machine.forward(at + step * one), plain).ravel() / step for one in np.eye(case.owner.width)],
+        axis=1,
+    )
 
 
 def rows(

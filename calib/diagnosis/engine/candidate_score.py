@@ -3,7 +3,7 @@
 Explained chi-square, its chance, its cost in BIC, and the best node of its grid.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic
 
@@ -21,6 +21,7 @@ BEYOND = 0.3  # standard deviation of the logarithm of a parameter above what ri
 WRONG_SIGN = 12.0  # minus twice the logarithm of the chance that a parameter has the sign that rigs do not show
 NOTHING = 1e-3  # of what a scan found, a size that columns have beside others and that is none
 SEVERAL = 3  # axes that show a name, from which it is asked whether all together explain more than any other
+SAME = 0.02  # of a finding's evidence, by which two scans beside the same terms may differ and still be the same
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,6 +93,34 @@ class Alternative(Generic[C]):
     score: Score[C]
     behind: float
     cosine: float
+
+
+class Scans(Generic[C]):
+    """Scores of all candidates by the terms that were admitted when they were scanned: what is searched once is not
+    searched again.
+    """
+
+    def __init__(self) -> None:
+        self._by_terms: dict[frozenset[int], list[Score[C]]] = {}
+
+    def keep(self, terms: Sequence[C], scores: list[Score[C]]) -> None:
+        """Keep the Scores of a scan beside some terms."""
+        self._by_terms[frozenset(map(id, terms))] = scores
+
+    def of_same_terms(self, terms: Sequence[C], score: Score[C], size: int) -> tuple[list[Score[C]], Score[C]] | None:
+        """(Scores of the scan beside the same terms, a candidate's among them) where it gave that candidate the
+        evidence that a Score gives it now; else None.
+        """
+        scores = self._by_terms.get(frozenset(map(id, terms)), [])
+        own = next((s for s in scores if s.candidate is score.candidate), None)
+        if own is None or not is_same_evidence(own, score, size):
+            return None
+        return scores, own
+
+
+def is_same_evidence(one: Score[C], other: Score[C], size: int) -> bool:
+    """Whether two Scores of a candidate, each beside some terms, tell the same."""
+    return abs(one.evidence(size) - other.evidence(size)) <= SAME * abs(other.evidence(size))
 
 
 def score_raised_to_likelihood_ratio(score: Score[C], likelihood_ratio: float, frames: int) -> Score[C]:

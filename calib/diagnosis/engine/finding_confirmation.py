@@ -7,14 +7,21 @@ from typing import Generic
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_score import SEVERAL, Alternative, Score, score_raised_to_likelihood_ratio
+from calib.diagnosis.engine.candidate_score import (
+    SEVERAL,
+    Alternative,
+    Scans,
+    Score,
+    is_same_evidence,
+    score_raised_to_likelihood_ratio,
+)
 from calib.diagnosis.engine.candidates_thresholds_and_outliers import C, SelectionPolicy
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import column_cosine
 from calib.diagnosis.engine.problem_interface import AliasedNodes, Fit, Model, Problem, Progress, UnfittedNodes
 from rig.model.hands_places_and_tolerances import Place
 
-SAME = 0.02  # of a finding's evidence, by which two scans beside the same terms may differ and still be the same
+TAKEN = 0.5  # of a smooth function's delta chi-square, which it keeps at most beside a name that stands for the same
 RESTARTS = 2  # times the most terms that there may be, replacements after which terms are confirmed as they stand
 
 
@@ -32,29 +39,6 @@ def is_indistinguishable(alternative: Alternative[C], policy: SelectionPolicy) -
     """Whether the data leave an Alternative indistinguishable from its finding."""
     close = abs(alternative.cosine)
     return close > policy.cosine or (alternative.behind < policy.alike and close >= policy.akin)
-
-
-class Scans(Generic[C]):
-    """Scores of all candidates by the terms that were admitted when they were scanned: what is searched once is not
-    searched again.
-    """
-
-    def __init__(self) -> None:
-        self._by_terms: dict[frozenset[int], list[Score[C]]] = {}
-
-    def keep(self, terms: Sequence[C], scores: list[Score[C]]) -> None:
-        """Keep the Scores of a scan beside some terms."""
-        self._by_terms[frozenset(map(id, terms))] = scores
-
-    def of_same_terms(self, terms: Sequence[C], score: Score[C], size: int) -> tuple[list[Score[C]], Score[C]] | None:
-        """(Scores of the scan beside the same terms, a candidate's among them) where it gave that candidate the
-        evidence that a Score gives it now; else None.
-        """
-        scores = self._by_terms.get(frozenset(map(id, terms)), [])
-        own = next((s for s in scores if s.candidate is score.candidate), None)
-        if own is None or abs(own.evidence(size) - score.evidence(size)) > SAME * abs(score.evidence(size)):
-            return None
-        return scores, own
 
 
 def _reach(policy: SelectionPolicy, score: Score[C]) -> float:
@@ -190,73 +174,110 @@ def may_become_significant_when_fitted(score: Score[C], count: int, size: int, p
 def confirm_terms(
     problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress: Progress | None
 ) -> tuple[Fit, list[Finding[C]]]:
-    """Confirm each term of a Fit against all candidates.
+    """Confirm each term of a Fit against all candidates: removed, replaced, or retained with its alternatives.
 
-    Removed, replaced, or retained with its alternatives. The others stay admitted meanwhile, and a term's moment or
-    choice is searched for again beside them. What was replaced does not come back, and after a number of replacements
-    nothing is replaced any more: every term of the Fit is a finding in the end. scans : those made so far
+    The others stay admitted meanwhile, and a term's moment or choice is searched for again beside them; all are gone
+    through until none changes. What was replaced does not come back, and after a number of replacements nothing is
+    replaced any more: every term of the Fit is a finding in the end. scans : those made so far
     """
-    policy, count = problem.policy, len(problem.candidates)
-    findings: list[Finding[C]] = []
-    replaced: list[C] = []
-    reopened = 0
-    while len(findings) < len(problem.terms(fit)):
-        number, replaces = len(findings), len(replaced) < RESTARTS * policy.most
-        model, size = problem.without_term(fit, number), problem.size(fit)
-        scanned, held = problem.rescored(model, fit, number), problem.given.holds(problem.terms(fit)[number])
-        own = scanned
-        if not is_significant(own, count, size, policy) and may_become_significant_when_fitted(
-            own, count, size, policy
-        ):
-            own = score_raised_to_likelihood_ratio(
-                own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames
-            )
-        if not held and not is_significant(own, count, size, policy):  # beside all others it is none
-            fit, findings = problem.remove_term(fit, number), []
-            continue
-        member = None if held or not replaces else _likelier_member(problem, model, fit, number, scanned, replaced)
-        if member is not None:
-            replaced.append(problem.terms(fit)[number])
-            fit, findings = problem.in_place(member, number), []
-            continue
-        moved = None if held or reopened >= RESTARTS * policy.most else _at_likelier_node(problem, fit, number, scanned)
-        if moved is not None:
-            reopened += 1
-            fit, findings = problem.in_place(moved, number), []
-            continue
-        others = [c for i, c in enumerate(problem.terms(fit)) if i != number]
-        found = find_alternatives(
-            problem,
-            model,
-            scanned,
-            labelled_progress(progress, f"alternatives of {own.candidate.name}"),
-            scans.of_same_terms(others, scanned, problem.linear(model).size),
-        )  # like against like
-        tries = refit_alternatives(problem, fit, number, scanned, found, own is not scanned)
-        rest = [a for a in found if not any(a is t.scanned for t in tries)]
-        ranked = sorted([*(t.alternative for t in tries), *rest], key=lambda a: a.behind)
-        better = next((t for t in tries if t.alternative is ranked[0] and _takes_over(problem, fit, number, t)), None)
-        if (
-            better is not None
-            and replaces
-            and not held
-            and not any(better.alternative.score.candidate is c for c in replaced)
-            and is_significant(better.alternative.score, count, size, policy)
-        ):
-            replaced.append(problem.terms(fit)[number])
-            fit, findings = problem.in_place(better.fit, number), []
-            continue
-        if not held and _outdone(
-            problem, model, fit, own
-        ):  # only now: what has no name may be likelier than one name, and not than the next
-            member = refit_with_other_member_of_law(problem, model, fit, number, replaced) if replaces else None
-            if member is not None:
-                replaced.append(problem.terms(fit)[number])
-            fit = problem.remove_term(fit, number) if member is None else problem.in_place(member, number)
-            findings = []
-            continue
-        findings.append(Finding(number, own, [a for a in ranked if is_indistinguishable(a, policy)]))
+    changes, changed, findings = _Changes[C](), True, list[Finding[C]]()
+    while changed:
+        changed, findings = False, []
+        while len(findings) < len(problem.terms(fit)):
+            new, finding = _confirm_term(problem, fit, len(findings), scans, changes, progress)
+            if finding is None:
+                fit, changed = new, True
+            else:
+                findings.append(finding)
     return fit, sorted(findings, key=lambda f: -f.score.delta_chi2)
+
+
+class _Changes(Generic[C]):
+    """What confirmation has changed and confirmed. replaced : candidates that do not come back; moved : times that a
+    term went to another node of its candidate"""
+
+    def __init__(self) -> None:
+        self.replaced: list[C] = []
+        self.moved = 0
+        self._confirmed: dict[int, tuple[list[C], Finding[C]]] = {}
+
+    def keep(self, others: list[C], finding: Finding[C]) -> None:
+        """Keep a Finding confirmed beside other terms."""
+        self._confirmed[id(finding.score.candidate)] = others, finding
+
+    def alternatives(self, others: list[C], score: Score[C], size: int) -> list[Alternative[C]] | None:
+        """The alternatives of a term confirmed before that still explains as much, beside others of which none that
+        came or went is among these; None where they are to be sought anew."""
+        before, finding = self._confirmed.get(id(score.candidate), (others, None))
+        if finding is None or not is_same_evidence(finding.score, score, size):
+            return None
+        changed = {(c.name, c.place) for c in before + others if (c in before) != (c in others)}
+        listed = {(a.score.candidate.name, a.score.candidate.place) for a in finding.alternatives}
+        return None if changed & listed else finding.alternatives
+
+
+def _confirm_term(
+    problem: Problem[Fit, Model, C],
+    fit: Fit,
+    number: int,
+    scans: Scans[C],
+    changes: _Changes[C],
+    progress: Progress | None,
+) -> tuple[Fit, Finding[C] | None]:
+    """(Fit, Finding of a term); (Fit without the term or with another in its place, None) where it is not confirmed."""
+    policy, count = problem.policy, len(problem.candidates)
+    replaces = len(changes.replaced) < RESTARTS * policy.most
+    model, size, term = problem.without_term(fit, number), problem.size(fit), problem.terms(fit)[number]
+    scanned, held = problem.rescored(model, fit, number), problem.given.holds(term)
+    own = scanned
+    if not is_significant(own, count, size, policy) and may_become_significant_when_fitted(own, count, size, policy):
+        own = score_raised_to_likelihood_ratio(
+            own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames
+        )
+    if not held and not is_significant(own, count, size, policy):  # beside all others it is none
+        return problem.remove_term(fit, number), None
+    member = None if held or not replaces else _likelier_member(problem, model, fit, number, scanned, changes.replaced)
+    if member is not None:
+        changes.replaced.append(term)
+        return problem.in_place(member, number), None
+    may_move = not held and changes.moved < RESTARTS * policy.most
+    moved = _at_likelier_node(problem, fit, number, scanned) if may_move else None
+    if moved is not None:
+        changes.moved += 1
+        return problem.in_place(moved, number), None
+    others = [c for i, c in enumerate(problem.terms(fit)) if i != number]
+    if (known := changes.alternatives(others, own, size)) is not None:
+        return fit, Finding(number, own, known)
+    found = find_alternatives(
+        problem,
+        model,
+        scanned,
+        labelled_progress(progress, f"alternatives of {own.candidate.name}"),
+        scans.of_same_terms(others, scanned, problem.linear(model).size),
+    )  # like against like
+    tries = refit_alternatives(problem, fit, number, scanned, found, own is not scanned)
+    rest = [a for a in found if not any(a is t.scanned for t in tries)]
+    ranked = sorted([*(t.alternative for t in tries), *rest], key=lambda a: a.behind)
+    better = next((t for t in tries if t.alternative is ranked[0] and _takes_over(problem, fit, number, t)), None)
+    if (
+        better is not None
+        and replaces
+        and not held
+        and not any(better.alternative.score.candidate is c for c in changes.replaced)
+        and is_significant(better.alternative.score, count, size, policy)
+    ):
+        changes.replaced.append(term)
+        return problem.in_place(better.fit, number), None
+    if not held and _outdone(problem, model, fit, own):
+        # only now: what has no name may be likelier than one name, and not than the next
+        member = refit_with_other_member_of_law(problem, model, fit, number, changes.replaced) if replaces else None
+        if member is None:
+            return problem.remove_term(fit, number), None
+        changes.replaced.append(term)
+        return problem.in_place(member, number), None
+    finding = Finding(number, own, [a for a in ranked if is_indistinguishable(a, policy)])
+    changes.keep(others, finding)
+    return fit, finding
 
 
 def _takes_over(problem: Problem[Fit, Model, C], fit: Fit, number: int, tried: Refit[Fit, C]) -> bool:
@@ -281,11 +302,14 @@ def _outdone(problem: Problem[Fit, Model, C], model: Model, fit: Fit, score: Sco
         return False
     size, place, alike = problem.linear(model).size, score.candidate.site, problem.policy.alike
     before = _smooth_functions(problem, model, place)
-    likelier = [u.shortest(size) for u in before if u.evidence(size) > score.evidence(size) + alike]
+    likelier = [u for u in before if u.evidence(size) > score.evidence(size) + alike]
     if not likelier:
         return False
-    far_from_usual = any(score.complexity(size) > cost + alike for _, cost in likelier)
-    return far_from_usual or bool(_smooth_functions(problem, problem.residual(fit), place))
+    after = _smooth_functions(problem, problem.residual(fit), place)
+    kept = {(u.place, u.depends_on, u.freedom): u.delta_chi2 for u in after}
+    likelier = [u for u in likelier if kept.get((u.place, u.depends_on, u.freedom), 0.0) < TAKEN * u.delta_chi2]
+    far_from_usual = any(score.complexity(size) > u.shortest(size)[1] + alike for u in likelier)
+    return far_from_usual or bool(likelier and after)
 
 
 def _smooth_functions(problem: Problem[Fit, Model, C], model: Model, place: Place) -> list[LackOfFit]:
@@ -314,8 +338,18 @@ def _likelier_member(
         return None
     term = problem.terms(fit)[number]
     others = [s for s in _scores_of_other_members(problem, model, term) if not any(s.candidate is c for c in but)]
-    for score in others[: policy.refitted]:
-        if score.evidence(size) < scanned.evidence(size) - policy.alike:
+    if not others:
+        return None
+    fitted = problem.likelihood_ratio(problem.remove_term(fit, number), fit)
+    reach = max(
+        fitted / (scanned.delta_chi2 * scanned.dispersion), 1.0
+    )  # a scan counts as scatter what is not admitted
+
+    def evidence(score: Score[C]) -> float:
+        return reach * score.delta_chi2 * score.dispersion - score.complexity(size)
+
+    for score in sorted(others, key=evidence, reverse=True)[: policy.refitted]:
+        if evidence(score) < evidence(scanned) - policy.alike:
             break
         new = problem.exchange_term(fit, number, score)
         cost = score.complexity(size) - scanned.complexity(size)

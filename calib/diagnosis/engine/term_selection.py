@@ -3,6 +3,7 @@
 Forward steps, backward removal, held-out tests, confirmation against alternatives.
 """
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic
@@ -11,6 +12,7 @@ import numpy as np
 
 from calib.diagnosis.engine.candidate_score import (
     SEVERAL,
+    Scans,
     Score,
     best_effect_at_several_axes,
     score_raised_to_likelihood_ratio,
@@ -18,7 +20,6 @@ from calib.diagnosis.engine.candidate_score import (
 from calib.diagnosis.engine.candidates_thresholds_and_outliers import C
 from calib.diagnosis.engine.finding_confirmation import (
     Finding,
-    Scans,
     confirm_terms,
     is_significant,
     labelled_progress,
@@ -65,7 +66,7 @@ def select_terms(problem: Problem[Fit, Model, C], progress: Progress | None = No
     searched = problem.terms(fit)
     fit, findings = confirm_terms(problem, fit, scans, progress)
     for _ in range(SEARCHED_AGAIN):
-        if {id(c) for c in problem.terms(fit)} == {id(c) for c in searched}:
+        if Counter(map(id, problem.terms(fit))) == Counter(map(id, searched)):
             break
         more = _steps(problem, fit, scans, progress)
         if more is None:
@@ -159,9 +160,9 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress:
             return None
         if not promising:
             return fit
-        if admitted and _smooth_beyond(problem, model, promising[0]):
-            break
         alike = best_effect_at_several_axes(promising, scores, model_size, _projection_of_scores(problem, model))
+        if admitted and _smooth_beyond(problem, model, [promising[0]], alike):
+            break
         promising = sorted(promising, key=lambda s: not any(s is one for one in alike))
         step = _step(problem, fit, promising, scores, refused)
         if step is None:
@@ -288,8 +289,8 @@ def _one_hypothesis_of_alike_axes(
     problem: Problem[Fit, Model, C], fit: Fit, taken: set[tuple[object, ...]], merged: set[str]
 ) -> Fit:
     """The Fit with one hypothesis about the whole machine in place of a name's terms at several axes, where that is
-    likelier once fitted, by what residuals scatter; axes may then differ from it anew. merged : names that it was done
-    for, once each"""
+    likelier once fitted, by what residuals scatter, and no axis then shows what no name explains; axes may then differ
+    from it anew. merged : names that it was tried for, once each"""
     terms, size = problem.terms(fit), problem.size(fit)
     for name in dict.fromkeys(c.name for c in terms if c.site.is_axis and c.name not in merged):
         numbers = [i for i, c in enumerate(terms) if c.name == name and c.site.is_axis]
@@ -306,11 +307,24 @@ def _one_hypothesis_of_alike_axes(
         new = problem.add_term(bare, max(scores, key=lambda s: s.evidence(size)))
         fewer = _parameters(problem, fit, numbers) - _parameters(problem, new, [len(problem.terms(new)) - 1])
         gain = problem.likelihood_ratio(fit, new) / max(left.cost() / left.size, 1.0)
-        if gain + fewer * np.log(size) > 0:
-            merged.add(name)
+        merged.add(name)
+        if gain + fewer * np.log(size) > 0 and not _leaves_axes_unexplained(problem, fit, new, name, places):
             taken -= {known for known in taken if known[0] == name and known[1] in places}
             return new
     return fit
+
+
+def _leaves_axes_unexplained(problem: Problem[Fit, Model, C], fit: Fit, new: Fit, name: str, places: set[str]) -> bool:
+    """Whether with one hypothesis of a name in place of those at several axes, an axis shows a misfit that it did not
+    show before and that the name, differing there, would not explain."""
+    model = problem.residual(new)
+    explained = {u.place for u in problem.lack_of_fit(problem.residual(fit))}
+    left = [u for u in problem.lack_of_fit(model) if u.place not in explained and str(u.place) in places]
+    if not left:
+        return False
+    own = [c for c in _admissible(problem, new) if c.name == name and c.place in places]
+    count, size = len(problem.candidates), problem.linear(model).size
+    return not any(is_significant(s, count, size, problem.policy) for s in problem.search(model, own, -np.inf, None))
 
 
 def _parameters(problem: Problem[Fit, Model, C], fit: Fit, numbers: list[int]) -> float:
@@ -342,15 +356,14 @@ def _companions(
     return fit
 
 
-def _smooth_beyond(problem: Problem[Fit, Model, C], model: Model, best: Score[C]) -> bool:
-    """Whether something that no name explains is larger than what the best name would."""
+def _smooth_beyond(problem: Problem[Fit, Model, C], model: Model, *names: list[Score[C]]) -> bool:
+    """Whether something that no name explains is larger than what the best name would, at one place or at several."""
     if not np.isfinite(problem.policy.smooth_beyond):
         return False
     size = problem.linear(model).size
+    explained = max(sum(s.delta_bic(size) for s in scores) for scores in names)
     return any(
-        u.delta_bic(size) > problem.policy.smooth_beyond * best.delta_bic(size)
-        for u in problem.lack_of_fit(model)
-        if u.dispersion
+        u.delta_bic(size) > problem.policy.smooth_beyond * explained for u in problem.lack_of_fit(model) if u.dispersion
     )
 
 

@@ -51,3 +51,30 @@ def test_what_moves_with_the_speed_is_named_or_listed_among_what_it_cannot_be_to
     effects = tuple(f for f in found.findings if f.effect != "unknown")
     for one in hidden:
         assert one.is_named(effects) or one.is_in_stated_set(effects), (str(one), [str(f) for f in effects])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "seed",
+    [
+        pytest.param(67002, id="springs of which one is three times stiffer, and a hysteresis"),
+        pytest.param(67011, id="struts that warm up and lose steps twice, one of them half as warm as the others"),
+        pytest.param(67014, id="a hysteresis at every strut, and a clock that is late"),
+    ],
+)
+def test_axes_that_differ_in_what_the_whole_machine_shows_leave_nothing_unknown(seed, tmp_path):
+    case, hidden = drawn(seed, 2)
+    result = diagnose(recording_folder.load_recording(record(case, tmp_path / "rec"))).found
+    assert not result.left
+    effects = tuple(diagnosis_report(result).findings)
+    for one in hidden:
+        assert one.is_named(effects) or one.is_in_stated_set(effects), (str(one), [str(f) for f in effects])
+
+
+@pytest.mark.slow
+def test_a_profile_as_fine_as_the_data_show_leaves_nothing_unknown_beside_a_lag(tmp_path):
+    case, hidden = drawn(68004, 3)
+    result = diagnose(recording_folder.load_recording(record(case, tmp_path / "rec"))).found
+    effects = tuple(diagnosis_report(result).findings)
+    assert not result.left
+    assert all(one.is_named(effects) for one in hidden if one.effect in ("servo_lag", "transmission_error"))
