@@ -249,7 +249,7 @@ class ChannelAccessPort:
         if refused:
             self._out += encode_frame("<", number, f"ERR {quote('; '.join(refused))}")
             return
-        writes = [self._put(name, values[name]) for name in names if verb == "PUT" and not is_stop]
+        writes: list[Any] = [self._put(name, values[name]) for name in names if verb == "PUT" and not is_stop]
         kinds = self._ca.ChannelType
         reads = [
             self._channels[name].read(data_type=kinds.STRING if _is_text(name) else kinds.DOUBLE) for name in names
@@ -263,7 +263,7 @@ class ChannelAccessPort:
             name for name in names if name in self._channels and not self._writable.get(self._channels[name].cid, True)
         ]
 
-    def _put(self, name: str, value: str) -> Any:
+    def _put(self, name: str, value: str) -> object:
         """Request to write a value, which asks for no callback."""
         return self._channels[name].write((float(value),), data_type=self._ca.ChannelType.DOUBLE, notify=False)
 

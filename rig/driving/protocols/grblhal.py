@@ -205,7 +205,7 @@ class GrblHAL:
                 "they are rotary",
             )
         self._homing = True
-        verdict = yield from _out_of_alarm("$H", timeout)
+        verdict = yield from self._out_of_alarm("$H", timeout)
         if verdict.accepted is None:
             return Verdict(None, f"not home within {timeout:g} s ([controller] home_timeout)")
         self._homing, self._homed = False, None
@@ -233,7 +233,7 @@ class GrblHAL:
         return Verdict(True)
 
     def unlock(self) -> Dialogue[Verdict]:
-        verdict = yield from _out_of_alarm("$X")
+        verdict = yield from self._out_of_alarm("$X")
         if verdict.accepted:
             yield from self._make_ready()
         return verdict
@@ -276,6 +276,15 @@ class GrblHAL:
         """Units, distances, feed; what it answers. In an alarm it takes none of them."""
         feed = UNCONFIRMED if self.started_anew else CONFIRMED
         return (yield from _answer_lines(f"{READY}{feed}\n".encode(), locked=True))
+
+    def _out_of_alarm(self, line: str, timeout: float | None = None) -> Dialogue[Verdict]:
+        """Send what ends an alarm; one that blocks (a limit switch's, a motor's) takes it after a reset alone."""
+        verdict = yield from _command(line, timeout)
+        if verdict.reason.startswith(f"error:{BLOCKED}"):
+            yield Exchange(b"\x18", lambda lines: bool(_BANNER.match(lines[-1])))
+            yield from self._make_ready()  # its answer comes after the alarm that the start itself may raise
+            verdict = yield from _command(line, timeout)
+        return verdict
 
     def _learn_homed(self) -> Dialogue[None]:
         """Ask until it says whether it is homed, which comes with a whole report, or with every tenth, or never."""
@@ -379,15 +388,6 @@ def _command(line: str, timeout: float | None = None) -> Dialogue[Verdict]:
         return Verdict(None, f"no answer to {line}")
     end = lines[-1].strip()
     return Verdict(end == "ok", "" if end == "ok" else _reason(end))
-
-
-def _out_of_alarm(line: str, timeout: float | None = None) -> Dialogue[Verdict]:
-    """Send what ends an alarm; one that blocks (a limit switch's, a motor's) takes it after a reset alone."""
-    verdict = yield from _command(line, timeout)
-    if verdict.reason.startswith(f"error:{BLOCKED}"):
-        yield Exchange(b"\x18", lambda lines: bool(_BANNER.match(lines[-1])))
-        verdict = yield from _command(line, timeout)
-    return verdict
 
 
 def _reason(line: str) -> str:

@@ -182,7 +182,8 @@ def test_an_alarm_that_blocks_is_reset_before_it_is_homed_or_unlocked(what, line
     """A limit switch's alarm: whoever asks for this at the machine has seen why."""
     script = [
         (line, b"error:79\r\n"),
-        (b"\x18", b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n[MSG:'$H'|'$X' to unlock]\r\n"),
+        (b"\x18", b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"),
+        (b"G21G90G94F100\n", b"ALARM:11\r\n[MSG:Homing cycle required]\r\nerror:9\r\n"),  # not of what follows
         (line, b"ok\r\n"),
         (b"G21G90G94F100\n", b"ok\r\n"),
     ]

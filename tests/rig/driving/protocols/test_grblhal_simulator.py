@@ -44,10 +44,10 @@ class Simulator:
         os.close(ours)
 
     def send(self, text, until=r"ok|error:.*|ALARM:.*"):
-        """What it answers to a line or a byte, up to a line that matches. Nothing else may be driving it."""
+        """What it answers to a line or a byte, until a line matches. Nothing else may be driving it."""
         os.write(self.theirs, text)
         lines, rest, end = [], b"", time.monotonic() + PATIENCE
-        while not lines or not re.fullmatch(until, lines[-1]):
+        while not any(re.fullmatch(until, line) for line in lines):
             assert select.select([self.theirs], [], [], max(end - time.monotonic(), 0))[0], f"no answer, after {lines}"
             *whole, rest = (rest + os.read(self.theirs, 4096)).split(b"\n")
             lines += [line.decode(errors="replace").strip() for line in whole]
@@ -55,11 +55,6 @@ class Simulator:
 
     def report(self):
         return self.send(b"\x87", "<.*>")[-1]
-
-    def wait_for(self, word):
-        end = time.monotonic() + PATIENCE
-        while word not in self.report():
-            assert time.monotonic() < end, self.report()
 
     def end(self):
         """As a power cut, once its settings are in their file."""
