@@ -35,7 +35,7 @@ test-slow: setup
 	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[bucket]'
 	$(BIN)/python -m pytest -q -m slow
 
-out/grblhal/play/grblHAL_sim: setup
+out/grblhal/play/grblHAL_sim: | setup
 	sh .ci/grblhal-simulator
 
 test-grblhal: out/grblhal/play/grblHAL_sim
