@@ -13,6 +13,7 @@ setup: .venv/.ready
 	PYTHON=$(PYTHON) sh .ci/setup rig
 	touch $@
 
+demo demo-files: export PYTHONDONTWRITEBYTECODE =  # empty is unset: the first of many commands writes what all others import
 demo: .venv/.runs
 	sh .ci/demo
 
@@ -26,7 +27,7 @@ docs: .venv/.runs
 	$(BIN)/rig effects document --force --out docs/effects.md
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
 
-test: export PYTHONDONTWRITEBYTECODE =  # empty is unset: the tests start many processes, which would each compile every module
+test: export PYTHONDONTWRITEBYTECODE =  # as above, for the processes that tests start
 test: setup
 	$(BIN)/python -m tests.compile_kernels
 	$(BIN)/python -m pytest -q -n auto --dist worksteal

@@ -170,4 +170,6 @@ def test_the_wheel_works_in_a_fresh_environment():
         env={"PYTHON": sys.executable, "PATH": "/usr/bin:/bin"},
     )
     assert done.returncode == 0, done.stdout + done.stderr
+    times = dict(re.findall(r"(first|second) measure after this installation: (\d+) s", done.stdout))
+    assert set(times) == {"first", "second"}, done.stdout
     assert "nothing wrong or unlikely" in done.stdout and ".whl" in done.stdout and ".tar.gz" in done.stdout

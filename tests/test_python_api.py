@@ -50,6 +50,7 @@ CALLS = {
     "doctor": "rig.compute.installation_inventory:installation_inventory",
     "effects": "rig.effects.texts.effect_file_from_formula:new_effect_from_suggestion_or_example",
     "effects document": "rig.api:effect_catalogue",
+    "doctor kernels": "calib.online.run_options_cameras_sensors_and_observer:compile_kernels_for_run",
     "doctor completion": "rig.cli.shared.argument_parsing:completion_script",
     "print": "synthetic.print_sheets:write_sheets",
     "print check": "vision.printed_marker_size_from_photograph:measure_printed_marker_scale",

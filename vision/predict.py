@@ -84,6 +84,11 @@ class MarkerMap:
         return np.where(own[order][at] == keys, order[at], -1)
 
 
+def are_markers_placed(design: Design) -> bool:
+    """Whether the pose of every marker on its body is stated or found."""
+    return all(marker.pose is not None for target in design.targets for marker in target.listed)
+
+
 def marker_map(design: Design, unplaced: RigidTransform | None = None) -> MarkerMap:
     """MarkerMap of all markers of a Design.
 

@@ -225,7 +225,7 @@ def _within(samples: Samples, correction: AnyCorrection, asked: CorrectionPass) 
         at = pose_coordinates(correction.predict(samples.commanded), home_pose(correction.nominal))
         keep &= asked.poses.holds(at[:, list(pose_coordinate_indices(correction.nominal))])
     if not keep.any():
-        raise NotEnoughData(f"none of {len(samples)} samples lies in the part that is asked for")
+        raise NotEnoughData(f"none of {len(samples)} samples lies in the requested part")
     return keep
 
 

@@ -25,6 +25,7 @@ from calib.models.geometry_and_placement_fit_of_several_recordings import remove
 from calib.models.platform.closed_loop_equations import loop_covariance
 from calib.models.platform.identification import PRIOR
 from calib.report.recording_and_plan_pages import write_recording_page
+from calib.samples.platform_poses_with_alignment_and_tilts import free_ends, recording_in_machine_frames
 from calib.samples.pose_samples import Samples, sample_recording
 from rig.api import CheckResult, load_and_check_recording_files
 from rig.array_and_json_types import Floats, Integers
@@ -37,14 +38,15 @@ from rig.model.hands_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Parallel,
     geometric_parameters,
+    has_struts,
     loop_closure_parameter_jacobian,
     mechanism_with_parameters,
     require_parallel,
     strut_length_jacobian,
 )
-from rig.model.pose import exp
+from rig.model.pose import adjoint, exp
 from rig.recording.combined_recordings import is_measured_by_instrument
-from rig.recording.recording_folder import Recording
+from rig.recording.recording_folder import Recording, RecordingPart
 from rig.recording.recording_tables import Corners
 from rig.report.pages.page_templates_and_index_page import Link
 from vision.checks import find_corner_mistakes
@@ -61,17 +63,20 @@ from vision.recording_combination_and_moved_cameras import combine_recordings, r
 ROUNDS = 4  # of linearising anew
 ALIKE = 1e-3  # probability with which an instrument that stands still is taken for moved, which costs little
 CLEAR = 2.0  # times what it leaves of the struts' closures; a place that does less may be what the model leaves out
+HUBER = 3.0  # times the median; a pose farther off counts less
+WIDE = 3.0  # times its uncertainty, by which a fit may still move a place, as what is unmodelled may have
 SPREAD = 1.4826  # standard deviations in a median of absolute values
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
     """Where an instrument stood in a recording (its number, from 0), seen from its place in the first. motion : (6,) m,
-    rad, in the base
+    rad, in the base; covariance : (6, 6) of it
     p_value : of so much by chance"""
 
     recording: int
     motion: Floats
+    covariance: Floats
     p_value: float
 
     def line(self, name: str) -> str:
@@ -83,14 +88,15 @@ class Place:
         )
 
 
-def remove_instrument_displacement(recording: Recording) -> tuple[Recording, list[Place]]:
+def remove_instrument_displacement(recording: Recording, is_anywhere: bool = False) -> tuple[Recording, list[Place]]:
     """Recording with its instrument's displacement removed.
 
-    Also the [Place] where it was displaced, of a platform.
+    Also the [Place] where it was displaced, of a platform. is_anywhere : whether it is placed anew in each recording,
+    which needs no proof; the first one's is fitted where joints cannot take it up, as those of a plate on struts do
     Raises what sampling raises
     """
     samples, m = sample_recording(recording).samples, require_parallel(recording.design.mechanism)
-    number = _numbers(recording, samples.frame)
+    number, first = _numbers(recording, samples.frame), 0 if is_anywhere and not has_struts(m) else 1
     motions, scatter, start = (
         np.zeros((len(recording.parts), 6)),
         np.zeros((len(recording.parts), len(m.axes))),
@@ -98,16 +104,18 @@ def remove_instrument_displacement(recording: Recording) -> tuple[Recording, lis
     )
     for _ in range(ROUNDS):
         at = replace(samples, T_base_platform=_back(samples.T_base_platform, motions[number]))
-        step, covariance, scatter = _solved(at, number, m, start, scatter)
+        step, covariance, scatter = _solved(at, number, m, start, scatter, first)
         m = mechanism_with_parameters(m, geometric_parameters(m) + step[: len(start)])
-        motions = motions + np.concatenate([np.zeros((1, 6)), step[len(start) :].reshape(-1, 6)])
+        motions[first:] += step[len(start) :].reshape(-1, 6)
     places = []
-    for k, motion in enumerate(motions[1:]):
-        rows = slice(len(start) + 6 * k, len(start) + 6 * k + 6)
-        p = float(scipy.special.chdtrc(6, motion @ np.linalg.solve(covariance[rows, rows], motion)))
-        if p * (len(motions) - 1) < ALIKE and _clear(samples.take(number == k + 1), motion, m):
-            places.append(Place(k + 1, motion, p))
-    return _recording_in_first_base_frame(recording, places), places
+    for k, motion in list(enumerate(motions))[first:]:
+        rows = slice(len(start) + 6 * (k - first), len(start) + 6 * (k - first) + 6)
+        own = covariance[rows, rows]
+        p = float(scipy.special.chdtrc(6, motion @ np.linalg.solve(own, motion)))
+        shows = p * (len(motions) - 1) < ALIKE and _clear(samples.take(number == k), motion, m)
+        if is_anywhere or shows:
+            places.append(Place(k, motion, own, p))
+    return _recording_in_first_base_frame(recording, places, is_anywhere), places
 
 
 def _clear(samples: Samples, motion: Floats, m: Parallel) -> bool:
@@ -120,33 +128,37 @@ def _clear(samples: Samples, motion: Floats, m: Parallel) -> bool:
 
 
 def _solved(
-    samples: Samples, number: Integers, m: Parallel, start: Floats, scatter: Floats
+    samples: Samples, number: Integers, m: Parallel, start: Floats, scatter: Floats, first: int
 ) -> tuple[Floats, Floats, Floats]:
-    """(step (p + 6 later,), its covariance, (parts, axes) m scatter) of geometry and places, linear about a mechanism
+    """(step (p + 6 places,), its covariance, (parts, axes) m scatter) of geometry and places, linear about a mechanism
     and places as they are.
 
     number : (n,) recording of each sample; start : (p,) the stated geometry, to which the prior pulls;
-        scatter : (parts, axes) m, so far
+        scatter : (parts, axes) m, so far; first : of the recordings that has a place
     """
     T, p = samples.T_base_platform, len(start)
-    later = int(number.max())
+    parts = int(number.max()) + 1
+    later = parts - first
     A = strut_length_jacobian(T, m)
     C = loop_covariance(A, samples.covariance)
     W = np.linalg.inv(np.linalg.cholesky(C + np.eye(len(m.axes)) * scatter[number][:, None] ** 2))
     moved = np.zeros((*A.shape[:2], later, 6))
     for k in range(later):
-        moved[number == k + 1, :, k] = (A @ base_motion_columns(T))[number == k + 1]
+        moved[number == k + first, :, k] = (A @ base_motion_columns(T))[number == k + first]
     J = np.concatenate([loop_closure_parameter_jacobian(T, m), moved.reshape(*A.shape[:2], -1)], axis=2)
     left = mechanisms.kinematics_of(m).inverse(T, m) - samples.commanded
+    off = np.linalg.norm((W @ left[..., None])[..., 0], axis=1)
+    W = W * np.sqrt(np.minimum(1.0, HUBER * np.median(off) / np.maximum(off, 1e-12)))[:, None, None]
     white, away = (
         (W @ J).reshape(-1, J.shape[2]),
         np.r_[(start - geometric_parameters(m)) / PRIOR**2, np.zeros(6 * later)],
     )
-    covariance = np.linalg.inv(white.T @ white + np.diag(np.r_[np.full(p, 1 / PRIOR**2), np.zeros(6 * later)]))
+    open_ = np.full(6 * later, 1.0 if first == 0 else 0.0)  # 1/m^2: some motion of a level platform shows nowhere
+    covariance = np.linalg.inv(white.T @ white + np.diag(np.r_[np.full(p, 1 / PRIOR**2), open_]))
     step = covariance @ (white.T @ (W @ left[..., None]).ravel() + away)
     left, own = np.abs(left - J @ step), np.einsum("nii->ni", C)
     spread = np.stack(
-        [(SPREAD * np.median(left[number == k], axis=0)) ** 2 - own[number == k].mean(axis=0) for k in range(later + 1)]
+        [(SPREAD * np.median(left[number == k], axis=0)) ** 2 - own[number == k].mean(axis=0) for k in range(parts)]
     )
     return step, covariance, np.sqrt(np.maximum(spread, 0.0))
 
@@ -158,15 +170,22 @@ def _back(T: RigidTransform, motions: Floats) -> RigidTransform:
     return exp(motions).inv() * T
 
 
-def _recording_in_first_base_frame(recording: Recording, places: list[Place]) -> Recording:
+def _recording_in_first_base_frame(recording: Recording, places: list[Place], is_anywhere: bool) -> Recording:
+    """Recording with its places taken out; of an instrument placed anew in each part, what is open of them is an error
+    that its poses share, so that all later fits solve for it.
+    """
     poses = recording.poses
     if not places or poses is None:
         return recording
-    motions = np.zeros((len(recording.parts), 6))
+    motions, number = np.zeros((len(recording.parts), 6)), _numbers(recording, poses.frame)
     for place in places:
         motions[place.recording] = place.motion
-    turned = motions[_numbers(recording, poses.frame)]
-    return replace(recording, poses=replace(poses, T_base_platform=_back(poses.T_base_platform, turned)))
+    T, common = _back(poses.T_base_platform, motions[number]), poses.common
+    for place in (one for one in places if is_anywhere and one.recording):
+        moved = adjoint(T.inv()) @ np.linalg.cholesky(WIDE**2 * place.covariance)
+        moved[number != place.recording] = 0
+        common = moved if common is None else np.concatenate([common, moved], axis=2)
+    return replace(recording, poses=replace(poses, T_base_platform=T, common=common))
 
 
 def _numbers(recording: Recording, frame: Integers) -> Integers:
@@ -200,7 +219,11 @@ def check_and_combine_recordings(
     """
     every = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if len(every) == 1:
-        return PreparedRecording(every[0], refuse_unfit_recording(every[0], ignore_mistakes, notice), False)
+        recording, look = every[0], refuse_unfit_recording(every[0], ignore_mistakes, notice)
+        if free_ends(recording.design.instrument, recording.design.mechanism)[0] and recording.poses is not None:
+            alone = replace(recording, parts=(RecordingPart(recording, 0, 0.0),))
+            recording, _ = remove_instrument_displacement(recording_in_machine_frames(alone), True)
+        return PreparedRecording(recording, look, False)
     require_combinable(every)
     for recording in every:
         look = refuse_unfit_recording(recording, ignore_mistakes, notice)
@@ -212,13 +235,17 @@ def check_and_combine_recordings(
         notice(line)
     recording = found.recording
     if is_measured_by_instrument(recording):
+        is_anywhere = free_ends(recording.design.instrument, recording.design.mechanism)[0]
+        recording = recording_in_machine_frames(recording)
         measured = "pose" if recording.design.instrument is None else recording.design.instrument.kind
         several = bool(hand_names(recording.design.mechanism))
-        if recording.design.mechanism.strut_joints is not None:
-            recording, places = remove_instrument_displacement(recording)
-            for place in places:
+        if recording.design.mechanism.strut_joints is not None or is_anywhere:
+            recording, places = remove_instrument_displacement(recording, is_anywhere)
+            for place in [] if is_anywhere else places:
                 notice(place.line(every[place.recording].name))
-            if not places:
+            if is_anywhere:
+                notice("the instrument stands anywhere: its place is fitted in each recording")
+            elif not places:
                 notice("the instrument has not moved")
         elif has_placements(recording.design.mechanism, measured) and not several:
             recording, placements = remove_base_and_tool_displacement(recording)
@@ -256,7 +283,7 @@ def pose_mistakes(recording: Recording) -> tuple[Mistake, ...]:
         return find_mistakes_of_several_hands(recording)
     if mechanism.link_rows is not None:
         return find_arm_mistakes(recording)
-    if mechanism.plates is None:
+    if mechanism.plates is None or any(free_ends(recording.design.instrument, mechanism)):
         return ()
     return sort_mistakes(
         command_and_pose_disagreements.command_pose_mistakes(

@@ -123,6 +123,7 @@ class VerificationResult(OneLineRepr):
                 "kept": shown.found.kept,
                 **parts,
                 "offset": shown.found.offset and asdict(shown.found.offset),
+                "far": shown.found.far and asdict(shown.found.far),
             }
         if shown.driven is not None:
             tree["wanted"] = {

@@ -204,7 +204,7 @@ def _effect_texts(findings: Sequence[FindingEntry]) -> list[str]:
         others = dict.fromkeys(
             f"{o.effect.replace('_', ' ')} at {o.place}" for one in ones for o in one.cannot_be_told_from
         )
-        alike = f" (or {', '.join(list(others)[:MENTIONED])}: these data cannot tell)" if others else ""
+        alike = f" (or {', '.join(list(others)[:MENTIONED])}: these data cannot separate them)" if others else ""
         out.append(f"{effect.replace('_', ' ')} at {places}{among}{alike}")
     more = len(out) - MENTIONED
     return [*out[:MENTIONED], *([f"{more} more effects"] if more > 0 else [])]

@@ -196,7 +196,7 @@ def recording_of_data(data: Path, options: WhyOptions, folder: Path, notice: Not
         assert options.rig is not None
         text = read_text(options.rig, LARGEST)
     else:
-        text = arm.rig_toml() + _instrument_text(options, True)
+        text = arm.rig_toml() + _instrument_text(options)
     stated = folder / "rig.toml" if options.rig is None else options.rig
     design = design_of_entries(toml_entries(text, stated))
     into = folder / "recording"
@@ -211,10 +211,6 @@ def recording_of_data(data: Path, options: WhyOptions, folder: Path, notice: Not
     imported, remarks = import_recording(recipe, into, data)
     if arm is not None:
         stated.unlink()
-        posed = imported.posed
-        if posed is not None and posed.alone:
-            (into / "rig.toml").unlink()
-            write_text(into / "rig.toml", arm.rig_toml() + _instrument_text(options, False))
     for line in (*imported.said, *map(str, remarks)):
         notice(line)
     return load(into), arm is not None and options.position_sigma is None
@@ -231,11 +227,11 @@ def _copy_without_machine(data: Path, folder: Path, notice: Notice) -> None:
         write_bytes(into, read_bytes(path))
 
 
-def _instrument_text(options: WhyOptions, turns: bool) -> str:
-    """Text of [instrument]. turns : whether it measures rotations"""
+def _instrument_text(options: WhyOptions) -> str:
+    """Text of [instrument]."""
     position, rotation = (
         default if value is None else value
         for value, default in zip((options.position_sigma, options.rotation_sigma), NOISE)
     )
     lines = ["[instrument]", 'base = "free"', 'tool = "free"', f"position_sigma = {position!r}   # m"]
-    return "\n".join([*lines, *([f"rotation_sigma = {rotation!r}   # rad"] if turns else []), ""])
+    return "\n".join([*lines, f"rotation_sigma = {rotation!r}   # rad", ""])

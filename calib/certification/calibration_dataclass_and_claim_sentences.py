@@ -107,6 +107,7 @@ def verification_line(held_out: HeldOut, claim: Claim | None, verification: Veri
         return f"{here}; nothing that was measured is claimed"
     return (
         f"{here}; the claim is {claim_status_text(verification)} ({_claim_comparison_text(verification)})"
+        + (f"; {verification.far}" if verification.far is not None else "")
         + explaining_rigid_motion_text(verification)
     )
 
@@ -122,6 +123,7 @@ def claim_status_text(verification: Verification) -> str:
         verification.unexplained
         and not verification.refutes
         and (verification.offset is None or not verification.offset.kept)
+        and (verification.far is None or not verification.far.kept)
     )
     return "exceeded by no more than its stated unexplained part permits" if within else "NOT kept"
 

@@ -30,7 +30,7 @@ from rig.report.verdict_and_display import LOOK, Evidence, MissingEvidence, Refu
 
 MORE = (
     "Record more distinct configurations: `rig plan RIG.toml --for parameters --out plan.csv` chooses those that "
-    "tell most"
+    "determine most"
 )
 ONWARD = (
     "Take another recording and certify the calibration with it: `rig certify calibration.json OTHER-REC "
@@ -112,6 +112,12 @@ def evidence_with_displaced_ends(evidence: Evidence, names: Sequence[str], recor
     return replace(evidence, missing=(*evidence.missing, *moved))
 
 
+AGAIN = (
+    "Measure these again: if they come out as before, the machine is off there; a displaced target or reflector shows "
+    "once, and --mask excludes it"
+)
+
+
 def evidence_with_verification(
     evidence: Evidence, verification: Verification | None, recording_name: str = "", next_step: str | None = None
 ) -> Evidence:
@@ -129,6 +135,10 @@ def evidence_with_verification(
             "Reseat the targets and instrument, or state their poses in rig.toml",
         )
         return replace(evidence, missing=(*evidence.missing, moved))
+    if verification.far is not None and verification.far.kept:
+        count = len(verification.far.frames)
+        doubt = f"{count} pose{'s lie' if count > 1 else ' lies'} far off all others"
+        return replace(evidence, missing=(*evidence.missing, MissingEvidence(doubt, AGAIN)))
     if verification.refutes:
         said = f"the claim is NOT kept{recording_name and f' by {recording_name}'}: {refutation_sentence(verification)}"
         return replace(

@@ -22,7 +22,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.certification.error_claim_over_workspace import Claim
 from calib.certification.held_out_errors import pose_errors
 from calib.samples.pose_samples import Samples
-from rig.array_and_json_types import Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.pose import adjoint, exp
 from rig.report.verdict_and_display import REFUTES
 
@@ -30,6 +30,7 @@ LEVEL = 0.995  # of each part's quantile: one claim in a hundred that is kept is
 DRAWS, FEWEST_DRAWS, MOST = 2000, 400, 200_000  # of squares: as many as times the poses make MOST
 NOTICED = 0.975  # chance with which an error of the size that is stated would have been noticed
 FEWEST = 8  # poses from which a rigid motion is estimated
+FAR, BEYOND, MOST_FAR = 10.0, 4.0, 0.1  # times half of all, and times what is allowed; share of the poses at most
 STEPS = 6  # of Gauss and Newton: motions of a metre and a radian converge in five
 TINY = 1e-9  # m or rad, claims below which weigh as this
 
@@ -65,9 +66,27 @@ class Offset:
 
 
 @dataclass(frozen=True, slots=True)
+class FarPoses:
+    """Few poses far off all others. frames : their numbers; kept : whether the claim is kept without them."""
+
+    frames: tuple[int, ...]
+    kept: bool
+
+    def __str__(self) -> str:
+        several = len(self.frames) > 1
+        named = ", ".join(map(str, self.frames))
+        return (
+            f"{len(self.frames)} pose{'s lie' if several else ' lies'} more than {FAR:g} times farther off than half "
+            f"of all (frame{'s' if several else ''} {named}); without {'them' if several else 'it'} the claim is "
+            f"{'kept' if self.kept else 'NOT kept either'}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Verification:
     """A claim held against n poses. position, rotation : Part, None where it was not measured or nothing is claimed of
     it
+    far : FarPoses, None where the claim is kept or no few poses stand out
     offset : Offset that explains why the claim is not kept, None where it is kept or no such motion explains it
     unexplained : whether the claim names something that it leaves so"""
 
@@ -76,6 +95,7 @@ class Verification:
     rotation: Part | None
     offset: Offset | None = None
     unexplained: bool = False
+    far: FarPoses | None = None
 
     @property
     def parts(self) -> dict[str, Part]:
@@ -91,12 +111,13 @@ class Verification:
 
     @property
     def refutes(self) -> bool:
-        """Whether the claim is not kept, and no rigid motion of all poses explains it.
+        """Whether the claim is not kept, and neither a rigid motion of all poses nor few that lie far off explain it.
 
         What a claim names as unexplained differs with the day and the plan: it is refuted by more than REFUTES times
         what it and noise allow.
         """
-        if self.kept or not self.parts or (self.offset is not None and self.offset.kept):
+        explained = (self.offset is not None and self.offset.kept) or (self.far is not None and self.far.kept)
+        if self.kept or not self.parts or explained:
             return False
         return not self.unexplained or max(part.of_allowed for part in self.parts.values()) > REFUTES
 
@@ -116,14 +137,31 @@ def verify_claim(
     """
     if claim.after is None:
         raise ValueError("no factor is claimed, so nothing can be verified")
-    found = replace(
-        _verified(pose_errors(predicted, samples), samples, label, claim, rng), unexplained=bool(claim.unexplained)
-    )
-    return (
-        found
-        if found.kept or not found.parts
-        else replace(found, offset=_offset(predicted, samples, label, claim, found.of_limit, rng))
-    )
+    errors = pose_errors(predicted, samples)
+    found = replace(_verified(errors, samples, label, claim, rng), unexplained=bool(claim.unexplained))
+    if found.kept or not found.parts:
+        return found
+    far = _far(errors, samples, claim)
+    if far.any():
+        kept = _verified(errors[~far], samples.take(~far), label[~far], claim, rng).kept
+        found = replace(found, far=FarPoses(tuple(samples.frame[far].tolist()), kept))
+        if kept:
+            return found
+    return replace(found, offset=_offset(predicted, samples, label, claim, found.of_limit, rng))
+
+
+def _far(errors: Floats, samples: Samples, claim: Claim) -> Booleans:
+    """(n,) whether a pose lies FAR times farther off than half of all, and as far beyond what claim and noise allow;
+    none where these are more than a share MOST_FAR of the poses.
+    """
+    assert claim.after is not None
+    far = np.zeros(len(errors), bool)
+    for rows, three in zip(_parts(errors, claim), claim.after):
+        if rows:
+            C = samples.total_covariance()[:, rows][:, :, rows] + three[2] ** 2 / len(rows) * np.eye(len(rows))
+            size = np.sqrt(np.einsum("ni,nij,nj->n", errors[:, rows], np.linalg.inv(C), errors[:, rows]) / len(rows))
+            far |= size > FAR * max(float(np.median(size)), BEYOND / FAR)
+    return far & (far.mean() <= MOST_FAR)
 
 
 def _verified(

@@ -237,7 +237,8 @@ def strut_machine_workspace_claim(
             *machines.squares(J, back, -offset, correction.rho(commands)), middle, samples, told, rng
         )
         corrected = tuple(part is not None for part in correction.remainder)
-        return replace(claim, unexplained=machines.unexplained(corrected, mechanisms.kinematics_of(nominal).AXIS))
+        axis, units = mechanisms.kinematics_of(nominal).AXIS, mechanisms.axis_units(nominal)
+        return replace(claim, unexplained=machines.unexplained(corrected, axis, units))
     stated = mean_square_pose_errors_of_extension(correction, commands, back)
     if held_out_errors is None:
         own = _scatters(identified, rng) @ (back**2).mean(axis=0).reshape(2, 3, -1).sum(axis=1).T + stated

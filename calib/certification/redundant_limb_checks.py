@@ -121,7 +121,7 @@ def _require_six_limbs(stated: MeasuringLimbs) -> None:
     if n < redundant_struts.SIX:
         raise RigError(
             f"rig.toml has {n} measuring limb{'s' * (n > 1)} in [insitu], and a platform has six freedoms: "
-            "fewer than six lengths tell no "
+            "fewer than six lengths determine no "
             "pose. `rig limbs closures` uses them as checks in addition to the struts"
         )
 

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_travel_limits
+from calib.correction.correction import indices_and_poses_of_solvable_commands
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model import mechanisms
@@ -49,12 +50,16 @@ def strut_load_signs(samples: Samples, nominal: Parallel) -> list[tuple[Floats, 
     @cache
     def there(
         places: bytes,
-    ) -> Floats:  # (m, axes), mean over the payloads; the same places are looked at for every strut
+    ) -> Floats:  # (m, axes), mean over the payloads, 0 of lengths that close on no pose; cached for all struts
         commands = middle + half * np.frombuffer(places).reshape(-1, len(middle))
-        T = mechanisms.kinematics_of(nominal).forward(commands, nominal)
-        return np.asarray(
-            np.average([seen(T, commands, np.full(len(commands), kg)) for kg in each], axis=0, weights=count)
+        index, T = indices_and_poses_of_solvable_commands(
+            commands, lambda values: mechanisms.kinematics_of(nominal).forward(values, nominal)
         )
+        signs = np.zeros(commands.shape)
+        signs[index] = np.average(
+            [seen(T, commands[index], np.full(len(index), kg)) for kg in each], axis=0, weights=count
+        )
+        return signs
 
     def use(i: int) -> Use:
         def mean_and_variance(places: Floats) -> tuple[Floats, Floats]:

@@ -9,7 +9,7 @@ mostly 0. Source: George and McCulloch, Variable selection via Gibbs sampling, J
 Raftery, Bayes factors, J. Am. Stat. Assoc. 90, 1995
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -238,10 +238,10 @@ class Machines:
         """The machines about another fit, whose parameters exceed this one's by (p,) m."""
         return replace(self, parameters=self.parameters - parameters)
 
-    def unexplained(self, corrected: tuple[bool, ...], axis: str) -> tuple[str, ...]:
+    def unexplained(self, corrected: tuple[bool, ...], axis: str, units: tuple[str, ...]) -> tuple[str, ...]:
         """A sentence for each thing that struts do, almost certainly, and that nothing corrects.
 
-        corrected : per strut, whether functions of place are; axis : what an axis is called
+        corrected : per strut, whether functions of place are; axis : what an axis is called; units : of each, m or rad
         """
         found: dict[tuple[str, str], dict[int, float]] = {}
         rest = []
@@ -265,11 +265,11 @@ class Machines:
                 found.setdefault((ANY, ""), {})[i] = _size(rest[-1])
         if not found and _surely(np.sum(rest, axis=0)):
             return (
-                f"the {axis}s together leave {number_text(_size(np.sum(rest, axis=0)) * 1e6, 2)} um beyond what the "
-                "stated pose noise explains, "
+                f"the {_plural(axis)} together leave {number_text(_size(np.sum(rest, axis=0)) * 1e6, 2)} "
+                f"{_micro(units)} beyond what the stated pose noise explains, "
                 "which is attributable to no single one or cause",
             )
-        return tuple(_sentence(over, word, sizes, axis) for (over, word), sizes in found.items())
+        return tuple(_sentence(over, word, sizes, axis, units) for (over, word), sizes in found.items())
 
 
 def _surely(squares: Floats) -> bool:
@@ -280,9 +280,20 @@ def _size(squares: Floats) -> float:
     return float(np.sqrt(np.median(squares[squares > 0])))
 
 
-def _sentence(over: str, word: str, sizes: dict[int, float], axis: str) -> str:
-    struts = f"{axis}{'' if len(sizes) == 1 else 's'} {', '.join(str(i + 1) for i in sizes)}"
-    size = f"{number_text(max(sizes.values()) * 1e6, 2)} um" + ("" if len(sizes) == 1 else " at most")
+def _plural(axis: str) -> str:
+    return "axes" if axis == "axis" else f"{axis}s"
+
+
+def _micro(units: Iterable[str]) -> str:
+    """Millionths of units, as messages name them."""
+    return " or ".join(f"u{unit}" for unit in dict.fromkeys(units))
+
+
+def _sentence(over: str, word: str, sizes: dict[int, float], axis: str, units: tuple[str, ...]) -> str:
+    struts = f"{axis if len(sizes) == 1 else _plural(axis)} {', '.join(str(i + 1) for i in sizes)}"
+    size = f"{number_text(max(sizes.values()) * 1e6, 2)} {_micro(units[i] for i in sizes)}" + (
+        "" if len(sizes) == 1 else " at most"
+    )
     what = {
         SAMPLE: f"scatter by {size} beyond what the stated pose noise explains",
         CONFIGURATION: f"differ from configuration to configuration by {size}, with no pattern "

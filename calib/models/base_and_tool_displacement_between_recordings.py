@@ -19,19 +19,20 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.models.arm import error_model_and_observations as arms
 from calib.models.chain import error_model_and_identification as chains
+from calib.samples.platform_poses_with_alignment_and_tilts import free_ends, poses_aligned_with_machine, stays_level
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Json
 from rig.model.design import Instrument
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.model.mechanisms import kinematics_of
-from rig.model.pose import adjoint, exp, pose_to_vector, skew
+from rig.model.pose import adjoint, align_poses, exp, pose_to_vector, skew
 from rig.recording.recording_folder import Recording
 
 ALIKE = 1e-3  # probability with which an end that stands still is taken for moved, which costs little
 CLEAR = 2.0  # times what it leaves; a displacement that does less may be what the model leaves out
 LOOSE = 1.0  # m, rad; by which an estimate may still be off where it is linearised anew
 HUBER = 3.0  # standard deviations, beyond which a pose counts less
-STEPS, ALTERNATIONS = 30, 20
+STEPS = 30
 SETTLED = 1e-9  # m, rad
 FEWEST = 8  # poses from which a placement is estimated
 ENDS = ("base", "tool")
@@ -215,23 +216,13 @@ def estimate_placement(
             break
     asked = asked_numbers(ends, samples.measured)
     freedom = max(white.left.size - int(asked.sum()), 1)
-    excess = max(1.0, float((white.weight[:, None] * white.left**2).sum()) / freedom)
+    excess = max(1.0, float(((white.weight[:, None] * white.left) ** 2).sum()) / freedom)
     return replace(found, covariance=np.linalg.inv(H) * excess * np.outer(asked, asked))
 
 
 def _aligned(predicted: RigidTransform, samples: Samples, none: Placement, ways: tuple[bool, bool]) -> Placement:
-    """Placement by which positions, and of the tool rotations, agree in the mean; the ends in turn."""
-    T, posed = samples.T_base_platform, samples.measured == "pose"
-    base = tool = NONE
-    for _ in range(ALTERNATIONS if all(ways) else 1):
-        if ways[0]:
-            p, q = (predicted * tool).translation, T.translation
-            turn, _ = Rotation.align_vectors(q - q.mean(axis=0), p - p.mean(axis=0))
-            base = RigidTransform.from_components(q.mean(axis=0) - turn.apply(p.mean(axis=0)), turn)
-        if ways[1]:
-            back = predicted.inv() * base.inv() * T
-            turn = back.rotation.mean() if posed else Rotation.identity()
-            tool = RigidTransform.from_components(np.median(back.translation, axis=0) if posed else np.zeros(3), turn)
+    """Placement by which poses, or positions, agree best, the others where they stand."""
+    base, tool = align_poses(predicted, samples.T_base_platform, ways, 6 if samples.measured == "pose" else 3)
     there = RigidTransform.from_translation(none.origin)
     return replace(none, base=there.inv() * base * there, tool=tool, ends=ways)
 
@@ -322,7 +313,13 @@ def samples_without_displacement(calibration: Calibration, recording: Recording,
 
 def _without_displacement(calibration: Calibration, samples: Samples, instrument: Instrument | None) -> PlacedSamples:
     """The same of samples with the physics that is known. instrument : as rig.toml states it, or None"""
-    fitted = calibration.correction.fitted
+    fitted, ends = calibration.correction.fitted, free_ends(instrument, calibration.correction.nominal)
+    if any(ends):
+        predicted = calibration.correction.predict(samples.effective)
+        level = stays_level(calibration.correction.nominal)
+        T, turn, line = poses_aligned_with_machine(samples.T_base_platform, predicted, ends, level)
+        own, common = turn @ samples.covariance @ turn.T, turn @ samples.common
+        return PlacedSamples(replace(samples, T_base_platform=T, covariance=own, common=common), lines=(line,))
     if not has_placements(fitted, samples.measured):
         return PlacedSamples(samples)
     assert isinstance(fitted, (Arm, Chain))
@@ -336,23 +333,25 @@ def _without_displacement(calibration: Calibration, samples: Samples, instrument
     predicted, scatter = calibration.correction.predict(samples.effective), np.resize(calibration.scatter, 6)
     origin = base_origin(fitted)
 
-    def estimated(ends: tuple[bool, bool]) -> tuple[Placement, Floats]:
-        """(Placement, its (12, 12) covariance by noise alone)."""
+    def estimated(ends: tuple[bool, bool]) -> Placement:
+        """Placement whose covariance has what the calibration and the errors that all poses share leave uncertain."""
         one = estimate_placement(predicted, samples, origin, scatter, ends)
-        own = one.covariance
-        return replace(one, covariance=own + _by_parameters(calibration, fitted, samples, predicted, one)), own
+        shared = _by_shared_errors(calibration, fitted, samples, predicted, one)
+        return replace(one, covariance=one.covariance + shared)
 
-    both, own = estimated((True, True))
+    both = estimated((True, True))
     tested = tested_placement(both, always, is_clear(predicted, samples, both, scatter))
     if not any(tested.ends):
         return PlacedSamples(samples)
     found = both
     if not all(tested.ends):
-        found, own = estimated(tested.ends)
+        found = estimated(tested.ends)
     found = replace(found, ends=tested.ends, p_values=tested.p_values)
     moved = samples_in_reference(samples, found, predicted)
     white = _white(predicted, samples, found, scatter)
-    taken = np.einsum("nka,ab,nkb->nk", white.columns, own, white.columns)
+    A = white.columns * white.weight[:, None, None]
+    hat = np.linalg.inv(np.einsum("nka,nkb->ab", A, white.columns) + np.eye(12) / LOOSE**2)
+    taken = np.einsum("nka,ab,nkb->nk", A, hat, white.columns)
     count = white.left.shape[1]
     share = np.repeat([taken[:, part].mean() for part in (slice(0, 3), slice(3, 6)) if part.start < count], 3)
     grown = np.ones(6)
@@ -371,18 +370,22 @@ def _without_displacement(calibration: Calibration, samples: Samples, instrument
     return PlacedSamples(replace(moved, T_base_platform=T), found, tuple(lines), unexpected)
 
 
-def _by_parameters(
+def _by_shared_errors(
     calibration: Calibration, fitted: Arm | Chain, samples: Samples, predicted: RigidTransform, found: Placement
 ) -> Floats:
-    """(12, 12) covariance of a placement by the uncertainty of the calibration's parameters."""
+    """(12, 12) covariance of a placement by the uncertainty of the calibration's parameters, and by the errors that the
+    poses share, as of cameras: these are other ones than when it was calibrated.
+    """
     q = samples.effective
     J = arms.parameter_jacobian(q, fitted) if isinstance(fitted, Arm) else chains.parameter_jacobian(q, fitted)
     white = _white(predicted, samples, found, np.resize(calibration.scatter, 6))
     J = white.W @ J[:, : white.left.shape[1]]
     H = np.einsum("nka,nkb->ab", white.columns, white.columns) + np.eye(12) / LOOSE**2
     G = np.linalg.solve(H, np.einsum("nka,nkp->ap", white.columns, J))
+    common = samples_in_reference(samples, found, predicted).common[:, : white.left.shape[1]]
+    B = np.linalg.solve(H, np.einsum("nka,nkc->ac", white.columns, white.W @ common))
     asked = asked_numbers(found.ends, samples.measured)
-    return (G @ calibration.covariance @ G.T) * np.outer(asked, asked)
+    return (G @ calibration.covariance @ G.T + B @ B.T) * np.outer(asked, asked)
 
 
 def placement_lines(placements: Sequence[Placement], names: Sequence[str]) -> list[str]:

@@ -312,26 +312,32 @@ def add_pose_to_estimate_in_place(
         return REFUSED
     right, J, motion = np.empty((6, 7 + c)), np.zeros((6, 42)), np.empty((6, 6))
     _frame_motion(R, t, motion)
-    right[:, 1 : 1 + c] = pose.common
-    right[:, 1 + c :] = motion
+    for i in range(6):  # elements, not slices: numba would compile seconds of error messages
+        for j in range(c):
+            right[i, 1 + j] = pose.common[i, j]
+        for j in range(6):
+            right[i, 1 + c + j] = motion[i, j]
     well, struts = whitened_pose_row(R, t, p, Measured(pose.R, pose.t, pose.covariance), machine.variance, right, J)
     if not well:
         return REFUSED
     _begin(S, sums, onset_index)
     rows = np.zeros((6, S.shape[1]))
-    rows[:, :c] = right[:, 1 : 1 + c]
-    rows[:, c:k] = J
     for i in range(6):
         rows[i, k] = right[i, 0]
         for j in range(c):
-            rows[i, k] -= right[i, 1 + j] * s[j]
+            rows[i, j] = right[i, 1 + j]
+            rows[i, k] -= rows[i, j] * s[j]
+        for j in range(42):
+            rows[i, c + j] = J[i, j]
     for w in range(WINDOW):
         if sums[w, -1] > 0:
             at = k + 1 + KINDS * w
-            rows[:, at : at + 6] = struts
-            rows[:, at + 6 : at + 12] = right[:, 1 + c :]
+            for i in range(6):
+                for j in range(6):
+                    rows[i, at + j], rows[i, at + 6 + j] = struts[i, j], right[i, 1 + c + j]
     _absorb(S, rows)
-    innovation[:] = rows[:, k]
+    for i in range(6):
+        innovation[i] = rows[i, k]
     _gather(rows, k, sums)
     if update_at_once:
         solve_triangle_into_estimate(p, s, S)

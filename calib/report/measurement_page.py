@@ -192,6 +192,8 @@ def _recommended_actions(told: MeasurementResult) -> list[str]:
         steps.append("See below why frames lack a pose; `rig view REC --frame N` draws the markers read in one")
     if told.held and told.held.ratio > TWICE and abs(told.held.ratio - 1) > 2 * told.held.scatter:
         steps.append("Determine the unmodelled effects: `rig diagnose REC --out found`")
+    if told.recording.commands is None:  # nothing was commanded that a calibration could correct
+        return [*steps, "See the poses in three dimensions: `rig view MEASURED --page view.html`"]
     return [*steps, "Calibrate from these poses: `rig calibrate MEASURED --out calibration.json`"]
 
 

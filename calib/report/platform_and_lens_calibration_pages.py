@@ -151,7 +151,7 @@ def _held(held: HeldOut | None) -> list[str]:
 def _combinations(calibration: Calibration, found: Identified) -> str:
     """Every combination of the parameters with how well the poses tell it, folded."""
     parts, seen = parameter_combinations(found.root, calibration.correction.fitted)
-    rows = [(part.name, f"{part.sigma * 1e6:.2f}" if part.sigma < 1e-2 else "not told") for part in parts]
+    rows = [(part.name, f"{part.sigma * 1e6:.2f}" if part.sigma < 1e-2 else "not known") for part in parts]
     return folding_section_html(
         f"The {len(parts)} combinations determined by the poses, worst first (condition number {seen.condition:.0f})",
         table_html(("combination", "standard error from the poses alone, um"), rows),

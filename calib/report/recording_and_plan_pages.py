@@ -114,6 +114,8 @@ def _recommended_actions(recording: Recording) -> list[str]:
     """What an owner does next."""
     if recording.poses is None:
         return ["Measure the poses: `rig measure REC --out measured`"]
+    if recording.commands is None:
+        return []
     return [
         "Calibrate: `rig calibrate REC --out calibration.json`",
         "Determine the unmodelled effects: `rig diagnose REC --out found`",

@@ -15,7 +15,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.samples.exposure_conditions import Conditions, conditions_of_exposures
-from calib.samples.platform_poses_with_tilts import poses_with_platform_tilts
+from calib.samples.platform_poses_with_alignment_and_tilts import (
+    UNSTATED,
+    pose_covariance,
+    poses_with_platform_tilts,
+    recording_in_machine_frames,
+    stays_level,
+)
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.base_and_link_tilts import TiltReadings, gravity_at_exposures
@@ -29,7 +35,7 @@ from rig.recording.frame_selection_and_content_hashes import (
     select_hand,
 )
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Corners, Poses
+from rig.recording.recording_tables import Corners
 
 if TYPE_CHECKING:
     from vision.reading.recording_corners import Collected
@@ -230,7 +236,6 @@ def inverse_covariance(covariance: Floats) -> Floats:
     return cast(Floats, np.linalg.inv(covariance + none) - none)
 
 
-UNSTATED = (1e-5, 1e-4)  # m, rad; standard deviations of poses for which nobody states any
 CAMERAS = Instrument("free", "free", *UNSTATED)  # that see an arm's hand, or the room from it
 
 
@@ -280,7 +285,7 @@ def sample_recording(
     ):
         stated = poses.covariance is not None or recording.design.instrument is not None
         return Sampled(
-            samples_of_freedoms(_from_poses(recording, poses), recording.design.mechanism),
+            samples_of_freedoms(_from_poses(recording), recording.design.mechanism),
             "poses.csv",
             None,
             None,
@@ -357,14 +362,17 @@ def _joined_hands(recording: Recording, measured: dict[str, Sampled], which: str
     return Sampled(replace(found, hand=hand[order]), parts[0].source + which, None, None, instrument=CAMERAS)
 
 
-def _from_poses(recording: Recording, poses: Poses) -> Samples:
-    instrument = recording.design.instrument
-    if instrument is not None and not has_links(recording.design.mechanism):
+def _from_poses(recording: Recording) -> Samples:
+    recording = recording_in_machine_frames(recording)
+    assert recording.poses is not None
+    poses, instrument, m = recording.poses, recording.design.instrument, recording.design.mechanism
+    if instrument is not None and not has_links(m):
         _require_whole_poses(recording, instrument)
-    found = pair_samples(recording, poses.frame, poses.T_base_platform, _covariance(poses, instrument), poses.common)
+    covariance = pose_covariance(poses, instrument, m)
+    found = pair_samples(recording, poses.frame, poses.T_base_platform, covariance, poses.common)
     found = replace(found, hand=poses.hand)
     for stage, below in recording.stages.items():
-        own = _covariance(below, instrument)
+        own = pose_covariance(below, instrument, m)
         found = add_stage_measurements(found, stage, below.frame, below.T_base_platform, own, below.common)
     return found
 
@@ -374,8 +382,7 @@ def _require_whole_poses(recording: Recording, instrument: Instrument) -> None:
     kind = recording.design.mechanism.kind
     if "free" in (instrument.base, instrument.tool):
         raise RigError(
-            f'{recording.folder}: an instrument whose pose is unknown (base or tool "free") is estimated '
-            "for arms only, not for a "
+            f'{recording.folder}: an instrument whose pose is unknown (base or tool "free") is not estimated for a '
             f"mechanism of kind {kind!r}; state its poses in the rig's own frames"
         )
     if instrument.kind != "pose":
@@ -383,24 +390,9 @@ def _require_whole_poses(recording: Recording, instrument: Instrument) -> None:
             f"{recording.folder}: an [instrument] of kind {instrument.kind!r} calibrates arms, not a "
             f"mechanism of kind {kind!r}"
         )
-    if instrument.rotation_sigma is None:
+    if instrument.rotation_sigma is None and not stays_level(recording.design.mechanism):
         raise RigError(
             f"{recording.folder}: [instrument] states no rotation_sigma, and positions alone calibrate arms, "
             "not a mechanism of "
             f"kind {kind!r}"
         )
-
-
-def _covariance(poses: Poses, instrument: Instrument | None) -> Floats:
-    """(n, 6, 6) of poses: their own, or what their instrument states."""
-    if poses.covariance is not None:
-        return poses.covariance
-    position, rotation = (
-        (instrument.position_sigma, instrument.rotation_sigma or np.inf) if instrument is not None else UNSTATED
-    )
-    variances = np.repeat([position**2, rotation**2], 3)
-    if instrument is not None and instrument.kind == "distance":
-        variances[1:] = np.inf
-    if instrument is not None and instrument.kind == "direction":
-        variances[5] = np.inf
-    return np.broadcast_to(np.diag(variances), (len(poses.frame), 6, 6))

@@ -67,6 +67,7 @@ GROUPS = {
         "covariance.",
         "export": "A calibrated geometry for other programs: genhexkins, URDF, JSON, CSV.",
         "doctor": "Requirements of rig on this computer: packages, OpenGL, cameras, ports, space, threads.",
+        "doctor kernels": "Compile ahead what `rig run` and `rig measure` would compile, once after an installation.",
         "doctor completion": "The script that makes bash, zsh or fish complete rig's commands and options.",
     },
 }
@@ -76,6 +77,7 @@ SHARED_FILES = {
     "limbs test": "limbs",
     "limbs closures": "limbs",
     "doctor completion": "doctor",
+    "doctor kernels": "doctor",
     "effects document": "effects",
     "view index": "view",
     "print check": "print",

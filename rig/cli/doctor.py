@@ -1,10 +1,11 @@
 """rig doctor: check this computer's installation.
 
 Packages, OpenGL, cameras, ports, disk space, threads.
-`rig doctor completion` prints shell completion for bash, zsh or fish.
+`rig doctor completion` prints shell completion for bash, zsh or fish; `rig doctor kernels` compiles ahead.
 """
 
 from argparse import ArgumentParser, Namespace
+from pathlib import Path
 
 from rig.cli.shared.common_options import add_json_option, print_json
 
@@ -58,3 +59,19 @@ def run_completion(arguments: Namespace) -> None:
     from rig.cli.shared.argument_parsing import completion_script
 
     print(completion_script(arguments.all_commands(), arguments.shell))
+
+
+def arguments_of_kernels(parser: ArgumentParser) -> None:
+    """Add the arguments of `rig doctor kernels` to a parser."""
+    parser.add_argument("design", metavar="RIG.toml", type=Path, help="a hexapod with cameras")
+
+
+def run_kernels(arguments: Namespace) -> None:
+    """Run `rig doctor kernels`.
+
+    Compile what runs and measurements of a rig take, so that no later command waits for it.
+    """
+    from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run
+    from rig.formats.rig_toml import design_from_rig_toml
+
+    compile_kernels_for_run(design_from_rig_toml.load_design(arguments.design))

@@ -221,7 +221,7 @@ def _print_closures(result: LoopClosureResult) -> None:
     legs, found, condition = result.legs, result.closures, result.condition
     print(
         f"{len(legs.names)} legs for six freedoms; {', '.join(legs.names[i] for i in result.chosen)} give the pose, "
-        f"{'as asked' if result.requested else 'the best-conditioned six'} (condition number "
+        f"{'as requested' if result.requested else 'the best-conditioned six'} (condition number "
         f"{np.median(condition):.3g} in the middle, {condition.max():.3g} at most); closures of the others "
         f"at {len(result.frames)} poses, um:"
     )

@@ -5,8 +5,10 @@ Kernels are compiled lazily, with a private cache folder; exports are a package'
 Files in the cache are loaded as code, so its folder must be private.
 """
 
+import hashlib
 import inspect
 import os
+import platform
 import stat
 import sys
 import tempfile
@@ -16,6 +18,7 @@ from contextlib import contextmanager
 from functools import cache, cached_property, update_wrapper
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, Unpack, cast
 
 if TYPE_CHECKING:
@@ -23,6 +26,13 @@ if TYPE_CHECKING:
 
 
 HERE = Path(__file__).parents[1]
+PACKAGES = frozenset({"rig", "vision", "calib", "synthetic"})
+# What LLVM calls a processor of which kernels take no more than all of a kind have, and features that it must have for
+# that. So kernels that one computer compiled run on another, and a release can contain them.
+PORTABLE = {
+    "x86_64": ("x86-64-v3", ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")),
+    "aarch64": ("generic", ("neon",)),
+}
 F = TypeVar("F", bound=Callable[..., object])
 
 
@@ -161,18 +171,34 @@ def _listen() -> None:
     event.register("numba:compile", Heard())
 
 
+@cache
+def _set_portable_processor() -> None:
+    """Make numba compile for every processor of this computer's kind, unless the user has named one."""
+    import numba
+    from llvmlite.binding import get_host_cpu_features
+
+    settings: Any = numba.config
+    machine = platform.machine().lower()
+    name, needed = PORTABLE.get({"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine), ("", ()))
+    here: Mapping[str, bool] = get_host_cpu_features()
+    if name and settings.CPU_NAME is None and settings.CPU_FEATURES is None and all(here.get(one) for one in needed):
+        settings.CPU_NAME, settings.CPU_FEATURES = name, ""
+
+
+@cache
+def _file_digest(path: str) -> bytes:
+    return hashlib.sha256(Path(path).read_bytes()).digest()
+
+
 class Kernel:
     """A function that is compiled, or loaded as an earlier run compiled it, at its first call; other kernels may call
     it.
 
-    function : as written; options : of numba.njit; folder : where what is compiled is kept, None where numba's settings
-    say; to which no other user can write, or else it is another
+    function : as written; options : of numba.njit
     """
 
-    def __init__(
-        self, function: Callable[..., object], options: CompilerOptions, folder: Callable[[], str] | None = None
-    ) -> None:
-        self._function, self._options, self._folder = function, options, folder
+    def __init__(self, function: Callable[..., object], options: CompilerOptions) -> None:
+        self._function, self._options = function, options
         update_wrapper(self, function)
 
     @cached_property
@@ -180,20 +206,47 @@ class Kernel:
         import numba
 
         _listen()
+        _set_portable_processor()
         settings: Any = numba.config  # its names come and go with the environment
         with _FOLDERS:
             before = settings.CACHE_DIR
             try:
                 beside = Path(inspect.getfile(self._function)).parent / "__pycache__"
-                wanted = Path(self._folder() if self._folder is not None else settings.CACHE_DIR or beside)
-                kept = private_folder_or_user_cache(wanted)
-                if kept != wanted and self._folder is not None:
-                    kept = kept / wanted.name  # which tells one version of the sources from another
+                kept = private_folder_or_user_cache(Path(settings.CACHE_DIR or beside))
                 if kept != beside:
                     settings.CACHE_DIR = str(kept)
-                return numba.njit(**self._options)(self._function)
+                compiled: Any = numba.njit(**self._options)(self._function)
             finally:
                 settings.CACHE_DIR = before
+        if self._options.get("cache"):
+            compiled._cache._cache_file._source_stamp = self.digest
+        return cast(Callable[..., object], compiled)
+
+    @cached_property
+    def digest(self) -> bytes:
+        """SHA-256 of all that the compiled kernel depends on: its file, the kernels that it calls, the values and the
+        tuples of other files. Numba itself looks at the kernel's own file alone.
+        """
+        found = hashlib.sha256(_file_digest(inspect.getfile(self._function)))
+        names = self._function.__code__.co_names
+        known = [self._function.__globals__.get(name) for name in names]
+        known += [
+            getattr(module, name)
+            for module in known
+            if isinstance(module, ModuleType)
+            for name in names
+            if module.__name__.partition(".")[0] in PACKAGES and hasattr(module, name)
+        ]
+        for value in known:
+            if isinstance(value, Kernel):
+                found.update(value.digest)
+            elif isinstance(value, type) and value.__module__.partition(".")[0] in PACKAGES:
+                found.update(_file_digest(inspect.getfile(value)))
+            elif value is not None and hasattr(value, "tobytes"):
+                found.update(value.tobytes())
+            elif isinstance(value, (int, float, str, tuple)):
+                found.update(repr(value).encode())
+        return found.digest()
 
     @cached_property
     def _numba_type_(self) -> object:

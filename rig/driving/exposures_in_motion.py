@@ -103,7 +103,7 @@ class FramesDuringMove:
         text = f"exposed more than {ONE_FRAME:g} s from {first[0]}: {text}"
         if self._apart >= ACCIDENTS:
             raise CameraError(f"{ACCIDENTS} frames in a row, {text}; such cameras cannot expose in motion together")
-        self._remark(f"a frame was not kept, as cameras {text}")
+        self._remark(f"a frame was discarded, as cameras {text}")
         return False
 
     def _is_covered(self, t: float) -> bool:

@@ -330,7 +330,7 @@ class RunOperator:
         off = float(max(np.abs(position - goal).max(), np.abs(position - at).max()))
         if off > self.bench.tolerance:
             raise MotionError(
-                f"frame {number} is not kept: {when} its exposure the struts read {off * 1e3:.3f} mm from where they "
+                f"frame {number} is discarded: {when} its exposure the struts read {off * 1e3:.3f} mm from where they "
                 f"were to rest ({position.round(6).tolist()} m); did something else command them?"
             )
         return position

@@ -119,8 +119,8 @@ class SensorPort:
 
 @dataclass(frozen=True, slots=True)
 class Permission:
-    """What an owner permits experiments besides motion. may : "payload" (to be asked to load the platform), "wait" (to
-    wait while temperatures change), "turn cube NAME" (to be asked to take that cube off and to put it back turned)"""
+    """What an owner permits experiments besides motion. may : "payload" (somebody can load the platform), "wait" (to
+    wait while temperatures change), "turn cube NAME" (somebody can take that cube off and put it back turned)"""
 
     may: tuple[str, ...] = ()
 

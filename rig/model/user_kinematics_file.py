@@ -6,6 +6,8 @@ The file is run: it is a program, to be trusted as one. What is wrong with it is
 """
 
 import ast
+import re
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -159,8 +161,9 @@ class KinematicsFile:
 
     def _called(self, name: str, given: Floats, p: Floats, shape: tuple[int, ...], batched: bool) -> Floats:
         function, by_name = getattr(self.module, name), self.by_name(p)
-        with self._reported(name), np.errstate(all="ignore"):
-            found = function(given, by_name) if batched else [function(one, by_name) for one in given]
+        with self._reported(name), np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore", np.exceptions.ComplexWarning)  # of a complex step that a function discards
+            found = function(given, by_name) if batched else [_one(function, one, by_name, shape) for one in given]
             out = np.asarray(found)
         expected = (len(given), *shape)
         if out.shape != expected and len(given):
@@ -240,6 +243,23 @@ def parameter_columns(file: KinematicsFile, poses: Floats, p: Floats, which: Int
 
         out[..., k] = file.derivative(moved, difference_step(float(tolerances[j])))
     return out
+
+
+def _one(
+    function: Callable[[Floats, dict[str, Floats | float]], Floats],
+    given: Floats,
+    by_name: dict[str, Floats | float],
+    shape: tuple[int, ...],
+) -> Floats:
+    """What a function answers of one pose; NaN where Python's math has no answer, as numpy's functions have it."""
+    try:
+        return function(given, by_name)
+    except ZeroDivisionError:
+        return np.full(shape, np.nan)
+    except ValueError as error:
+        if not re.match(r"math domain error|expected a \w+ (input|number)", str(error)):
+            raise
+        return np.full(shape, np.nan)
 
 
 def _turn(axis: int, angle: float | complex) -> Floats:

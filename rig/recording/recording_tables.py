@@ -19,6 +19,7 @@ from rig.formats.checked_entries import LARGEST_RIG, nearest_known_word
 from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, Table, TableFormat, read_csv_table
 from rig.formats.output_files import write_text
 from rig.model.design import Design, Instrument
+from rig.model.hands_places_and_tolerances import hand_names
 from rig.model.pose import TRIANGLE, covariance_from_triangle, pose, pose_to_vector, poses_pointing_along
 from rig.recording.exposures_and_image_files import Exposures
 
@@ -360,6 +361,30 @@ def write_poses(path: Path, poses: Poses, hands: tuple[str, ...] = ()) -> None:
             cells += [f"{value:.9e}" for value in poses.covariance[i][TRIANGLE]]
         lines.append(",".join(cells))
     write_text(path, "\n".join(lines) + "\n")
+
+
+def write_instrument_poses(path: Path, poses: Poses, design: Design, alone: bool = False) -> None:
+    """Write a poses.csv as the instrument of a design measures. alone : whether positions without rotations"""
+    kind = "pose" if design.instrument is None else design.instrument.kind
+    if kind == "pose" and not alone:
+        write_poses(path, poses, hand_names(design.mechanism))
+        return
+    T = poses.T_base_platform
+    columns, values = {
+        "pose": (POSE_COLUMNS[:3], T.translation),
+        "orientation": (POSE_COLUMNS[3:], T.rotation.as_rotvec()),
+        "direction": (VECTOR, T.rotation.as_matrix()[:, :, 2]),
+        "distance": ((DISTANCE,), T.translation[:, :1]),
+    }[kind]
+    named = [] if poses.hand is None else [hand_names(design.mechanism)[number] for number in poses.hand]
+    write_table(
+        path,
+        ("frame", *[HAND][: len(named)], *columns),
+        (
+            ",".join([str(frame), *named[i : i + 1], *(f"{v:.10f}" for v in row)])
+            for i, (frame, row) in enumerate(zip(poses.frame, values))
+        ),
+    )
 
 
 def write_corners(path: Path, corners: Corners) -> None:

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterator
@@ -28,7 +29,9 @@ RUN = ("new", "import", "check", "calibrate", "verify")  # commands of the page 
 
 
 def write_inputs(folder: Path, rows: slice = slice(None)) -> None:
-    """Write data.csv as the dataset's own file has it, and ur10.toml as the page shows it."""
+    """Write data.csv as the dataset's own file has it, ur10.toml as the page shows it, and the page's other data."""
+    shutil.copytree(SHARED / "recordings/tumbling-block", folder / "tumbling-block")
+    shutil.copytree(SHARED / "photos/charuco", folder / "photos")
     read = [np.genfromtxt(SHARED / "recordings/arm-1" / name, delimiter=",", names=True)
             for name in ("commands.csv", "poses.csv", "frames.csv")]  # fmt: skip
     q = np.array([np.interp(read[2]["t"], read[0]["t"], read[0][f"q{k}"]) for k in range(1, 7)]).T

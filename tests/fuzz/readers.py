@@ -258,7 +258,9 @@ def _foreign(folder, design):
         Reader(
             "foreign sensors",
             (log,),
-            lambda path: importers.command_and_sensor_tables.read_sensors(ForeignTable(path), lambda t: True),
+            lambda path: importers.command_and_sensor_tables.read_sensors(
+                ForeignTable(path), lambda t: True, design.mechanism
+            ),
         ),
         Reader("recipe", (recipe,), importers.load_recipe),
         Reader(

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
@@ -18,6 +19,12 @@ from vision.api import focal_length_alarms, measure
 from vision.bundle.adjustment_validation_and_determinacy import determined_combinations
 from vision.bundle.marker_displacements import adjusted_markers, marker_displacements
 from vision.bundle.unknowns_estimate_and_printing_errors import align_points
+from vision.checks.image_sample_corners_and_dictionary_mistakes import few_image_corners
+from vision.checks.mistake_search_by_trial_corrections import (
+    find_corner_mistakes,
+    misplaced_or_exchanged_camera_sentences,
+)
+from vision.checks.recording_refusal_and_cube_layout_remarks import uneven_cube_layout_remarks
 from vision.corner_observations import observations_from_corners
 from vision.pose.marker_places_from_sightings import marker_places_from_sightings
 from vision.predict import marker_map
@@ -173,6 +180,23 @@ def test_a_recording_that_states_no_places_is_measured_and_its_output_states_the
         np.testing.assert_allclose(
             again[marker.id].T_body_marker.as_matrix(), marker.T_body_marker.as_matrix(), atol=1e-8
         )
+
+
+def test_a_recording_that_states_no_places_is_checked(tmp_path):
+    """What is looked at before measuring needs no places, which only measuring finds; of images, identities do."""
+    block = drawn_block(5, off=None)
+    recording = load(recording_folder(block, tmp_path / "rec", block.corners))
+    assert find_corner_mistakes(recording, recording.corners) == ()
+    assert misplaced_or_exchanged_camera_sentences(recording, recording.corners) == []
+    assert uneven_cube_layout_remarks(recording.design) == ()
+    for frame, name in [(0, "a"), (1, "b")]:
+        camera = recording.design.camera(name)
+        (tmp_path / "rec" / name).mkdir()
+        cv2.imwrite(str(tmp_path / "rec" / name / f"{frame}.png"), np.full((camera.height, camera.width), 90, np.uint8))
+    rows = ["frame,t,camera,image", "0,0,a,a/0.png", "1,1,b,b/1.png"]
+    (tmp_path / "rec" / "frames.csv").write_text("\n".join(rows) + "\n")
+    (tmp_path / "rec" / "corners.csv").unlink()
+    assert few_image_corners(load(tmp_path / "rec")) is None
 
 
 def test_a_tag_that_is_never_seen_together_with_others_is_named(tmp_path):

@@ -15,7 +15,7 @@ from rig.model.design import Camera, Design, Target, move_edges_inward
 from rig.recording.recording_tables import Corners
 from vision import lens
 from vision.corner_observations import observations_from_corners
-from vision.predict import marker_map
+from vision.predict import are_markers_placed, marker_map
 from vision.recording_adjustment import Measurement, measure_observations
 from vision.recording_measurement import unsolved_frames_with_enough_markers
 
@@ -75,10 +75,12 @@ def sample_frames(
 ) -> SampledRecording | None:
     """Sample of frames spread over a recording (Seen), the richest of each stretch.
 
-    None without corners.
+    None without corners, and with markers whose places only measuring finds.
     frames : (F,) all frames' numbers; t : (F,) s. What is on a chain's stages below the last is left aside, and what
     was put back: its place is told only to what remounting may do
     """
+    if not are_markers_placed(design):
+        return None
     on_stages = [number for target in design.targets if target.stage for number in target.ids]
     if on_stages:
         design, corners = design.without_stages(), _select_corners(corners, ~np.isin(corners.marker, on_stages))

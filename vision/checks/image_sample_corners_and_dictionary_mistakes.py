@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Pixels
 from rig.checks import Mistake
@@ -30,7 +31,7 @@ OFF = 0.3  # px by which corners.csv may differ from what is read in the images,
 
 def image_sample_corners_and_mistakes(recording: Recording) -> tuple[Corners | None, list[Mistake]]:
     """Corners read from a sample of a recording's images, None without images; and the images' Mistakes."""
-    markers = marker_map(recording.design)
+    markers = marker_map(recording.design, RigidTransform.identity())
     sights, found = _sights(recording, markers, FRAMES)
     numbers = Counter(int(number) for *_, seen in sights for number in seen.marker)
     found += _other_dictionary_mistakes([image for _, _, image, _ in sights], numbers, markers)
@@ -40,12 +41,12 @@ def image_sample_corners_and_mistakes(recording: Recording) -> tuple[Corners | N
 
 def few_image_corners(recording: Recording) -> Corners | None:
     """Corners read from the images of a few frames, None where there are none."""
-    return _corners(_sights(recording, marker_map(recording.design), FEW)[0])
+    return _corners(_sights(recording, marker_map(recording.design, RigidTransform.identity()), FEW)[0])
 
 
 def dictionary_and_identity_mistakes(recording: Recording) -> list[Mistake]:
     """Certain mistakes of dictionary, identity or mirroring in a sample of images."""
-    markers = marker_map(recording.design)
+    markers = marker_map(recording.design, RigidTransform.identity())
     sights, _ = _sights(recording, markers, FEW)
     seen = Counter(int(number) for *_, one in sights for number in one.marker)
     return [

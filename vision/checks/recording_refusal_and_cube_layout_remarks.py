@@ -21,7 +21,7 @@ from rig.model.design_comparison_and_cube_turning_instructions import WORDS
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from vision.checks.mistake_search_by_trial_corrections import find_corner_mistakes
-from vision.predict import MarkerMap, marker_map, markers_expected_in_image
+from vision.predict import MarkerMap, are_markers_placed, marker_map, markers_expected_in_image
 
 Notice = Callable[[str], None]
 
@@ -104,7 +104,7 @@ def uneven_cube_layout_remarks(design: Design) -> tuple[str, ...]:
 
     None where all is even.
     """
-    if not design.targets:
+    if not design.targets or not are_markers_placed(design):
         return ()
     found = marker_map(design.without_stages())
     return (

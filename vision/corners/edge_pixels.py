@@ -265,7 +265,8 @@ def _sort(raster: Raster, count: int, seen: Floats, pixels: EdgePixels) -> int:
         at[_TOLD[seen[raster.entries[k]], 0] + 1] += 1
     for kind in range(KINDS):
         at[kind + 1] += at[kind]
-    first[:] = at
+    for kind in range(KINDS + 1):  # not as one array, of which numba compiles half a second of error messages
+        first[kind] = at[kind]
     for k in range(count):
         entry = raster.entries[k]
         told = _TOLD[seen[entry]]

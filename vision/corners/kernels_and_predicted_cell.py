@@ -5,35 +5,18 @@ The share is from 0 to 1, in and around the cell, by edge spread functions.
 Source: bivariate normal, Drezner and Wesolowsky 1990
 """
 
-import hashlib
 import math
 from collections.abc import Callable
-from functools import cache
-from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import NamedTuple, TypeVar, cast
 
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.compute.numba_kernels_and_lazy_exports import CompilerOptions, Kernel, kernel_cache_folder
+from rig.compute.numba_kernels_and_lazy_exports import CompilerOptions, Kernel
 
 _OPTIONS: CompilerOptions = {"cache": True, "nogil": True, "error_model": "numpy"}
 
 F = TypeVar("F", bound=Callable[..., object])
-
-
-@cache
-def _folder() -> str:
-    """Where compiled kernels are kept. Numba itself would not notice that a kernel in another file, called from this
-    one, has changed.
-    """
-    from numba import config
-
-    here, settings = Path(__file__).parent, cast(Any, config)
-    sources = [path.read_bytes() for path in sorted(here.glob("*.py"))]
-    digest = hashlib.sha256(b"".join(source for source in sources if b"@kernel" in source)).hexdigest()[:16]
-    parent = Path(settings.CACHE_DIR) if settings.CACHE_DIR else kernel_cache_folder() or here / "__pycache__"
-    return str(parent / f"kernels-{digest}")
 
 
 def kernel(function: F) -> F:
@@ -41,12 +24,12 @@ def kernel(function: F) -> F:
 
     Compiled at its first call or loaded from an earlier run.
     """
-    return cast(F, Kernel(function, _OPTIONS, _folder))
+    return cast(F, Kernel(function, _OPTIONS))
 
 
 def inlined_kernel(function: F) -> F:
     """Decorator: a numba kernel that is inlined into the one kernel that calls it."""
-    return cast(F, Kernel(function, {**_OPTIONS, "inline": "always"}, _folder))
+    return cast(F, Kernel(function, {**_OPTIONS, "inline": "always"}))
 
 
 @kernel

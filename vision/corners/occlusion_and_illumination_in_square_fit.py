@@ -53,7 +53,8 @@ def edge_segment_sums(pixels: EdgePixels, g: Floats, rows: Floats, last_step: Fl
     left = np.empty(strip, np.float32)
     for start in range(0, count, strip):
         J, size = rows[start // strip], min(strip, count - start)
-        left[:size] = J[last, :size]
+        for k in range(size):
+            left[k] = J[last, k]
         for i in range(last):
             step = np.float32(last_step[i])
             for k in range(size):

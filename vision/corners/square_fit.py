@@ -346,7 +346,8 @@ def _fit_square(crop: Floats, marker: Printed, m: int, s: float, manner: FitSett
         if away > STRAYED or s > WIDENED * collected:
             if iteration > 0:
                 corners_to_image(lens, centre, quad, corners, fits.covariances[m])
-                quad[:] = corners
+                for k in range(4):
+                    quad[k, 0], quad[k, 1] = corners[k, 0], corners[k, 1]
             there = collect_edge_pixels(crop, marker, quad, g, s, room.raster, every)
             count = remove_occluded_pixels(every, g, hidden) if dropped else there
             dropped = there - count

@@ -242,7 +242,8 @@ def corner_covariance(work: Work, noise2: float, gain: Floats, own: Floats, cova
                 bowed[a, t] += J[a, k] * gain[t, k]
     for a in range(8):
         unit[:] = 0
-        unit[:8] = J[a]
+        for k in range(8):
+            unit[k] = J[a, k]
         cholesky_solve(L, UNKNOWNS, unit, x)
         for b in range(8):
             row[b] = 0
@@ -251,4 +252,5 @@ def corner_covariance(work: Work, noise2: float, gain: Floats, own: Floats, cova
             for s in range(len(own)):
                 for t in range(len(own)):
                     row[b] += bowed[a, s] * own[s, t] * bowed[b, t]
-        covariance[a] = noise2 * row
+        for b in range(8):
+            covariance[a, b] = noise2 * row[b]

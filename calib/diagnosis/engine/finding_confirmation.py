@@ -176,19 +176,15 @@ def confirm_terms(
 ) -> tuple[Fit, list[Finding[C]]]:
     """Confirm each term of a Fit against all candidates: removed, replaced, or retained with its alternatives.
 
-    The others stay admitted meanwhile, and a term's moment or choice is searched for again beside them; all are gone
-    through until none changes. What was replaced does not come back, and after a number of replacements nothing is
-    replaced any more: every term of the Fit is a finding in the end. scans : those made so far
+    The others stay admitted meanwhile, and a term's moment or choice is searched for again beside them; after a change
+    all are gone through anew, and what still explains as much keeps its alternatives. What was replaced does not come
+    back, and after a number of replacements nothing is replaced any more: every term of the Fit is a finding in the
+    end. scans : those made so far
     """
-    changes, changed, findings = _Changes[C](), True, list[Finding[C]]()
-    while changed:
-        changed, findings = False, []
-        while len(findings) < len(problem.terms(fit)):
-            new, finding = _confirm_term(problem, fit, len(findings), scans, changes, progress)
-            if finding is None:
-                fit, changed = new, True
-            else:
-                findings.append(finding)
+    changes, findings = _Changes[C](), list[Finding[C]]()
+    while len(findings) < len(problem.terms(fit)):
+        fit, finding = _confirm_term(problem, fit, len(findings), scans, changes, progress)
+        findings = [] if finding is None else [*findings, finding]
     return fit, sorted(findings, key=lambda f: -f.score.delta_chi2)
 
 
@@ -340,10 +336,10 @@ def _likelier_member(
     others = [s for s in _scores_of_other_members(problem, model, term) if not any(s.candidate is c for c in but)]
     if not others:
         return None
-    fitted = problem.likelihood_ratio(problem.remove_term(fit, number), fit)
-    reach = max(
-        fitted / (scanned.delta_chi2 * scanned.dispersion), 1.0
-    )  # a scan counts as scatter what is not admitted
+    reach = 1.0
+    if not term.extra:  # linear, so that a scan errs only in that it takes for scatter what is not admitted
+        fitted = problem.likelihood_ratio(problem.remove_term(fit, number), fit)
+        reach = max(fitted / (scanned.delta_chi2 * scanned.dispersion), 1.0)
 
     def evidence(score: Score[C]) -> float:
         return reach * score.delta_chi2 * score.dispersion - score.complexity(size)

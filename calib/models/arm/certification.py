@@ -50,7 +50,7 @@ FEW = 30  # configurations below which one at a time is held out, or a tenth of 
 ROUNDS = 2  # of fitting the geometry and the profiles in turn
 UNPLACED = {
     "orientation": "orientations alone were measured, which do not determine lengths and positions",
-    "distance": "a wire's length alone was measured, which does not tell how the arm's base is turned",
+    "distance": "a wire's length alone was measured, which does not determine how the arm's base is turned",
     "direction": "directions alone were measured, which do not determine lengths and positions",
 }
 

@@ -305,7 +305,7 @@ class UserSource:
         image, t, sigma = self._guarded(_stamped)(given)
         if not (asked - ELSEWHERE <= t <= after + ELSEWHERE and 0 <= sigma < ELSEWHERE):
             raise CameraError(
-                f"camera {self.name!r} states t = {t:.3f} s with t_sigma = {sigma:g} s of an image that was asked for "
+                f"camera {self.name!r} states t = {t:.3f} s with t_sigma = {sigma:g} s of an image requested "
                 f"at {asked:.3f} s and was there at {after:.3f} s: is t in seconds since 1970?"
             )
         return Frame(checked_image(image, self._camera), t, sigma)

@@ -278,10 +278,9 @@ A sketch is drawn by the effect's own model, as large as rigs show at the most. 
 hexapod of 0.3 m radius:
 strut 3 goes to and fro, farther every time, and rests in between, the other struts swing, all warms by 20 K, and \
 halfway a payload is put on
-that makes struts pull. Grey is what was told, orange what is done, with errors enlarged; below, the error over what \
-gives the effect away, as a
-diagnosis draws residuals. What a camera sees is drawn over its whole image, at the end of the time below it: grey the \
-markers as stated, orange
+that makes struts pull. Grey is what was commanded, orange what is done, with errors enlarged; below, the error over \
+what gives the effect away, as a diagnosis draws residuals. What a camera sees is drawn over its whole image, at the \
+end of the time below it: grey the markers as stated, orange
 as seen, near ones (large) and farther ones, a stroke at each marker's first corner.
 """
 

@@ -35,7 +35,7 @@ SHARE = 0.125  # of the exposures: more knots than that are no profile
 @dataclass(frozen=True, slots=True)
 class TransmissionError(Effect):
     """Deviation: a natural cubic spline through profile (m or rad), evenly spaced over span (m or rad), by default the
-    axis' whole travel; beyond its ends it stays what it was there. rms tells its size."""
+    axis' whole travel; beyond its ends it stays what it was there. rms is its size."""
 
     place: str
     profile: tuple[float, ...] = (0.0, 0.0)

@@ -283,7 +283,7 @@ def _displaced(way: ExampleRun) -> str:
     base, tips = ((points - low) * scale + [left, top] for points in (base, tips))
     parts = [
         svg_text(4, 14, "The platform", style="name"),
-        svg_text(4, 34, f"grey: told; {enlargement_text('orange: done', much)}"),
+        svg_text(4, 34, f"grey: commanded; {enlargement_text('orange: done', much)}"),
     ]
     for k, style in enumerate(("line grey", "line c1")):
         struts = "".join(

@@ -18,7 +18,9 @@ from rig.errors import FileError, RigError
 from rig.formats.checked_entries import name_problem
 from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import (
+    DIRECTION,
     FRAME,
+    LIMB,
     TIME,
     Cells,
     axis_header_names,
@@ -30,15 +32,13 @@ from rig.formats.importers.units_and_timestamps import (
     ambiguity_error,
     fits_ranges,
     is_likely_length_unit,
-    likely_angle_units,
     likely_length_units_and_zeros,
     split_header,
 )
 from rig.formats.numbers_and_units import ANGLES, LENGTHS
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, require_arm, require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, Mechanism, has_struts, require_axes
 
 
 def _over(per: float, values: Floats) -> Floats:
@@ -66,14 +66,14 @@ class ImportedSensors:
     said: tuple[str, ...]
 
 
-def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool]) -> ImportedSensors:
+def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool], mechanism: Mechanism) -> ImportedSensors:
     """Read the sensor channels of a foreign table.
 
-    are_plausible : whether times (n,) s from the first can be so
+    are_plausible : whether times (n,) s from the first can be so; mechanism : whose struts a temperature may be of
     Raises RigError for what cannot be used.
     """
     cells = read_foreign_table_header_and_cells(table, "sensors")
-    stated = {header: ours for ours, header in table.columns if ours != "t"}
+    stated = {header: [ours for ours, other in table.columns if other == header] for _, header in table.columns}
     found = find_columns(cells, "sensors", TIME, ("t",))
     read_times = cells.times(found["t"], "sensors", table, are_plausible)
     kept, renamed = [("t", cells.header[found["t"]])], []
@@ -82,20 +82,23 @@ def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool]) -
         if at == found["t"]:
             continue
         unit = cells.unit(at)
-        name = stated.get(header) or _name(header, unit)
-        if name_problem(name):
-            raise RigError(f"{table.file}: column {name_problem(name)}; --set 'sensors.columns.NAME={header}' names it")
-        if name in dict(channels) or name == "t":
-            raise RigError(
-                f"{table.file}: two columns would be {name}; --set 'sensors.columns.NAME={header}' names one of them"
-            )
-        channels.append(
-            (name, TO_SI.get(unit or "", cast(Callable[[Floats], Floats], lambda v: v))(np.array(cells.numbers(at))))
-        )
-        kept.append((name, header))
-        if name != header:
+        values = TO_SI.get(unit or "", cast(Callable[[Floats], Floats], lambda v: v))(np.array(cells.numbers(at)))
+        names = stated.get(header) or _names(header, unit, len(mechanism.axes) if has_struts(mechanism) else 0)
+        for name in names:
+            if name_problem(name):
+                raise RigError(
+                    f"{table.file}: column {name_problem(name)}; --set 'sensors.columns.NAME={header}' names it"
+                )
+            if name in dict(channels) or name == "t":
+                raise RigError(
+                    f"{table.file}: two columns would be {name}; --set 'sensors.columns.NAME={header}' names one of "
+                    "them"
+                )
+            channels.append((name, values))
+            kept.append((name, header))
+        if names != [header]:
             converted = unit in TO_SI and unit not in ("C", "kg", "m")
-            renamed.append(f"{header} is {name}" + (f", from {unit}" if converted else ""))
+            renamed.append(f"{header} is {', '.join(names)}" + (f", from {unit}" if converted else ""))
     said = (f"{table.file.name}: {'; '.join(renamed)}",) if renamed else ()
     return ImportedSensors(
         read_times.seconds,
@@ -105,20 +108,32 @@ def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool]) -
     )
 
 
-def _name(header: str, unit: str | None) -> str:
-    """A channel's name out of a header: words joined, its unit as a recording has it behind it."""
+TEMPERATURE = r"(t|temp|temperatur|temperature|temperatura)"
+ROOM = r"(ambient|room|air|lab|laboratory|hall|raum|luft|umgebung|umgebungs|raumluft|halle|aire|ambiante|sala)"
+
+
+def _names(header: str, unit: str | None, struts: int) -> list[str]:
+    """Names of a channel out of a header: words joined, its unit as a recording has it behind it. A temperature of legs
+    without a number is that of each of so many struts.
+    """
     bare = split_header(header)[0] if unit else header
     name = re.sub(r"[^A-Za-z0-9.-]+", "_", bare).strip("_.-")
-    if unit in SI:
-        known = re.fullmatch(r"(?i)(ambient|strut_?[1-6]|camera_.+)_temp(erature)?", name)
-        if known:
-            name = f"{known[1].lower() if not name.lower().startswith('camera') else known[1]}_temperature".replace(
-                "strut_", "strut"
-            )
-        elif re.fullmatch(r"(?i)payload(_mass)?", name):
-            name = "payload_mass"
-        name = f"{name}_{SI[unit]}"
-    return name
+    if unit not in SI:
+        return [name]
+    word = name.lower().replace("_", "")
+    limb = re.fullmatch(rf"{TEMPERATURE}?({'|'.join(LIMB)})s?([1-9]?){TEMPERATURE}?", word)
+    camera = re.fullmatch(rf"(?i)(camera_.+)_{TEMPERATURE}", name)
+    names = [name]
+    if SI[unit] == "C" and re.fullmatch(rf"{TEMPERATURE}?{ROOM}{TEMPERATURE}?", word):
+        names = ["ambient_temperature"]
+    elif SI[unit] == "C" and limb and (limb[1] or limb[4] or len(limb[2]) > 2):
+        own = range(1, struts + 1) if not limb[3] else [int(limb[3])]
+        names = [f"strut{i}_temperature" for i in own] or names
+    elif camera:
+        names = [f"{camera[1]}_temperature"]
+    elif re.fullmatch(r"(?i)payload(_mass)?", name):
+        names = ["payload_mass"]
+    return [f"{one}_{SI[unit]}" for one in names]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,7 +158,11 @@ def read_commands(table: ForeignTable, design: Design) -> ImportedCommands:
     if not axes:
         raise RigError(f'{table.file}: nothing can be commanded of a mechanism of kind "{design.mechanism.kind}"')
     cells = read_foreign_table_header_and_cells(table, "commands")
-    found = find_columns(cells, "commands", {**TIME, **FRAME, **axis_header_names(axes)}, axes)
+    names = axis_header_names(axes)
+    if design.instrument is not None and design.instrument.kind == "direction" and len(axes) == len(DIRECTION):
+        names = {axis: (*names[axis], *words) for axis, words in zip(axes, DIRECTION.values())}
+    units = dict(zip(axes, mechanisms.axis_units(design.mechanism)))
+    found = find_columns(cells, "commands", {**TIME, **FRAME, **names}, axes, units)
     values, table, told = _values(
         cells,
         [found[name] for name in axes],
@@ -192,78 +211,85 @@ def _values(
     cells: Cells, at: list[int], table: ForeignTable, design: Design
 ) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
     """((n, axes) m or rad, ForeignTable with the unit, sentences)."""
-    values = np.array([cells.numbers(k) for k in at]).T
-    if has_links(design.mechanism) and design.mechanism.slides.any():
-        return _sliding(values, [cells.unit(k) for k in at], table, design.mechanism)
-    stated = {table.unit or cells.unit(k) for k in at}
-    if len(stated) > 1:
+    values, m = np.array([cells.numbers(k) for k in at]).T, require_axes(design.mechanism)
+    stated = [cells.unit(k) for k in at]
+    if not has_struts(m):
+        return _of_axes(values, stated, table, m)
+    units = {table.unit or unit for unit in stated}
+    if len(units) > 1:
         raise RigError(
             f"{table.file}: its columns are in different units "
-            f"({', '.join(sorted(str(u or 'none stated') for u in stated))}); "
+            f"({', '.join(sorted(str(u or 'none stated') for u in units))}); "
             "bring them to one unit, or state it: --set commands.unit=mm"
         )
-    unit = stated.pop()
-    kind = ANGLES if design.mechanism.axis_unit == "rad" else LENGTHS
-    if unit is not None and unit not in (*kind, "steps"):
-        raise RigError(
-            f"{table.file}: {unit} is not a unit of {'angles' if kind is ANGLES else 'lengths'}; "
-            f"there are {', '.join(kind)}, steps"
-        )
-    if kind is ANGLES:
-        return _angles(values, unit, table, require_arm(design.mechanism).limits)
+    unit = units.pop()
+    if unit is not None and unit not in (*LENGTHS, "steps"):
+        raise RigError(f"{table.file}: {unit} is not a unit of lengths; there are {', '.join(LENGTHS)}, steps")
     if unit == "steps":
         if table.steps_per_mm is None:
             raise RigError(
                 f"{table.file}: lengths are in steps; how many make a millimetre? --set commands.steps_per_mm=N"
             )
         values = values / table.steps_per_mm
-    m = require_struts(design.mechanism)
     return _lengths(values, unit, table, m.strut_range, mechanisms.kinematics_of(m).home_values(m))
 
 
-def _sliding(
-    values: Floats, stated: list[str | None], table: ForeignTable, arm: Arm
+def _of_axes(
+    values: Floats, stated: list[str | None], table: ForeignTable, m: Commanded
 ) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
-    """((n, axes) rad and m, ForeignTable, sentences) of an arm with slides: each column in the unit that its header
-    states, SI where none is.
+    """((n, axes) rad and m, ForeignTable, sentences) of axes that turn and slide: each column in the unit of its
+    header, or in that stated for the table; others in SI, or in degrees and mm where SI is beyond their travel.
+    Angles of a machine without slides that fit in both are refused.
     """
-    q = values.copy()
-    for i, (slide, unit) in enumerate(zip(arm.slides, stated)):
-        known, si = (LENGTHS, "m") if slide else (ANGLES, "rad")
-        if unit is not None and unit not in known:
-            raise RigError(
-                f"{table.file}: {unit} is not a unit of {arm.axes[i]}, which {'slides' if slide else 'turns'}; "
-                f"there are {', '.join(known)}"
-            )
-        q[:, i] /= known[unit or si]
-    if table.unit is not None or not fits_ranges(q, arm.limits):
-        raise RigError(
-            f"{table.file}: joints that turn and joints that slide have no unit in common: state each "
-            "column's in its header, as in "
-            "q1 [deg] and q3 [mm]; unstated they are rad and m, and have to lie within the limits of rig.toml"
-        )
-    return q, table, ()
+    q, ranges, told = values.copy(), mechanisms.kinematics_of(m).travel_ranges(m), []
+    kinds = mechanisms.axis_units(m)
+    if table.unit is not None and table.unit not in (*ANGLES, *LENGTHS):
+        raise RigError(f"{table.file}: {table.unit} is not a unit of angles or lengths of axes")
+    for si, known, usual, word in (("rad", ANGLES, "deg", "turns"), ("m", LENGTHS, "mm", "slides")):
+        own = [i for i, unit in enumerate(kinds) if unit == si]
+        units = {i: table.unit if table.unit in known else stated[i] for i in own}
+        for i, unit in units.items():
+            if unit is not None and unit not in known:
+                raise RigError(
+                    f"{table.file}: {unit} is not a unit of {m.axes[i]}, which {word}; there are {', '.join(known)}"
+                )
+        open_ = [i for i, unit in units.items() if unit is None]
+        if open_:
+            found = _unit_within_travel(q[:, open_], ranges[open_], table, (si, usual), "m" not in kinds)
+            units |= dict.fromkeys(open_, found)
+            if "m" not in kinds or found == usual:
+                what, limits = ("angles", "joints'") if si == "rad" else ("slides", "slides'")
+                told.append(
+                    f"{table.file.name}: {what} are in {found}, as they are beyond the {limits} limits otherwise"
+                )
+            if len(open_) == len(m.axes):
+                table = replace(table, unit=found)
+        for i, unit in units.items():
+            q[:, i] /= known[unit or si]
+    return q, table, tuple(told)
 
 
-def _angles(
-    values: Floats, unit: str | None, table: ForeignTable, limits: Floats
-) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
-    fit = likely_angle_units(values, limits, ("rad", "deg") if unit is None else (unit,))
-    said = f"angles run from {values.min():.6g} to {values.max():.6g}"
-    if unit is None and len(fit) > 1:
+def _unit_within_travel(
+    values: Floats, ranges: Floats, table: ForeignTable, units: tuple[str, str], refuses_both: bool
+) -> str:
+    """The one of two units in which values (n, k) lie within their travel (k, 2), of both the first. Raises RigError
+    for none, and where both are refused.
+    """
+    per = {**ANGLES, **LENGTHS}
+    fit = [unit for unit in units if fits_ranges(values / per[unit], ranges)]
+    what = "angles" if units[0] == "rad" else "slides"
+    said = f"{what} run from {values.min():.6g} to {values.max():.6g}"
+    if len(fit) > 1 and refuses_both:
         raise ambiguity_error(
-            f"{table.file}: the unit of its angles is not stated, {said}, and both lie within the limits of rig.toml",
-            [(f"up to {np.degrees(np.abs(values).max() / ANGLES[u]):.4g} degrees", f"commands.unit={u}") for u in fit],
+            f"{table.file}: the unit of its {what} is not stated, {said}, and both lie within the limits of rig.toml",
+            [(f"up to {np.abs(values).max():.4g} {unit}", f"commands.unit={unit}") for unit in fit],
         )
-    if unit is None and not fit:
+    if not fit:
         raise RigError(
-            f"{table.file}: {said}, which is beyond the limits in rig.toml in radians and in degrees; --set "
-            "commands.unit=deg states one"
+            f"{table.file}: {said}, which is beyond the limits in rig.toml in {units[0]} and in {units[1]}; --set "
+            f"commands.unit={units[1]} states one, or a header as q1 [{units[1]}]"
         )
-    told = (
-        () if unit else (f"{table.file.name}: angles are in {fit[0]}, as they are beyond the joints' limits otherwise",)
-    )
-    return values / ANGLES[unit or fit[0]], replace(table, unit=unit or fit[0]), told
+    return fit[0]
 
 
 def _lengths(

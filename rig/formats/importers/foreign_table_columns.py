@@ -19,6 +19,7 @@ from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.units_and_timestamps import TIMES, Times, UnclearInput, read_times, split_header
 from rig.formats.local_and_remote_input_files import short_repr
+from rig.formats.numbers_and_units import ANGLES, LENGTHS
 
 TIME = {
     "t": (
@@ -40,6 +41,10 @@ IMAGE = {
     )
 }
 CAMERA = {"camera": ("camera", "cam", "kamera", "appareil", "camara", "相机", "摄像头")}
+DIRECTION: dict[str, tuple[str, ...]] = {
+    "azimuth": ("azimuth", "az", "azm", "azimut", "azobs", "azobserved", "acimut", "方位角"),
+    "elevation": ("elevation", "el", "alt", "altitude", "elobs", "altobs", "hohe", "hoehe", "elevacion", "仰角"),
+}
 LIMB = (
     *(
         "l",
@@ -125,21 +130,33 @@ def _normalised_header(header: str) -> str:
 def axis_header_names(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
     """Accepted header names of axes.
 
-    Returns {axis: names} of the axes l1.. or q1..
+    Returns {axis: names} of the axes l1.. or q1.., and of others their own names
     """
-    return {name: tuple(f"{word}{name[1:]}" for word in (LIMB if name[0] == "l" else JOINT)) for name in names}
+    words = {"l": LIMB, "q": JOINT}
+    return {
+        name: tuple(f"{word}{name[1:]}" for word in words[name[0]])
+        if re.fullmatch(r"[lq]\d+", name)
+        else (_normalised_header(name),)
+        for name in names
+    }
 
 
 def find_columns(
-    cells: Cells, section: str, header_names: Mapping[str, tuple[str, ...]], required_names: Iterable[str]
+    cells: Cells,
+    section: str,
+    header_names: Mapping[str, tuple[str, ...]],
+    required_names: Iterable[str],
+    axis_units: Mapping[str, str] | None = None,
 ) -> dict[str, int]:
     """Columns found by their headers.
 
-    header_names : {our name: what a header may be called}; required_names : that must be there. Raises RigError for
-        what is missing or there twice
+    header_names : {our name: what a header may be called}; required_names : that must be there; axis_units : {our name:
+        "m" or "rad"} of axes. Raises RigError for what is missing or there twice
     Returns {our name: column index}
     """
     stated = dict(cells.table.columns)
+    prefix = _shared_prefix(cells.header, [header_names[ours] for ours in required_names if ours not in stated])
+    words = [_normalised_header(header.removeprefix(prefix)) for header in cells.header]
     found: dict[str, int] = {}
     for ours, names in header_names.items():
         if ours in stated:
@@ -151,9 +168,7 @@ def find_columns(
             continue
         exact = [k for k, header in enumerate(cells.header) if header == ours]
         alike = exact or [
-            k
-            for k, header in enumerate(cells.header)
-            if _normalised_header(header) in names and header not in stated.values()
+            k for k, header in enumerate(cells.header) if words[k] in names and header not in stated.values()
         ]
         if len(alike) > 1:
             raise RigError(
@@ -167,7 +182,10 @@ def find_columns(
         if alike:
             found[ours] = alike[0]
     missing = [ours for ours in header_names if ours not in found and (ours in required_names or ours == "t")]
-    supposed = _supposed_columns(cells, missing, header_names, set(found.values()))
+    supposed = _columns_in_order(cells, missing, axis_units or {}, set(found.values()))
+    missing_still = [ours for ours in missing if ours not in supposed]
+    used = {*found.values(), *(cells.header.index(header) for header in supposed.values())}
+    supposed |= _supposed_columns(cells, missing_still, header_names, used)
     absent = [ours for ours in missing if ours in required_names or ours in supposed]
     if any(ours in required_names or split_header(supposed[ours])[1] in TIMES for ours in absent):
         unread = [header for k, header in enumerate(cells.header) if k not in found.values()]
@@ -193,6 +211,39 @@ def find_columns(
             all(ours in supposed for ours in absent),
         )
     return found
+
+
+def _shared_prefix(header: Sequence[str], required: Sequence[tuple[str, ...]]) -> str:
+    """What stands before all required columns, as "measured_" of measured_x, measured_y, measured_z; "" where they
+    are there without, and where several prefixes are possible.
+
+    required : of each column what its header may be called
+    """
+    plain = {_normalised_header(one) for one in header}
+    parts = [match.groups() for one in header if (match := re.fullmatch(r"(.+[\W_])([^\W_]+)", split_header(one)[0]))]
+    before = [{prefix for prefix, word in parts if _normalised_header(word) in names} for names in required]
+    shared = (
+        set.intersection(*before) if len(required) > 1 and all(plain.isdisjoint(one) for one in required) else set()
+    )
+    return shared.pop() if len(shared) == 1 else ""
+
+
+def _columns_in_order(
+    cells: Cells, missing: Sequence[str], axis_units: Mapping[str, str], used: set[int]
+) -> dict[str, str]:
+    """{axis: header} of missing axes that turn and slide, where as many columns as these have units of angles and
+    lengths in their order; else none.
+    """
+    axes = [ours for ours in missing if ours in axis_units]
+    wanted = [axis_units[ours] for ours in axes]
+    if len(set(wanted)) < 2:
+        return {}
+    kinds = {**dict.fromkeys(ANGLES, "rad"), **dict.fromkeys(LENGTHS, "m")}
+    units = [(header, kinds.get(cells.unit(k) or "")) for k, header in enumerate(cells.header) if k not in used]
+    left = [(header, unit) for header, unit in units if unit is not None]
+    if wanted != [unit for _, unit in left]:
+        return {}
+    return {ours: header for ours, (header, _) in zip(axes, left)}
 
 
 def _supposed_columns(

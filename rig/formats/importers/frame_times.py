@@ -55,7 +55,7 @@ def exposures_with_times(
         )
     if commanded is None or commanded.t is None:
         raise RigError(
-            "the images' names tell no times, and there is no table that does: --frames FILE.csv (frame or "
+            "the images' names have no times, and there is no table of them: --frames FILE.csv (frame or "
             "image, t), or times in names: "
             "--set 'images.names={camera}_{time}'"
         )

@@ -11,10 +11,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats, Integers
-from rig.errors import FileError, RigError
+from rig.errors import FileError, NotConverged, RigError
 from rig.formats.checked_entries import LARGEST_RIG, nearest_known_word
 from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import (
+    DIRECTION,
     FRAME,
     TIME,
     Cells,
@@ -27,10 +28,13 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.numbers_and_units import ANGLES, LENGTHS
 from rig.model.design import Design
 from rig.model.hands_places_and_tolerances import hand_names
-from rig.model.mechanisms import hexapod, kinematics_of
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, is_hexapod
+from rig.model.mechanisms import kinematics_of
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_axes
+from rig.model.pose import poses_pointing_along
+from rig.recording.recording_tables import DISTANCE, directions_of_angles
 
-POSITION = {
+Headers = dict[str, tuple[str, ...]]
+POSITION: Headers = {
     "x": ("x", "tx", "px", "posx", "positionx", "xpos"),
     "y": ("y", "ty", "py", "posy", "positiony", "ypos"),
     "z": ("z", "tz", "pz", "posz", "positionz", "zpos"),
@@ -43,6 +47,7 @@ VECTOR = {
 EULERS = {"roll": ("roll",), "pitch": ("pitch",), "yaw": ("yaw",)}
 QUATERNION = {"qw": ("qw", "quatw", "w"), "qx": ("qx", "quatx"), "qy": ("qy", "quaty"), "qz": ("qz", "quatz")}
 NUMBERED = {"q0": ("q0",), "q1": ("q1",), "q2": ("q2",), "q3": ("q3",), "q4": ("q4",)}
+WIRE: Headers = {DISTANCE: (DISTANCE, "dist", "range", "wire", "wirelength", "abstand", "distanz", "distancia", "距离")}
 HAND = {"hand": ("hand", "tip", "arm", "gripper", "effector", "greifer", "main", "mano")}
 REACH = (0.02, 10.0)  # of the rig's size, that positions lie from its origin
 UNIT = 1e-2  # that a quaternion's length may differ from one
@@ -53,6 +58,7 @@ LEAST = 4  # poses with a command, from which commands decide
 # how rotations can be read: word, unit or None, and what comes of it; and what was read, with the table as read and
 # sentences on it
 Reading = tuple[str, str | None, Rotation]
+ReadPoses = tuple[RigidTransform, ForeignTable, tuple[str, ...]]
 ReadRotations = tuple[Rotation | None, ForeignTable, tuple[str, ...]]
 
 
@@ -86,6 +92,7 @@ def read_poses(
     commands_of_rows : of n rows' (times, frame numbers, n) what was commanded, (n, 6) m, or None where that is not
         known
     are_plausible : whether times (n,) s from the first can be so; of_commands : headers of columns that are commands
+    Raises RigError for what cannot be used, and for positions alone where no instrument measures these
     """
     cells = read_foreign_table_header_and_cells(table, "poses")
     if of_commands:
@@ -94,11 +101,14 @@ def read_poses(
         cells = replace(cells, header=tuple(cells.header[k] for k in keep), rows=rows)
     hands = hand_names(design.mechanism)
     of_hands = HAND if hands else {}
-    names = {**TIME, **FRAME, **of_hands, **POSITION, **VECTOR, **EULERS, **QUATERNION, **NUMBERED}
-    found = find_columns(cells, "poses", names, ("x", "y", "z", *of_hands))
+    kind = "pose" if design.instrument is None else design.instrument.kind
+    names, needed = _columns_of_kind(cells, kind)
+    found = find_columns(cells, "poses", {**TIME, **FRAME, **of_hands, **names}, (*needed, *of_hands))
     table = replace(cells.table, columns=column_headers_for_import_recipe(table, cells, found))
-    p, table, said = _positions(cells, found, table, design)
-    t = None
+    said: tuple[str, ...] = ()
+    p, t = np.zeros((len(cells.rows), 3)), None
+    if kind == "pose":
+        p, table, said = _positions(cells, found, table, design)
     if "t" in found:
         read_times = cells.times(found["t"], "poses", table, are_plausible)
         t, said, table = (
@@ -111,10 +121,64 @@ def read_poses(
     q = commands_of_rows(t, frame, len(p))
     if q is not None and hand is not None:
         q = np.where((hand == 0)[:, None], q, np.nan)  # turns are compared of one hand
-    rotations, table, more = _rotations(cells, found, table, design, p, q)
+    if kind in ("direction", "distance"):
+        T, table, more = (_directions if kind == "direction" else _distances)(cells, found, table)
+        return ImportedPoses(T, False, frame, t, table, (*cells.said, *said, *more), hand)
+    rotations, table, more = _rotations(cells, found, table, design, q)
     alone = rotations is None
+    if alone and (design.instrument is None or kind == "orientation"):
+        raise RigError(
+            f"{table.file} has no columns of rotations (--set poses.columns.rx=HEADER names one), and rig.toml no "
+            "[instrument] that measures positions alone: base, tool and position_sigma, without rotation_sigma"
+        )
     T = RigidTransform.from_components(p, Rotation.identity(len(p)) if alone else rotations)
     return ImportedPoses(T, alone, frame, t, table, (*cells.said, *said, *more), hand)
+
+
+def _columns_of_kind(cells: Cells, kind: str) -> tuple[Headers, tuple[str, ...]]:
+    """({our name: accepted headers}, names that are required) of what an instrument of a kind measures."""
+    rotations: Headers = {**VECTOR, **EULERS, **QUATERNION, **NUMBERED}
+    if kind == "distance":
+        return WIRE, tuple(WIRE)
+    if kind == "orientation":
+        return rotations, ()
+    if kind == "direction":
+        vector = {*"xyz"} <= set(find_columns(cells, "poses", POSITION, ()))
+        return (POSITION, ("x", "y", "z")) if vector else (DIRECTION, tuple(DIRECTION))
+    return {**POSITION, **rotations}, ("x", "y", "z")
+
+
+def _directions(cells: Cells, found: dict[str, int], table: ForeignTable) -> ReadPoses:
+    """Poses that point along directions, azimuth and elevation or vectors."""
+    values = np.array([cells.numbers(found[name]) for name in ("azimuth", "elevation", *"xyz") if name in found]).T
+    if values.shape[1] == 3:
+        length = np.linalg.norm(values, axis=1, keepdims=True)
+        if (np.abs(length - 1) > UNIT).any():
+            raise RigError(f"{table.file}: x, y, z are no directions: vectors of length one")
+        return poses_pointing_along(values / length), table, (f"{table.file.name}: directions are vectors",)
+    stated = {cells.unit(found[name]) for name in DIRECTION} - {None}
+    unit = table.rotation_unit or (next(iter(stated)) if len(stated) == 1 else None)
+    if unit not in ANGLES:
+        fit = [u for u, turn in (("rad", 2 * np.pi), ("deg", 360.0)) if (np.abs(values) <= [turn, turn / 4]).all()]
+        if len(fit) != 1:
+            raise ambiguity_error(
+                f"{table.file}: the unit of azimuth and elevation is not stated, and they do not decide",
+                [(u, f"poses.rotation_unit={u}") for u in ("rad", "deg")],
+            )
+        unit = fit[0]
+    angles = values / ANGLES[unit]
+    if (np.abs(angles) > [2 * np.pi * (1 + UNIT), np.pi / 2]).any():
+        raise RigError(f"{table.file}: an azimuth or elevation is beyond the circle in {unit}")
+    told = () if stated or table.rotation_unit else (f"{table.file.name}: azimuth and elevation are in {unit}",)
+    return poses_pointing_along(directions_of_angles(angles)), replace(table, rotation_unit=unit), told
+
+
+def _distances(cells: Cells, found: dict[str, int], table: ForeignTable) -> ReadPoses:
+    """Poses as far along x as a wire is long."""
+    values, unit = np.array(cells.numbers(found[DISTANCE])), table.unit or cells.unit(found[DISTANCE])
+    if unit not in LENGTHS:
+        raise RigError(f"{table.file}: the unit of its distances is not stated; --set poses.unit=mm states it")
+    return RigidTransform.from_translation(np.outer(values / LENGTHS[unit], [1, 0, 0])), replace(table, unit=unit), ()
 
 
 def _hand_numbers(cells: Cells, at: int, hands: tuple[str, ...]) -> Integers:
@@ -161,7 +225,7 @@ def _size(design: Design) -> float:
 
 
 def _rotations(
-    cells: Cells, found: dict[str, int], table: ForeignTable, design: Design, p: Floats, q: Floats | None
+    cells: Cells, found: dict[str, int], table: ForeignTable, design: Design, q: Floats | None
 ) -> ReadRotations:
     """(Rotation (n,) or None where there are none, ForeignTable, sentences)."""
     group = next((g for g in (QUATERNION, EULERS, NUMBERED, VECTOR) if len(set(g) & set(found)) >= 3), None)
@@ -183,7 +247,7 @@ def _rotations(
         rotation, unit, R = ways[0]
         told = () if table.rotation else (f"{table.file.name}: rotations are {_name(rotation, unit)}",)
         return R, replace(table, rotation=rotation, rotation_unit=unit), told
-    return _by_commands(ways, table, design, p, q)
+    return _by_commands(ways, table, design, q)
 
 
 def _name(rotation: str, unit: str | None) -> str:
@@ -222,35 +286,28 @@ def _angles(
     return found
 
 
-def _disagreement_with_commands(
-    design: Design, p: Floats, q: Floats | None
-) -> Callable[[Rotation], tuple[float, str]] | None:
-    """How far rotations (n,) at positions p (n, 3) m are from what was commanded, q (n, axes), and that in words; None
-    where it cannot be determined.
+def _disagreement_with_commands(design: Design, q: Floats | None) -> Callable[[Rotation], tuple[float, str]] | None:
+    """How far rotations (n,) are from what was commanded, q (n, axes), and that in words; None where it cannot be
+    determined.
 
-    Rows of which nothing commanded is known, NaN, do not count. Of an arm the turns between one pose and the next are
-    compared: they depend neither on where the instrument stands nor on where its target sits.
+    The turns between one pose and the next are compared, but for a tenth, which may be wrong: they depend neither on
+    where the instrument stands nor on where its target sits. Rows of which nothing commanded is known, NaN, do
+    not count.
     """
     m = design.mechanism
-    if q is None:
+    if q is None or not has_axes(m):
         return None
     known = np.isfinite(q).all(axis=1)
-    p, q = p[known], q[known]
-    if len(p) < LEAST:
+    if known.sum() < LEAST:
         return None
-    if is_hexapod(m):
-
-        def of_lengths(R: Rotation) -> tuple[float, str]:
-            off = float(np.sqrt(((hexapod.inverse(RigidTransform.from_components(p, R[known]), m) - q) ** 2).mean()))
-            return off, f"{off * 1e3:.3g} mm"
-
-        return of_lengths
-    if not has_links(m):
+    try:
+        turns = _turns_between_rows(kinematics_of(m).forward(q[known], m).rotation)
+    except NotConverged:  # of commands that close on no pose, which the check of the recording names
         return None
-    turns = _turns_between_rows(kinematics_of(m).forward(q, m).rotation)
 
     def of_turns(R: Rotation) -> tuple[float, str]:
-        off = float(np.sqrt(np.mean((_turns_between_rows(R[known]) - turns) ** 2)))
+        squares = np.sort((_turns_between_rows(R[known]) - turns) ** 2)
+        off = float(np.sqrt(np.mean(squares[: max(len(squares) * 9 // 10, 1)])))
         return off, f"{np.degrees(off):.2g} degrees"
 
     return of_turns
@@ -261,9 +318,7 @@ def _turns_between_rows(R: Rotation) -> Floats:
     return (R[:-1].inv() * R[1:]).magnitude()
 
 
-def _by_commands(
-    ways: list[Reading], table: ForeignTable, design: Design, p: Floats, q: Floats | None
-) -> ReadRotations:
+def _by_commands(ways: list[Reading], table: ForeignTable, design: Design, q: Floats | None) -> ReadRotations:
     """The reading with which the commands agree; zyx about fixed axes is XYZ about moving ones, and of the same the
     first counts.
     """
@@ -271,7 +326,7 @@ def _by_commands(
     for way in ways:
         if not any((way[2] * other[2].inv()).magnitude().max() < 1e-9 for other in distinct):
             distinct.append(way)
-    miss = _disagreement_with_commands(design, p, q)
+    miss = _disagreement_with_commands(design, q)
     if miss is not None:
         ranked = sorted(distinct, key=lambda way: miss(way[2])[0])
         if len(ranked) == 1 or miss(ranked[0][2])[0] < BETTER * miss(ranked[1][2])[0]:

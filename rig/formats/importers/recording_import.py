@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import partial
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -39,12 +40,12 @@ from rig.formats.output_files import write_bytes
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model.design import Design
-from rig.model.hands_places_and_tolerances import hand_names
 from rig.recording.exposures_and_image_files import image_file_problem
-from rig.recording.recording_tables import Poses, write_poses, write_table
+from rig.recording.recording_tables import Poses, write_instrument_poses, write_table
 
 LARGEST_IMAGE_FILE = 1 << 31  # bytes
 SAME_MOMENT = 0.05  # s that a pose may be from its frame
+NO_ROTATIONS = "rotation_sigma is left out of the recording's rig.toml, as no rotations were measured"
 SPANS = (0.02, 50.0)  # of another file's span, that a file's may have
 
 
@@ -61,7 +62,7 @@ class ImportedRecording:
     logged: ImportedSensors | None
     recipe: Recipe
     said: tuple[str, ...]
-    rig: str | None = None  # rig.toml with the cameras of another program; None: as its owner has it
+    rig: str | None = None  # rig.toml with other cameras or another instrument; None: as its owner has it
 
 
 def design_with_imported_cameras(recipe: Recipe) -> tuple[Design, str | None, tuple[str, ...]]:
@@ -154,8 +155,10 @@ def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
     if exposed is None:
         raise RigError("there are no observations")
     _refuse_unused_options(recipe, skip_unreadable)
+    if posed is not None and posed.alone and design.instrument is not None and design.instrument.rotation_sigma:
+        rig, of_cameras = _without_rotation_sigma(recipe, rig), (*of_cameras, NO_ROTATIONS)
     commanded = _clocked(exposed, commanded)
-    logged = read_sensors(recipe.sensors, _like(exposed.t)) if recipe.sensors else None
+    logged = read_sensors(recipe.sensors, _like(exposed.t), design.mechanism) if recipe.sensors else None
     require_one_clock(exposed, commanded)
     recipe = replace(
         recipe,
@@ -169,6 +172,15 @@ def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
         *dict.fromkeys(line for part in (commanded, exposed, posed, logged) if part for line in part.said),
     )
     return ImportedRecording(design, exposed, commanded, posed, logged, replace(recipe, said=said), said, rig)
+
+
+def _without_rotation_sigma(recipe: Recipe, text: str | None) -> str:
+    """rig.toml of a recording whose instrument measured positions alone. text : with other cameras, or None"""
+    import tomlkit
+
+    document = tomlkit.parse(read_text(recipe.rig, design_from_rig_toml.LARGEST) if text is None else text)
+    cast(dict[str, object], document["instrument"]).pop("rotation_sigma")
+    return tomlkit.dumps(document)
 
 
 def _refuse_unused_options(recipe: Recipe, skip_unreadable: bool) -> None:
@@ -279,6 +291,12 @@ def _placed(
         if t is None:
             raise RigError(f"{posed.table.file}: the poses have no times, and the number of commands differs")
         numbers = list(range(n)) if posed.frame is None else posed.frame.astype(int).tolist()
+        if posed.frame is None and len(set(t)) < n:
+            raise RigError(
+                f"{posed.table.file}: {n - len(set(t))} of {n} rows have the time of another. Where a column says of "
+                "which of an arm's reflectors or hands each is, state these in rig.toml as [[mechanism.hand]] (docs/"
+                "several-hands.md) and --set poses.columns.hand=HEADER; else write times with milliseconds at least"
+            )
         if len(set(numbers)) < n:
             raise RigError(f"{posed.table.file}: a frame occurs twice")
         order = sorted(range(n), key=lambda k: (t[k], numbers[k]))
@@ -358,7 +376,7 @@ def write_recording(imported: ImportedRecording, folder: Path) -> None:
         )
     if posed is not None and posed.frame is not None:
         found = Poses(posed.frame.astype(int), posed.T, None, hand=posed.hand)
-        write_poses(folder / "poses.csv", found, hand_names(imported.design.mechanism))
+        write_instrument_poses(folder / "poses.csv", found, imported.design, posed.alone)
     if imported.logged is not None:
         names, columns_of = zip(*imported.logged.channels)
         write_table(

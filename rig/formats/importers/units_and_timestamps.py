@@ -136,11 +136,6 @@ def is_likely_length_unit(values: Floats, ranges: Floats, unit: str, relative: s
     )
 
 
-def likely_angle_units(values: Floats, limits: Floats, units: Sequence[str]) -> list[str]:
-    """Likely units of angles (n, axes): those that keep them within their limits (axes, 2) rad."""
-    return [u for u in units if fits_ranges(values / ANGLES[u], limits)]
-
-
 ISO = re.compile(r"(\d{4}-?\d\d-?\d\d[T _]\d\d:?\d\d(?::?\d\d)?)([.,]\d{1,18})?\s*(Z|z|[+-]\d\d:?\d\d)?")
 ZONE = re.compile(r"([+-])(\d\d):?(\d\d)|Z|UTC")
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)

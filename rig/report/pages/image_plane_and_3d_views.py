@@ -200,9 +200,26 @@ def view_3d_html(scene: Scene) -> list[str]:
         '<canvas id="stage-view" role="img" tabindex="0" aria-label="the rig in three dimensions; arrow keys '
         'turn it"></canvas>'
         f'<div class="controls">{_controls(scene, len(chosen))}</div>'
-        + (f"<figcaption>{' '.join(told)}</figcaption>" if told else "")
+        + f"<figcaption>{' '.join([inline_html(_caption(scene)), *told])}</figcaption>"
         + f'</figure><script type="application/json" id="stage-data">{data}</script>',
     ]
+
+
+def _caption(scene: Scene) -> str:
+    """What a scene shows, in words: of its parts those that it has."""
+    kinds = {part["kind"] for part in (*scene.fixed, *scene.moved)}
+    hand = "at the platform joints" if len(scene.ends) > 1 else "at the measured body"
+    seen = {
+        "numbered lines are the struts, outlines join the joints of base and platform": len(scene.base),
+        "the bent line is the arm, from joint to joint": scene.links is not None,
+        "the cross shows the axes of the measured body": not len(scene.platform),
+        "squares are the markers": "face" in kinds,
+        "named pyramids are the cameras, open to where they look": "camera" in kinds,
+        f"coloured lines {hand} lead from a pose to where its error or the effect takes it": scene.errors
+        or scene.effects,
+    }
+    parts = "; ".join(text for text, there in seen.items() if there)
+    return f"The rig in the base frame at {len(scene.frames)} poses, one after another. {parts.capitalize()}."
 
 
 def view_3d_scripts_if_needed(parts: Sequence[str]) -> tuple[str, ...]:

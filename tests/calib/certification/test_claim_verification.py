@@ -96,6 +96,29 @@ def test_a_moved_base_does_not_excuse_what_is_wrong_besides(design):
     assert not found.kept and found.offset is not None and not found.offset.kept
 
 
+def bumped(samples, count):
+    """Samples of which as many, spread evenly, were measured wrong by 2 mm; and their frames."""
+    some = np.arange(len(samples))[:: len(samples) // count][:count]
+    wrong = np.zeros((len(samples), 6))
+    wrong[some, 1] = 2e-3
+    return replace(samples, T_base_platform=samples.T_base_platform * exp(wrong)), tuple(some.tolist())
+
+
+def test_few_poses_far_off_all_others_are_named_and_no_broken_claim(design):
+    predicted, samples = trial(design, 4, 0.7)
+    wild, frames = bumped(samples, 3)
+    found = held(predicted, wild)
+    assert not found.kept and not found.refutes and found.far.frames == frames and found.far.kept
+    assert "frames 0, 20, 40); without them the claim is kept" in str(found.far)
+
+
+@pytest.mark.parametrize("size, count", [(3.0, 3), (0.7, 12)])
+def test_far_poses_excuse_neither_what_is_wrong_besides_nor_many(design, size, count):
+    predicted, samples = trial(design, 5, size)
+    found = held(predicted, bumped(samples, count)[0])
+    assert found.refutes and (found.far is None or not found.far.kept)
+
+
 def test_a_few_visits_of_one_configuration_count_once(design):
     predicted, samples = trial(design, 6, 0.9, count=4)
     again = np.tile(np.arange(4), 15)

@@ -23,6 +23,7 @@ from calib.certification.strut_deviation_covariance_functions import (
 )
 from calib.certification.strut_deviation_sizes_and_possible_machines import (
     Closures,
+    _sentence,
     draw_strut_deviation_component_sizes,
 )
 from calib.files.calibration_file import calibration_with_provenance
@@ -168,3 +169,15 @@ def test_components_have_a_mean_square_of_one_where_the_machine_is_used(design):
         elif part.kernel is not None:
             there, rest = part.at(places)
             assert np.mean((there**2).sum(axis=1) + rest) == pytest.approx(1, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    "axis, units, says",
+    [
+        ("strut", ("m",) * 6, "struts 1, 3: residuals scatter by 20 um"),
+        ("axis", ("rad",) * 6, "axes 1, 3: residuals scatter by 20 urad"),
+    ],
+)
+def test_axes_are_named_in_their_unit(axis, units, says):
+    """What axes of a kinematics file leave is told in the unit of their travel."""
+    assert _sentence(SAMPLE, "", {0: 1e-5, 2: 2e-5}, axis, units).startswith(says)

@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.certification.strut_deviation_covariance_functions import strut_load_signs
+from calib.certification.strut_deviation_covariance_functions import PLACES, strut_load_signs
 from calib.samples.exposure_conditions import Conditions, Weight
+from rig.errors import NotConverged
 from rig.model.mechanisms import hexapod
+from rig.planning.configuration_generators import evenly_spread_configurations
 from tests.calib.certification.test_left_out import calibrated, driven
 from tests.calib.noisy_samples import rms, sampled
 
@@ -52,3 +54,28 @@ def test_a_claim_holds_where_joints_have_a_clearance_and_names_the_load(tmp_path
     of, calibration, claim, _ = calibrated(tmp_path / "rec", 0, "joint_clearance", "strong", "ladders")
     assert "the sign of its load" in claim.unexplained[0]
     assert 0.97 * claim.after[0][1] <= rms(driven(of, calibration)[0])[0] <= 1.03 * claim.after[0][2]
+
+
+def test_travels_whose_corners_close_on_no_pose(design):
+    """An owner's strut_range may reach where no platform holds the struts: those places have no sign, and no error."""
+    samples, _ = sampled(design, 3, 60)
+    n, m = len(samples), design.mechanism
+    middle, half = m.strut_range.mean(axis=1), np.ptp(m.strut_range, axis=1) / 2
+    wide = replace(m, strut_range=np.stack([middle - 2.4 * half, middle + 2.4 * half], axis=1))
+    assert 0 < len(refused(wide)) < len(evenly_spread_configurations(wide, PLACES))
+    known = Conditions(
+        np.zeros((n, 6)), samples.t, {}, Weight(np.array([0, 0, -9.81]), 5.0, np.array([0, 0.4, 0.3]), None)
+    )
+    for one in strut_load_signs(replace(samples, conditions=known), wide):
+        if one is not None:
+            mean, variance = one[1]((evenly_spread_configurations(wide, PLACES) - middle) / (2.4 * half))
+            assert set(mean[refused(wide)]) <= {0.0} and set(variance[refused(wide)]) <= {1.0}
+
+
+def refused(m):
+    """Indices of the places looked at that close on no pose."""
+    try:
+        hexapod.forward(evenly_spread_configurations(m, PLACES), m)
+    except NotConverged as error:
+        return error.index
+    return []

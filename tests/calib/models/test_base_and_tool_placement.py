@@ -198,6 +198,19 @@ def test_wild_poses_do_not_move_the_base(tmp_path):
     assert not verify(calibration, written(bumped, tmp_path / "b")).figures.displacement
 
 
+def test_wild_poses_do_not_grow_with_what_the_placement_takes(tmp_path):
+    """Poses that were measured wrong are off by that much, are named, and refute nothing."""
+    case, ends = arm(3), ("free", "free")
+    calibration = calibrate(written(case, tmp_path / "a", ends=ends), CalibrateOptions(quick=True)).calibration
+    later, bump = _later(case, 1), np.zeros((COUNT, 6))
+    bump[[4, 17, 31], 0] = 5e-3
+    seen = replace(later, seen=rows_of(displaced(matrices(later.seen), bump)))
+    found = verify(calibration, written(seen, tmp_path / "b", ends=ends))
+    assert found.figures.held.after.position[2] == pytest.approx(5e-3, rel=0.2)
+    assert found.figures.found.far.frames == (4, 17, 31) and found.refutation is None
+    assert found.verdict.line.startswith("check") and "(frames 4, 17, 31)" in found.verdict.line
+
+
 def test_another_arms_poses_are_refused(tmp_path):
     """A recording of another arm is no displacement: its joint angles are not those of these poses."""
     case = arm(0)

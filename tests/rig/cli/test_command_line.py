@@ -226,6 +226,25 @@ def test_doctor_tells_what_is_missing(capsys, monkeypatch):
     )
 
 
+@pytest.mark.slow
+def test_doctor_compiles_what_a_measurement_takes(tmp_path):
+    cache = tmp_path / "kernels"
+    cache.mkdir(mode=0o700)
+    for words in (["kernels", BENCH / "fit" / "rig.toml"], ["kernels", tmp_path / "no.toml"]):
+        done = subprocess.run(
+            [*RIG, "doctor", *map(str, words)],
+            capture_output=True,
+            text=True,
+            env={**os.environ, "NUMBA_CACHE_DIR": str(cache)},
+        )
+        assert done.returncode == (words[1].name == "no.toml") and not done.stdout, done.stderr
+    assert {path.name.partition(".")[2].partition("-")[0] for path in cache.rglob("*.nbi")} >= {
+        "fit_squares",
+        "refine_pose",
+        "add_pose_to_estimate_in_place",
+    }
+
+
 def test_doctor_names_cameras_without_opening_them(tmp_path):
     (tmp_path / "video0").mkdir()
     (tmp_path / "video0" / "name").write_text("HD cam\n")

@@ -100,24 +100,45 @@ def test_a_folder_of_somebody_else_is_not_taken(monkeypatch, tmp_path):
     forget()
 
 
-def test_another_folder_still_tells_versions_of_the_sources_apart(locked, monkeypatch, tmp_path):
-    import numba
+KERNEL = "from rig.compute.numba_kernels_and_lazy_exports import njit\n{imports}\n@njit(cache=True)\n{function}"
 
-    used = []
-    monkeypatch.setattr(
-        numba, "njit", lambda **options: lambda function: used.append(numba.config.CACHE_DIR) or function
+
+@pytest.mark.parametrize("changed", ["kernel", "number", "array"])
+def test_a_kernel_is_compiled_anew_after_a_change_of_what_it_takes_from_another_file(changed, tmp_path):
+    def written(gain):
+        at = {name: gain if name == changed else 2.0 for name in ("kernel", "number", "array")}
+        below = f"import numpy as np\nNUMBER, ARRAY = {at['number']}, np.array([{at['array']}])\n"
+        below += KERNEL.format(imports="", function=f"def below(x):\n    return x * {at['kernel']}\n")
+        above = "def above(x):\n    return below(x) * NUMBER * ARRAY[0]\n"
+        (tmp_path / "lower.py").write_text(below)
+        (tmp_path / "upper.py").write_text(
+            KERNEL.format(imports="from lower import ARRAY, NUMBER, below\n", function=above)
+        )
+        # no bytecode: Python takes that of an equally long source that was written within the same second
+        environment = {**os.environ, "PYTHONPATH": f"{tmp_path}:{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
+        environment |= {"NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+        code = "import upper; print(upper.above(1.0))"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+        assert not done.returncode, done.stderr
+        return float(done.stdout)
+
+    assert [written(2.0), written(3.0), written(2.0)] == [8.0, 12.0, 8.0]
+
+
+@pytest.mark.parametrize("named", [None, "generic"])
+def test_kernels_are_compiled_for_all_processors_of_a_kind_unless_one_is_named(named):
+    code = (
+        "from rig.effects.framework import machine_motion_and_play as motion; import numba, numpy as np; "
+        "from numba.core.registry import cpu_target; "
+        "assert motion.play_operator(np.ones((3, 1)), 0.5).sum() == 3; "
+        "print(cpu_target.target_context.codegen().magic_tuple()[1:])"
     )
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    theirs = tmp_path / "theirs"
-    (theirs / "kernels-1").mkdir(parents=True)
-    (theirs / "kernels-1").chmod(0o777)
-    before = numba.config.CACHE_DIR
-    assert numba_kernels_and_lazy_exports.Kernel(forget, {}, lambda: str(theirs / "kernels-1"))() is None
-    assert numba_kernels_and_lazy_exports.Kernel(forget, {}, lambda: str(theirs / "kernels-2"))() is None
-    assert (
-        used == [str(tmp_path / "home" / ".cache" / "rig" / "kernels-1"), str(theirs / "kernels-2")]
-        and before == numba.config.CACHE_DIR
-    )
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_CPU")}
+    environment |= {"NUMBA_CPU_NAME": named} if named else {}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, env=environment)
+    assert not done.returncode, done.stderr
+    portable = [name for name, _ in numba_kernels_and_lazy_exports.PORTABLE.values()]
+    assert done.stdout in [f"{(name, '')}\n" for name in ([named] if named else portable)], done.stdout
 
 
 @pytest.mark.parametrize("open_one", ["NUMBA_CACHE_DIR", "__pycache__"])

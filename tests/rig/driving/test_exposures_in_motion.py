@@ -116,7 +116,7 @@ def test_cameras_that_expose_too_far_apart_make_no_frame(made, tmp_path, monkeyp
     monkeypatch.setattr(SynchronisedCameras, "grab", two)
     moving(made, tmp_path / "rec")
     remarks = [row.text for row in rows(tmp_path / "rec") if isinstance(row, Remark)]
-    assert sum("not kept, as cameras exposed more than 0.1 s from cam0: cam1 +0.200 s" in text for text in remarks) == 1
+    assert sum("discarded, as cameras exposed more than 0.1 s from cam0: cam1 +0.2" in text for text in remarks) == 1
     apart[:] = [-0.3]
     with pytest.raises(CameraError, match="4 frames in a row.* cannot expose in motion together"):
         moving(made, tmp_path / "apart")

@@ -215,10 +215,10 @@ def test_a_frame_in_which_somebody_else_moved_the_struts_is_not_kept(rig, tmp_pa
             room.struts.at = room.struts.at + 2e-3
 
     room.eye.grab, room.clock.sleep = jogged, settle
-    with pytest.raises(MotionError, match="frame 0 is not kept: .* 2.000 mm from where they were to rest"):
+    with pytest.raises(MotionError, match="frame 0 is discarded: .* 2.000 mm from where they were to rest"):
         room.process()
     rows = read_journal(tmp_path / "rec" / "journal.jsonl")[0]
-    assert not any(isinstance(row, Exposed) for row in rows) and "not kept" in rows[-1].reason
+    assert not any(isinstance(row, Exposed) for row in rows) and "discarded" in rows[-1].reason
     assert not list((tmp_path / "rec").glob("images/**/*.png"))
     room.eye.grab, room.clock.sleep = grab, wait
     room.process()

@@ -92,6 +92,20 @@ def test_poses_out_of_reach_are_named():
     assert list(lost.value.index) == [1]
 
 
+def test_an_error_of_math_is_a_pose_out_of_reach():
+    """A file written with Python's math has no answer where numpy has NaN; any other ValueError is the file's fault."""
+    scalar = "import math\n" + GANTRY.replace(
+        "    x, y, z = pose[..., 0, 3]", "    x, y, z = math.sqrt(1 - pose[0, 3]) ** 0 * pose[..., 0, 3]"
+    )
+    m = nominal_mechanism("g.py", scalar)
+    T = RigidTransform.from_translation([[0.05, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    with pytest.raises(Unreachable, match="no axis values for 1 of 2 poses") as raised:
+        kinematics_of(m).inverse(T, m)
+    assert list(raised.value.index) == [1]
+    with pytest.raises(FileError, match="inverse fails: ValueError"):
+        _ = nominal_mechanism("g.py", scalar.replace("math.sqrt(1 - pose[0, 3])", "float('x')")).stated
+
+
 def line_of(text: str, start: str) -> int:
     """Number of the first line of a text that begins so."""
     return next(k for k, line in enumerate(text.splitlines(), 1) if line.startswith(start))

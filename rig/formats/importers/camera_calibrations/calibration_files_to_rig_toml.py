@@ -162,7 +162,7 @@ def _camera(name: str, one: ForeignCamera, there: Camera | None, T_base: RigidTr
     if placed is None or one.size is None:
         lacks = "where it stands" if placed is None else "its size"
         one.at.fail(
-            f"camera {name} is not in rig.toml, and {one.at.file.name} does not tell {lacks}: write a "
+            f"camera {name} is not in rig.toml, and {one.at.file.name} does not state {lacks}: write a "
             "[[camera]] of that name with the pose "
             "that you believe"
         )

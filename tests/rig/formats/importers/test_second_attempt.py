@@ -12,6 +12,7 @@ import pytest
 from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import TIME, axis_header_names, find_columns
 from rig.formats.importers.import_recipe import ForeignTable
+from rig.formats.importers.pose_table import POSITION, VECTOR
 from rig.formats.importers.units_and_timestamps import UnclearInput
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import said
@@ -107,6 +108,21 @@ def test_columns_are_known_in_four_more_languages(tmp_path, time, limb):
     axes = [f"l{i}" for i in range(1, 7)]
     found = find_columns(cells, "commands", {**TIME, **axis_header_names(axes)}, axes)
     assert found == {"t": 0, **{name: i for i, name in enumerate(axes, 1)}}
+
+
+@pytest.mark.parametrize("second", ["", "model_"])
+def test_columns_that_share_a_prefix_are_known_unless_two_prefixes_can_be_meant(tmp_path, second):
+    path = tmp_path / "poses.csv"
+    header = ["elbow_x"] + [f"measurement_{name}" for name in ("x", "y", "z", "rx")]
+    header += [f"{second}{name}" for name in "xyz"] if second else []
+    path.write_text(";".join(header) + "\n" + ";".join("1" for _ in header) + "\n")
+    cells = read_foreign_table_header_and_cells(ForeignTable(path, decimal="point"), "poses")
+    if second:
+        with pytest.raises(UnclearInput, match="x: --set"):
+            find_columns(cells, "poses", {**POSITION, **VECTOR}, ("x", "y", "z"))
+    else:
+        found = find_columns(cells, "poses", {**POSITION, **VECTOR}, ("x", "y", "z"))
+        assert found == {"x": 1, "y": 2, "z": 3, "rx": 4}
 
 
 def test_a_misspelt_header_is_supposed_and_one_without_resemblance_is_left_open(tmp_path):

@@ -25,7 +25,7 @@ def test_each_column_is_read_in_the_unit_of_its_header(tmp_path):
 @pytest.mark.parametrize(
     "header, row, says",
     [
-        ("frame,q1,q2,q3,q4", "0,90,-45,120,0.5", "no unit in common"),
+        ("frame,q1,q2,q3,q4", "0,90,-45,1200,0.5", "beyond the limits in rig.toml in m and in mm"),
         ("frame,q1,q2,q3 [deg],q4", "0,1,1,0.1,0.5", "deg is not a unit of q3, which slides"),
         ("frame,q1 [mm],q2,q3,q4", "0,1,1,0.1,0.5", "mm is not a unit of q1, which turns"),
     ],
@@ -33,3 +33,14 @@ def test_each_column_is_read_in_the_unit_of_its_header(tmp_path):
 def test_other_units_are_refused(tmp_path, header, row, says):
     with pytest.raises(RigError, match=says):
         read_commands(table(tmp_path / "c.csv", header, row), shipped_arms_and_layouts.load_shipped_arm_design("scara"))
+
+
+def test_columns_of_other_names_are_likely_in_the_order_of_their_units(tmp_path):
+    """A lift before the joints of an arm: what is numbered 1 there is not the first axis."""
+    design = shipped_arms_and_layouts.load_shipped_arm_design("scara")
+    header = "frame;joint_a1_deg;joint_a2_deg;hub_mm;joint_a3_deg"
+    with pytest.raises(RigError) as raised:
+        read_commands(table(tmp_path / "c.csv", header, "0;90;-45;120;0.5"), design)
+    said = str(raised.value)
+    pairs = zip(range(1, 5), ("joint_a1_deg", "joint_a2_deg", "hub_mm", "joint_a3_deg"))
+    assert all(f"--set commands.columns.q{i}={name}" in said for i, name in pairs), said

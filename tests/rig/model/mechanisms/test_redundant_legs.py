@@ -158,7 +158,7 @@ def test_the_command_chooses_checks_and_names(limbed, tmp_path, capsys):
     )
     assert out.read_text().startswith("frame,e_") and len(out.read_text().splitlines()) == 81
     assert main(["closure", *given, "--use", "l1,l2,l3,m4,m5,m6"]) == 0
-    assert "l1, l2, l3, m4, m5, m6 give the pose, as asked" in capsys.readouterr().out
+    assert "l1, l2, l3, m4, m5, m6 give the pose, as requested" in capsys.readouterr().out
     assert main(["closure", str(read.folder), "--calibration", str(calibration)]) == 1
     assert "times what is expected" in capsys.readouterr().out
     for use, says in (

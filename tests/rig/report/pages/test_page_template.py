@@ -17,7 +17,7 @@ from rig.report.pages.html_and_svg_elements import (
     text_width,
     wrap_text,
 )
-from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure
+from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, Scene, image_plane_figure, view_3d_html
 from rig.report.pages.page_templates_and_index_page import Link, Page, page_html
 from rig.report.pages.plots import MOST, RIGHT, Series, axis_scale_of_values, bar_chart_svg, plot_panel_svg
 from rig.report.verdict_and_display import State, Verdict
@@ -171,3 +171,16 @@ def test_bars_and_cells_say_their_values():
     )
     assert cell[0] >= frame[0] and cell[1] + cell[3] <= frame[1] + frame[3] + 0.1, "a cell at the edge is cut off there"
     assert float(start) == pytest.approx(4 + 50.5 * 392 / 100, abs=0.06)
+
+
+@pytest.mark.parametrize("machine", ["hexapod", "arm"])
+def test_a_view_in_three_dimensions_says_what_is_seen(machine):
+    poses, joints = np.zeros((3, 6)), np.arange(18.0).reshape(6, 3)
+    face = {"kind": "face", "points": joints[:4]}
+    struts = {"base": joints, "platform": joints, "ends": joints, "errors": {"corrected": poses}}
+    shown = struts if machine == "hexapod" else {"links": np.zeros((3, 7, 3))}
+    page = "".join(view_3d_html(Scene(np.arange(3), poses, [face], [], [0, 0, 0], 1.0, **shown)))
+    caption = re.search("<figcaption>(.*)</figcaption>", page)[1]
+    assert "at 3 poses" in caption and "squares are the markers" in caption and "pyramids" not in caption
+    assert ("the struts" in caption and "at the platform joints" in caption) == (machine == "hexapod")
+    assert ("bent line is the arm" in caption and "axes of the measured body" in caption) == (machine == "arm")
