@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo demo-files docs test test-slow test-bounds coverage hooks fuzz fuzz-wire bench results release clean
+.PHONY: setup demo demo-files docs test test-slow test-grblhal test-bounds coverage hooks fuzz fuzz-wire bench results release clean
 
 setup: .venv/.ready
 
@@ -35,6 +35,14 @@ test: setup
 test-slow: setup
 	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[bucket]'
 	$(BIN)/python -m pytest -q -m slow
+
+out/grblhal/play/grblHAL_sim: | setup
+	sh .ci/grblhal-simulator
+
+test-grblhal: out/grblhal/play/grblHAL_sim
+	GRBLHAL_PLAIN_SIMULATOR=$(CURDIR)/out/grblhal/plain/grblHAL_sim $(BIN)/python -m pytest -q -m slow tests/rig/driving/protocols/test_grblhal_simulator.py
+	GRBLHAL_SIMULATOR=$(CURDIR)/out/grblhal/rigkins/grblHAL_sim GRBLHAL_CALIBRATION=$(CURDIR)/out/grblhal/calibration.json $(BIN)/python -m pytest -q -m slow tests/calib/correction/test_grblhal_run.py
+	GRBLHAL_SIMULATOR=$(CURDIR)/out/grblhal/play/grblHAL_sim GRBLHAL_CALIBRATION=$(CURDIR)/out/grblhal/play.json $(BIN)/python -m pytest -q -m slow tests/calib/correction/test_grblhal_run.py
 
 coverage: setup
 	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[coverage]'

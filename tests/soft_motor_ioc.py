@@ -1,13 +1,15 @@
 """A soft IOC with six motor records of caproto, in a process of its own: trapezoidal moves, limits, homing and faults.
 
 RIG:m1 .. RIG:m6 in mm; RIG:stall and RIG:fault take the number of a motor that stalls in its next move, or whose
-driver fails in it. Run as a program it takes the TCP port, and the place (mm) at which the motors stand.
+driver fails in it; RIG:locked that of one whose VAL new clients may not write. Run as a program it takes the TCP port,
+and the place (mm) at which the motors stand.
 """
 
 import asyncio
 import os
 import sys
 
+from caproto import AccessRights
 from caproto.asyncio.server import Context
 from caproto.server import PVGroup, pvproperty
 
@@ -60,6 +62,10 @@ class Motor:
             await field.write(value)
         await self.record.write(self.at)
         f.value_write_hook = self.told
+        whole = AccessRights.READ | AccessRights.WRITE
+        self.record.check_access = lambda host, user: (
+            AccessRights.READ if self.number == self.group.locked.value else whole
+        )
 
     async def told(self, fields, value):
         """VAL was written."""
@@ -123,6 +129,7 @@ class Motors(PVGroup):
     m6 = pvproperty(value=0.0, record="motor")
     stall = pvproperty(value=0)
     fault = pvproperty(value=0)
+    locked = pvproperty(value=0)
 
     start = 0.0
 

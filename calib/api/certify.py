@@ -163,14 +163,14 @@ def certify(
 def _in_calibrated_frames(
     calibration: Calibration, held: Sequence[tuple[Recording, Sampled]]
 ) -> tuple[list[tuple[Recording, Sampled]], tuple[str, ...], list[tuple[str, tuple[str, ...]]]]:
-    """(held-out recordings without the place of base and tool, what is stated of it, [(recording's name, ends that
-    stand elsewhere though their place is stated)]).
+    """(held-out recordings on the commands' clock and without the place of base and tool, what is stated of these,
+    [(recording's name, ends that stand elsewhere though their place is stated)]).
     """
     out, lines, unexpected = [], [], []
-    for recording, sampled in held:
+    for recording, sampled, clocks in (calibration.on_one_clock(*one) for one in held):
         placed = samples_without_displacement(calibration, recording, sampled.samples)
         out.append((recording, replace(sampled, samples=replace(placed.samples, known=sampled.samples.known))))
-        lines += [f"{recording.name}: {line}" for line in placed.lines]
+        lines += [f"{recording.name}: {line}" for line in (*placed.lines, *clocks)]
         unexpected.append((recording.name, placed.unexpected))
     return out, tuple(lines), unexpected
 

@@ -46,12 +46,7 @@ from calib.report.verification_and_repeated_visit_pages import (
     write_verification_page,
     write_visits_page,
 )
-from calib.samples.confounded_conditions_and_clocks import (
-    Confounds,
-    confounds_of_recordings,
-    estimate_clocks_from_samples,
-    recording_and_poses_on_one_clock,
-)
+from calib.samples.confounded_conditions_and_clocks import Confounds, confounds_of_recordings
 from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
@@ -60,7 +55,6 @@ from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Poses
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_and_display import OneLineRepr, Refutation, State, Verdict, result_html
-from vision.camera_and_command_clocks import Clocks
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -161,10 +155,7 @@ def verify(
     calibration.refuse_other_machine(recording.design.mechanism, str(recording.folder))
     sampled = sample_recording(recording, progress=progress)
     calibration = calibration.of_recorded_hand(recording.design.mechanism)
-    clocks: tuple[Clocks, ...] = ()
-    if calibration.physics is None:  # whose effects tell clocks themselves; a lag is the machine's own
-        clocks = tuple(replace(one, lag=0.0) for one in estimate_clocks_from_samples(recording, sampled.samples))
-        recording, sampled = recording_and_poses_on_one_clock(recording, sampled, clocks)
+    recording, sampled, clocks = calibration.on_one_clock(recording, sampled)
     placed = samples_without_displacement(calibration, recording, sampled.samples)
     samples = placed.samples
     label = configuration_numbers(samples.commanded, axis_travel_limits(calibration.correction.nominal))
@@ -183,7 +174,7 @@ def verify(
         None if wanted is None else _driven(calibration, recording, sampled.samples, wanted),
         sampled.measurement.unsolved if sampled.measurement is not None else {},
         confounds_of_recordings([recording]),
-        (*placed.lines, *(f"taken into account: {one}" for one in clocks)),
+        (*placed.lines, *clocks),
         placed.unexpected,
         strut_conflict(calibration, samples, recording.design.mechanism),
     )

@@ -12,8 +12,12 @@ from calib.certification.held_out_errors import HeldOut
 from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
 from calib.correction.correction import AnyCorrection
 from calib.correction.physics_compensation import Physics
-from calib.samples.confounded_conditions_and_clocks import Confounds
-from calib.samples.pose_samples import Samples
+from calib.samples.confounded_conditions_and_clocks import (
+    Confounds,
+    estimate_clocks_from_samples,
+    recording_and_poses_on_one_clock,
+)
+from calib.samples.pose_samples import Sampled, Samples
 from calib.workspace.workspace_map_and_lost_poses import Workspace
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
@@ -243,6 +247,19 @@ class Calibration(OneLineRepr):
             return samples
         fitted = with_followers_of(self.correction.fitted, recording.design.mechanism)
         return self.physics.with_effects(fitted, samples, recording.commands, recording.sensors)
+
+    def on_one_clock(self, recording: Recording, sampled: Sampled) -> tuple[Recording, Sampled, tuple[str, ...]]:
+        """(Recording, its Sampled, sentences): exposures shifted by the difference of the cameras' and the commands'
+        clocks, as far as exposures in motion determine it.
+
+        Effects of this calibration state clocks themselves: then nothing is shifted. A lag is the machine's own error.
+        """
+        if self.physics is not None:
+            return recording, sampled, ()
+        clocks = tuple(replace(one, lag=0.0) for one in estimate_clocks_from_samples(recording, sampled.samples))
+        return *recording_and_poses_on_one_clock(recording, sampled, clocks), tuple(
+            f"taken into account: {one}" for one in clocks
+        )
 
     def refuse_other_machine(self, mechanism: Mechanism, named: str) -> None:
         """Raise RigError for a mechanism of another kind or number of struts. named : of what, in words"""

@@ -4,7 +4,7 @@ The correction of its calibration as LinuxCNC's kinematics module, for halcompil
 
 Each is the C file for controllers, kinematics of poses (controller_pose_parts.c) and the interface of that controller,
 linuxcnc_kinematics.c or grblhal_kinematics.c. Both controllers ask for poses in any order, so kinematics are without
-memory: play is left to LinuxCNC's own BACKLASH, and refused for grblHAL.
+memory: play is left to LinuxCNC's own BACKLASH; grblHAL's interface takes it up, strut by strut, as lines are cut.
 Source: LinuxCNC 2.9, Developer manual, Kinematics; HAL manual, Creating HAL components; grblHAL's core of build
 20260817, kinematics/interface.h and what motion_control.c and machine_limits.c call of it
 """
@@ -53,15 +53,10 @@ def grblhal_kinematics_source(
     It is grblHAL's kinematics plug-in, of the Correction and the Physics besides, where there is any.
     origin : of which file and by which version it is made; made : the same in a few words, which $I reports
     zero : (6,) m, lengths of the struts where the motors count 0; None for those of the home pose
-    Raises RigError for what no C file states, for play, and for a zero that is not a finite length
+    Raises RigError for what no C file states, for play together with a cyclic error, and for a zero that is not a
+        finite length
     """
-    source = correction_c_source(correction, physics, origin)
-    if source.gaps.any():
-        struts = ", ".join(str(i + 1) for i in np.flatnonzero(source.gaps).tolist())
-        raise RigError(
-            f"grblhal-kins takes no calibration that takes up play (strut {struts}): a kinematics plug-in does not "
-            "know the direction of motion; use --format c, or `rig correct`"
-        )
+    source = correction_c_source(correction, physics, origin, play_elsewhere=True)
     fitted, nominal = require_hexapod(correction.fitted), require_hexapod(correction.nominal)
     zero = hexapod.home_values(nominal) if zero is None else zero
     if zero.shape != (6,) or not ((zero >= 0) & (zero <= LARGEST_RIG)).all():
@@ -69,6 +64,7 @@ def grblhal_kinematics_source(
     head = _grblhal_settings(fitted, nominal, source, zero)
     constants = [
         f"static const double MOTOR_ZERO[6] = {{{', '.join(map(repr, zero.tolist()))}}}; /* m */",
+        f"static const double PLAY[6] = {{{', '.join(map(repr, source.gaps.tolist()))}}}; /* m */",
         f'#define RIGKINS_MADE "{made}"',
     ]
     return _with_kinematics(source, fitted, head, UNITS["mm"], constants, "grblhal_kinematics.c")
@@ -145,7 +141,7 @@ def _linuxcnc_settings(fitted: Hexapod, nominal: Hexapod, source: CSource, scale
 
 def _grblhal_settings(fitted: Hexapod, nominal: Hexapod, source: CSource, zero: Floats) -> list[str]:
     """Head of the plug-in: how it is built, and what the controller's settings have to be. zero : (6,) m"""
-    ranges = ((nominal.strut_range - zero[:, None]) * UNITS["mm"]).tolist()
+    ranges = ((nominal.strut_range - zero[:, None]) * UNITS["mm"]).tolist()  # of motors: of struts half a play less
     return [
         "Kinematics plug-in of grblHAL, by the correction that `rig correct` computes. Put it beside driver.c and",
         "compile it with all of grblHAL, which needs N_AXIS=6 and KINEMATICS_API. It starts in my_plugin_init.",
@@ -159,6 +155,11 @@ def _grblhal_settings(fitted: Hexapod, nominal: Hexapod, source: CSource, zero: 
             for i, (letter, (low, high)) in enumerate(zip("XYZABC", ranges))
         ),
         "",
+        *(
+            f"Motor {letter} takes up the play of strut {i + 1}, {gap * UNITS['mm']:.6f} mm: home before the first line"
+            for i, (letter, gap) in enumerate(zip("XYZABC", source.gaps.tolist()))
+            if gap
+        ),
         "A line that is refused anywhere is refused as a whole, before it moves: alarm 2, a message with the reason.",
         "Reports state the motors as KPos (mm). $RIG lists refusals and sensors; statuses are those below, 6",
         "RIG_SINGULAR and 7 RIG_PARKS ($41 is 1). $RIG=NAME:VALUE, or firmware through rig_channel_values, sets",

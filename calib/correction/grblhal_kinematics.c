@@ -37,12 +37,19 @@ static home_machine_ptr home_by_core;
 static on_report_options_ptr options_of_others;
 static on_realtime_report_ptr report_of_others;
 static on_jog_cancel_ptr jog_cancel_of_others;
+static on_execute_realtime_ptr realtime_of_others;
+
+/* Struts stand off their motors by up to half their play, to the side from which the motors came. */
+static double off_motors[6]; /* m, as the motors have run so far */
+static float followed[6];    /* mm, as far as they were followed */
 
 static struct line {
     double start[6], goal[6], channels[RIG_CHANNELS + 1];
     double count, next;      /* segments, and of them those handed out */
     double distance;         /* of a segment: mm of the origin or degrees of A, B or C, whichever are more */
     coord_data_t motors;     /* mm, where the latest segment ends */
+    double struts[6];        /* m, where the struts are then */
+    bool recounted;          /* motors were homed since */
     bool in_check_mode;      /* this line is only checked: the motors stay behind */
     volatile bool cancelled; /* a jog that was broken off */
 } line;
@@ -53,16 +60,48 @@ static void lengths_at(const float motors[6], double lengths[6])
         lengths[i] = MOTOR_ZERO[i] + motors[i] / UNITS;
 }
 
-static void motors_at(const double lengths[6], float motors[6])
+/* Run motors (mm) until struts (m) have these lengths: a strut that turns back stands until its play is taken up. */
+static void run_to(const double lengths[6], double struts[6], float motors[6])
 {
-    for (int i = 0; i < 6; i++)
-        motors[i] = (float)((lengths[i] - MOTOR_ZERO[i]) * UNITS);
+    for (int i = 0; i < 6; i++) {
+        const double off = lengths[i] - struts[i];
+        if (PLAY[i] > 0.0 && fabs(off) < 1e-10) /* as `rig correct`: the strut stands where it is to stand */
+            continue;
+        motors[i] = (float)((lengths[i] + (off > 0.0 ? 0.5 : -0.5) * PLAY[i] - MOTOR_ZERO[i]) * UNITS);
+        struts[i] = lengths[i];
+    }
 }
 
 static void motors_of_steps(const int32_t *steps, float motors[6])
 {
     for (int i = 0; i < 6; i++)
         motors[i] = (float)steps[i] / settings.axis[i].steps_per_mm;
+}
+
+/* Let struts follow their motors to where these are now; of each turn as far as it was seen. */
+static void follow_motors(void)
+{
+    float motors[6];
+    motors_of_steps(sys.position, motors);
+    for (int i = 0; i < 6; i++) {
+        const double off = off_motors[i] - (double)(motors[i] - followed[i]) / UNITS;
+        off_motors[i] = fmin(fmax(off, -0.5 * PLAY[i]), 0.5 * PLAY[i]);
+        followed[i] = motors[i];
+    }
+}
+
+/* Motors are counted anew where they stand: their struts have not moved. */
+static void recount_motors(void)
+{
+    motors_of_steps(sys.position, followed);
+    line.recounted = true;
+}
+
+static void struts_at(const float motors[6], double struts[6])
+{
+    lengths_at(motors, struts);
+    for (int i = 0; i < 6; i++)
+        struts[i] += off_motors[i];
 }
 
 /* Count a refusal and state it. Nothing is moved, nothing is clipped. */
@@ -80,13 +119,11 @@ static void refuse(int status, int strut)
     report_message(text, Message_Warning);
 }
 
-/* Pose (mm and degrees) of motor positions (mm), NaN where there is none. */
-static void pose_of_motors(const float motors[6], double pose[6])
+/* Pose (mm and degrees) of struts (m), NaN where there is none. */
+static void pose_of_struts(const double struts[6], double pose[6])
 {
-    double lengths[6];
     int newton_steps;
-    lengths_at(motors, lengths);
-    pose_status = pose_of(lengths, rig_channel_values, latest, &newton_steps);
+    pose_status = pose_of(struts, rig_channel_values, latest, &newton_steps);
     for (int i = 0; i < 6; i++)
         pose[i] = pose_status == RIG_OK ? latest[i] : NAN;
 }
@@ -94,10 +131,12 @@ static void pose_of_motors(const float motors[6], double pose[6])
 static coord_data_t *steps_to_pose(coord_data_t *position, mpos_t *steps)
 {
     float motors[6];
-    double pose[6];
+    double struts[6], pose[6];
+    follow_motors();
     motors_of_steps(steps->values, motors);
+    struts_at(motors, struts);
     if (!by_motor)
-        pose_of_motors(motors, pose);
+        pose_of_struts(struts, pose);
     for (int i = 0; i < 6; i++)
         position->values[i] = by_motor ? motors[i] : (float)pose[i];
     return position;
@@ -106,7 +145,8 @@ static coord_data_t *steps_to_pose(coord_data_t *position, mpos_t *steps)
 /* Motor positions of a pose for motions of the system itself; where they stand for one that is refused. */
 static coord_data_t *pose_to_motors(coord_data_t *target, coord_data_t *position)
 {
-    double pose[6], lengths[6];
+    double pose[6], lengths[6], struts[6];
+    float motors[6];
     int strut;
     for (int i = 0; i < 6; i++)
         pose[i] = position->values[i];
@@ -115,41 +155,53 @@ static coord_data_t *pose_to_motors(coord_data_t *target, coord_data_t *position
         return target;
     }
     const int status = lengths_of(pose, rig_channel_values, lengths, &strut);
+    motors_of_steps(sys.position, motors);
+    struts_at(motors, struts);
     if (status == RIG_OK)
-        motors_at(lengths, target->values);
-    else {
+        run_to(lengths, struts, motors);
+    else
         refuse(status, strut);
-        motors_of_steps(sys.position, target->values);
-    }
+    memcpy(target->values, motors, sizeof motors);
     return target;
 }
 
-/* The motors at the end of segment number n of the line; a status where it is refused. */
-static int segment_end(double n, float motors[6], int *strut)
+/* The lengths at the end of segment number n of the line; a status where it is refused. */
+static int segment_end(double n, double lengths[6], int *strut)
 {
-    double pose[6], lengths[6];
+    double pose[6];
     for (int i = 0; i < 6; i++)
         pose[i] = n < line.count ? line.start[i] + (line.goal[i] - line.start[i]) * (n / line.count) : line.goal[i];
-    const int status = lengths_of(pose, line.channels, lengths, strut);
-    if (status == RIG_OK)
-        motors_at(lengths, motors);
-    return status;
+    return lengths_of(pose, line.channels, lengths, strut);
+}
+
+/* Begin where the motors (mm) of the planner stand: where the latest line ends, or where motion was broken off. */
+static void begin_at(const float motors[6])
+{
+    bool goes_on = !line.recounted;
+    for (int i = 0; i < 6; i++)
+        if (fabsf(motors[i] - line.motors.values[i]) * settings.axis[i].steps_per_mm > 1.0f)
+            goes_on = false;
+    follow_motors();
+    if (!goes_on)
+        struts_at(motors, line.struts);
+    line.recounted = false;
+    memcpy(line.motors.values, motors, sizeof line.motors.values);
 }
 
 /* Begin a line: it is refused as a whole, before anything moves, where any of its segments is. */
 static int begin_line(const float goal[6], const float motors[6], int *strut)
 {
     const bool checks = state_get() == STATE_CHECK_MODE;
-    double shift = 0.0, turn = 0.0;
-    float ends[6];
+    double shift = 0.0, turn = 0.0, ends[6];
     *strut = 0;
+    begin_at(motors);
     if (settings.parking.flags.enabled)
         return RIG_PARKS;
     memcpy(line.channels, rig_channel_values, sizeof line.channels);
     if (checks && line.in_check_mode)
         memcpy(line.start, line.goal, sizeof line.start);
     else
-        pose_of_motors(motors, line.start);
+        pose_of_struts(line.struts, line.start);
     line.in_check_mode = checks;
     line.cancelled = false;
     line.next = 0.0;
@@ -161,7 +213,6 @@ static int begin_line(const float goal[6], const float motors[6], int *strut)
         else
             turn = fmax(turn, fabs(line.goal[i] - line.start[i]));
     }
-    memcpy(line.motors.values, motors, sizeof line.motors.values);
     int status = segment_end(1.0, ends, strut); /* of one segment: the goal */
     if (status == RIG_OK && !isfinite(shift + turn))
         status = pose_status; /* where the motors stand has no pose */
@@ -179,14 +230,15 @@ static int begin_line(const float goal[6], const float motors[6], int *strut)
 static coord_data_t *next_segment(plan_line_data_t *plan)
 {
     float before[6];
-    double moved = 0.0;
+    double lengths[6], moved = 0.0;
     int strut;
     if (line.cancelled || line.next >= line.count)
         return NULL;
     memcpy(before, line.motors.values, sizeof before);
     line.next += 1.0;
-    if (segment_end(line.next, line.motors.values, &strut) != RIG_OK)
+    if (segment_end(line.next, lengths, &strut) != RIG_OK)
         return NULL; /* not for channels and pose that were found regular at its beginning */
+    run_to(lengths, line.struts, line.motors.values);
     for (int i = 0; i < 6; i++)
         moved += (line.motors.values[i] - before[i]) * (line.motors.values[i] - before[i]);
     moved = sqrt(moved);
@@ -231,6 +283,8 @@ static bool within_limits(float *target, axes_signals_t axes, bool is_cartesian,
         status = lengths_of(pose, rig_channel_values, lengths, &strut);
     else {
         lengths_at(target, lengths);
+        for (int i = 0; i < 6; i++) /* ranges are of struts: their motors run half a play beyond */
+            lengths[i] += lengths[i] < 0.5 * (RANGE[i][0] + RANGE[i][1]) ? 0.5 * PLAY[i] : -0.5 * PLAY[i];
         strut = axis_beyond_range(lengths);
         status = strut ? RIG_OUT_OF_STROKE : RIG_OK;
     }
@@ -263,12 +317,23 @@ static uint_fast8_t motor_of_axis(uint_fast8_t idx)
 
 static void start_search(uint_fast8_t idx)
 {
+    follow_motors();
     sys.position[idx] = 0;
+    recount_motors();
 }
 
 static void found_switches(axes_signals_t cycle)
 {
+    follow_motors();
     limits_set_machine_positions(cycle, by_motor);
+    recount_motors();
+}
+
+static void look_at_motors(sys_state_t state)
+{
+    follow_motors();
+    if (realtime_of_others)
+        realtime_of_others(state);
 }
 
 static void cancel_jog(sys_state_t state)
@@ -341,6 +406,7 @@ void my_plugin_init(void)
     static sys_commands_t commands = {sizeof list / sizeof *list, list, NULL, NULL};
     memcpy(rig_channel_values, CHANNEL_MEDIANS, sizeof CHANNEL_MEDIANS);
     world_of(&HOME_POSE, latest);
+    memcpy(line.struts, MOTOR_ZERO, sizeof MOTOR_ZERO);
 
     kinematics.transform_steps_to_cartesian = steps_to_pose;
     kinematics.transform_from_cartesian = pose_to_motors;
@@ -359,6 +425,8 @@ void my_plugin_init(void)
     grbl.on_report_options = report_plugin_options;
     report_of_others = grbl.on_realtime_report;
     grbl.on_realtime_report = report_motors;
+    realtime_of_others = grbl.on_execute_realtime;
+    grbl.on_execute_realtime = look_at_motors;
     jog_cancel_of_others = grbl.on_jog_cancel;
     grbl.on_jog_cancel = cancel_jog;
     system_register_commands(&commands);

@@ -39,7 +39,7 @@ def run_home(arguments: Namespace) -> None:
 
     design = design_with_controller_port(arguments.design, arguments.port)
     with open_driver(design, arguments.trace, print) as driver:
-        if arguments.unlock:
+        if arguments.unlock and not driver.status().homing_required:  # which homing alone ends
             driver.unlock()
         print_status(driver.home(), design)
 

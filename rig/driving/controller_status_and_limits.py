@@ -202,12 +202,14 @@ _BY_ACTIVITY = {
 }
 
 
-def operator_advice(activity: str, can_home: bool) -> str:
+def operator_advice(activity: str, can_home: bool, homing_required: bool = False) -> str:
     """Advice to the operator for the controller's activity.
 
     It is text after "; ", "" where it is ready.
-    can_home : whether the controller can home.
+    can_home : whether the controller can home; homing_required : whether it is in alarm for no other reason
     """
+    if homing_required and can_home:
+        return "; rig home ends that"
     if activity in ("alarm", "off") and not can_home:
         return (
             "; see what is wrong at the machine, then rig jog --unlock, with --trust where the position it reads "

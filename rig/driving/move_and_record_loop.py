@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from rig.array_and_json_types import Floats, Pixels
-from rig.driving.cameras.camera_interface_and_user_cameras import Frame, SynchronisedCameras
+from rig.driving.cameras.camera_interface_and_user_cameras import Frame, StampDifferences, SynchronisedCameras
 from rig.driving.clock import Clock
 from rig.driving.controller_status_and_limits import PositionReport
 from rig.driving.driver_opening_and_settling import Settling
@@ -129,6 +129,7 @@ class RunOperator:
         in_motion = any(step.speed is not None for step in planned)
         self._growing = GrowingRecording(self._folder, axes, journal.rows, in_motion)
         self._writing = threading.RLock()
+        self._stamps = StampDifferences()
 
     def now(self) -> float:
         """s on the recording's clock."""
@@ -145,6 +146,8 @@ class RunOperator:
                     state = self._next(index)
                 self._do(state)
                 state = progress_from_journal(self._journal.rows, self.planned)
+            for line in self._stamps.lines():
+                self.remark(line)
             self.write(Ended(self.now(), ""))
         except BaseException as error:
             self._end(error)
@@ -243,6 +246,7 @@ class RunOperator:
             nonlocal number
             self._write_reports(reports)
             names = self._save(number, frames)
+            self._stamps.add(frames)
             times = tuple(float(frame.t) - self._origin for frame in frames.values())
             sigma = tuple(float(frame.t_sigma) for frame in frames.values())
             self.write(Exposed(times[0], index, number, sigma, tuple(frames), names, (), times))
@@ -294,6 +298,7 @@ class RunOperator:
         self._look()
         self._rest_position(number, goal, at, "after")
         names = self._save(number, frames)
+        self._stamps.add(frames)
         t = float(np.mean([frame.t for frame in frames.values()])) - self._origin if frames else self.now()
         self.write(
             Exposed(

@@ -204,7 +204,9 @@ class ChannelAccessPort:
         self._circuit = caproto.VirtualCircuit(our_role=caproto.CLIENT, address=address, priority=0)
         self._channels: dict[str, Any] = {}
         self._replies: dict[int, Any] = {}  # by ioid
-        self._waiting: deque[tuple[int, list[int]]] = deque()  # (number, ioids) of requests without an answer
+        self._writable: dict[int, bool] = {}  # by the client's number of the channel
+        # (number, ioids of reads, of writes) of requests without an answer
+        self._waiting: deque[tuple[int, list[int], list[int]]] = deque()
         self._in, self._out, self._lock = b"", b"", threading.RLock()
         self._send(
             caproto.VersionRequest(priority=0, version=13),
@@ -242,16 +244,24 @@ class ChannelAccessPort:
         values = {name: word.rpartition("=")[2] for name, word in zip(names, rest)}
         is_stop = verb == "PUT" and all(name.endswith(".STOP") for name in names)
         refused = self._connect(names, (lambda name: self._send(self._put(name, values[name]))) if is_stop else None)
+        if verb == "PUT":
+            refused += [f"no write access to {name}: see the IOC's access security" for name in self._locked(names)]
         if refused:
             self._out += encode_frame("<", number, f"ERR {quote('; '.join(refused))}")
             return
-        writes = [self._put(name, values[name]) for name in names if verb == "PUT" and not is_stop]
+        writes: list[Any] = [self._put(name, values[name]) for name in names if verb == "PUT" and not is_stop]
         kinds = self._ca.ChannelType
         reads = [
             self._channels[name].read(data_type=kinds.STRING if _is_text(name) else kinds.DOUBLE) for name in names
         ]
-        self._waiting.append((number, [request.ioid for request in reads]))
+        self._waiting.append((number, [request.ioid for request in reads], [request.ioid for request in writes]))
         self._send(*writes, *reads)
+
+    def _locked(self, names: list[str]) -> list[str]:
+        """Those of some names whose channels are there and may not be written."""
+        return [
+            name for name in names if name in self._channels and not self._writable.get(self._channels[name].cid, True)
+        ]
 
     def _put(self, name: str, value: str) -> object:
         """Request to write a value, which asks for no callback."""
@@ -260,9 +270,10 @@ class ChannelAccessPort:
     def _answer(self) -> None:
         """Make lines of the requests whose values have all come, in the order of the requests."""
         while self._waiting and all(ioid in self._replies for ioid in self._waiting[0][1]):
-            number, ioids = self._waiting.popleft()
+            number, ioids, written = self._waiting.popleft()
             replies = [self._replies.pop(ioid) for ioid in ioids]
-            failed = [reply for reply in replies if isinstance(reply, self._ca.ErrorResponse)]
+            errors = [self._replies.pop(ioid) for ioid in written if ioid in self._replies]
+            failed = [reply for reply in (*errors, *replies) if isinstance(reply, self._ca.ErrorResponse)]
             if failed:
                 text = failed[0].error_message.decode("utf-8", "replace").strip("\0")
                 self._out += encode_frame("<", number, f"ERR {quote(text)}")
@@ -319,7 +330,9 @@ class ChannelAccessPort:
             self._circuit.process_command(command)
             if isinstance(command, self._ca.ServerDisconnResponse):
                 raise LinkLost(f"{self._url}: the server has taken a record away")
-            if isinstance(command, self._ca.ReadNotifyResponse):
+            if isinstance(command, self._ca.AccessRightsResponse):
+                self._writable[command.cid] = bool(command.access_rights & self._ca.AccessRights.WRITE)
+            elif isinstance(command, self._ca.ReadNotifyResponse):
                 self._replies[command.ioid] = command
             elif isinstance(command, self._ca.ErrorResponse):
                 request = command.original_request

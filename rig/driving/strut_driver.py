@@ -379,9 +379,8 @@ class Driver:
         )
 
     def _trouble(self, state: State) -> str:
-        return (
-            f"{state.fault or state.activity} ({state.said}){operator_advice(state.activity, self.controller.homing)}"
-        )
+        advice = operator_advice(state.activity, self.controller.homing, state.homing_required)
+        return f"{state.fault or state.activity} ({state.said}){advice}"
 
     def _lately(self, since: float) -> str:
         return "".join(f"; {text}" for t, text in self.link.events if t >= since)

@@ -159,12 +159,16 @@ class CaptureSettings:
     pixel_format : GenICam's PixelFormat ("Mono8", "BayerRG8", "RGB8"), or four letters of a UVC format ("MJPG", "YUYV")
     gain : dB (GenICam, whose automatic gain is switched off), or the driver's own figure (UVC)
     focus : the driver's own figure, its automatic focus is switched off; white_balance : K, likewise (UVC)
+    trigger, strobe : lines of a GenICam camera: whose edges expose it, and high meanwhile; ptp : keeps time by PTP
     """
 
     pixel_format: str = ""
     gain: float | None = None
     focus: float | None = None
     white_balance: float | None = None
+    trigger: str = ""
+    strobe: str = ""
+    ptp: bool = False
 
 
 AS_IT_IS = CaptureSettings()  # of a camera of which nothing is to be set
@@ -205,8 +209,7 @@ class Sensor:
     """What an image sensor and its optics do to light, for a simulated camera; the defaults do nothing but quantise.
 
     blur : px, standard deviation of the optics' spot; defocus : px, radius of a disc on top of it
-    vignetting : share of the light lost in the image's corners; gain : grey levels of 255 for a white face in full
-        light
+    vignetting : share of the light lost in the image's corners; gain : grey levels of 255 for white in full light
     exposure : s; exposures : pictures averaged over it; read_noise : grey levels
     electrons : per grey level, for shot noise (0: none); bits : 8 or 12
     """
@@ -224,8 +227,7 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marker:
-    """One square marker. id : in its target's dictionary; side : m, outer side of the black border
-    margin : m, white paper beyond the border
+    """One square marker. id : in its target's dictionary; side : m, of the black border; margin : m, of white beyond
     pose : T_body_marker, x right, y up, z out of the paper; where it is not stated, measuring finds it from a recording
     stated : whether the pose is what rig.toml states; else it was found from a recording, or is None"""
 
@@ -287,9 +289,7 @@ class Target:
 
     @property
     def stage(self) -> int:
-        """Number (from 1) of the chain's stage whose platform carries it, below the last; 0 for one on the base or the
-        platform.
-        """
+        """Number (from 1) of the chain's stage below the last whose platform carries it; 0 on base or platform."""
         return int(self.body.removeprefix("stage ")) if self.body.startswith("stage ") else 0
 
     @property

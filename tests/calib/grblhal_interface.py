@@ -21,6 +21,7 @@ typedef bool (*home_machine_ptr)(axes_signals_t, axes_signals_t);
 typedef void (*on_report_options_ptr)(bool);
 typedef void (*on_realtime_report_ptr)(stream_write_ptr, report_tracking_flags_t);
 typedef void (*on_jog_cancel_ptr)(sys_state_t);
+typedef void (*on_execute_realtime_ptr)(sys_state_t);
 typedef struct {
     home_machine_ptr home_machine;
     bool (*check_travel_limits)(float *, axes_signals_t, bool, work_envelope_t *);
@@ -30,6 +31,7 @@ typedef struct {
     on_report_options_ptr on_report_options;
     on_realtime_report_ptr on_realtime_report;
     on_jog_cancel_ptr on_jog_cancel;
+    on_execute_realtime_ptr on_execute_realtime;
 } grbl_t;
 typedef struct { struct { stream_write_ptr write; } stream; } grbl_hal_t;
 typedef struct {
@@ -100,7 +102,7 @@ CORE = r"""
 #include "grbl/state_machine.h"
 #include "grbl/system.h"
 
-enum { RAPID = 1, INVERSE_TIME = 2, JOG = 4, CANCELLED = 8 };
+enum { RAPID = 1, INVERSE_TIME = 2, JOG = 4, CANCELLED = 8, BROKEN_OFF = 16 };
 enum { PULLOFF_MM = 1 };
 
 grbl_t grbl;
@@ -184,6 +186,11 @@ static bool home_by_core(axes_signals_t cycle, axes_signals_t auto_square)
     for (int i = 0; i < N_AXIS; i++)
         if (motors.values[i] != -1000.0f || kinematics.limits_get_axis_mask((uint_fast8_t)i) != 1u << i)
             return false;
+    for (int up = 0; up < 2; up++) {
+        for (int i = 0; i < N_AXIS; i++)
+            sys.position[i] += (int32_t)lroundf((up ? PULLOFF_MM : -PULLOFF_MM) * settings.axis[i].steps_per_mm);
+        grbl.on_execute_realtime(0);
+    }
     kinematics.limits_set_machine_positions(cycle);
     return true;
 }
@@ -247,8 +254,10 @@ int line(const float *goal, float feed, int kind, float *motors, float *feeds, f
         memcpy(motors + N_AXIS * count, end->values, sizeof *end);
         feeds[count] = plan.feed_rate;
         multipliers[count++] = plan.rate_multiplier;
-        for (int i = 0; i < N_AXIS; i++)
-            sys.position[i] = (int32_t)lroundf(end->values[i] * settings.axis[i].steps_per_mm);
+        for (int i = 0; i < N_AXIS; i++) /* broken off, all is planned and the motors stop after the third */
+            if (!(kind & BROKEN_OFF) || count <= 3)
+                sys.position[i] = (int32_t)lroundf(end->values[i] * settings.axis[i].steps_per_mm);
+        grbl.on_execute_realtime(0);
         plan.feed_rate = feed;
         if (kind & CANCELLED && count == 2)
             grbl.on_jog_cancel(0);

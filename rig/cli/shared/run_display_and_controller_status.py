@@ -32,7 +32,7 @@ def print_status(status: ControllerStatus, design: Design) -> None:
 
     homing = design.driver().homing
     fault = f" ({status.fault})" if status.fault not in ("", status.activity) else ""
-    print(f"{status.activity}{fault}{operator_advice(status.activity, homing)}")
+    print(f"{status.activity}{fault}{operator_advice(status.activity, homing, status.homing_required)}")
     if not status.known:
         print("position not known: " + ("home it" if homing else "verify it, then use --trust"))
     print(f"lengths {lengths_text(status.lengths)}")

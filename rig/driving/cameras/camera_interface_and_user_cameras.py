@@ -16,7 +16,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -110,6 +110,43 @@ class Source(Protocol):
         """Let go of the camera."""
 
 
+@runtime_checkable
+class EdgeTriggered(Protocol):
+    """A camera that an electrical edge may expose. waits_for_edge : whether one does"""
+
+    waits_for_edge: bool
+
+    def arm(self) -> None:
+        """Drop what earlier edges exposed: the next image is of an edge after this."""
+
+
+class StampDifferences:
+    """By how much cameras expose after the first of them, as their reconciled stamps say."""
+
+    def __init__(self) -> None:
+        self._after: dict[tuple[str, str], list[tuple[float, float]]] = {}
+
+    def add(self, frames: dict[str, Frame]) -> None:
+        """The cameras of one more frame."""
+        names = list(frames)
+        for name in names[1:]:
+            frame, first = frames[name], frames[names[0]]
+            row = frame.t - first.t, math.hypot(frame.t_sigma, first.t_sigma)
+            self._after.setdefault((names[0], name), []).append(row)
+
+    def lines(self) -> list[str]:
+        """A sentence for each camera but the first."""
+        found = []
+        for (first, name), rows in self._after.items():
+            after, known = np.array(rows).T
+            found.append(
+                f"{name} exposed {after.mean() * 1e3:+.3f} ms after {first} in the mean of {len(rows)} frames, between "
+                f"{after.min() * 1e3:+.3f} and {after.max() * 1e3:+.3f}; their clocks are compared to "
+                f"{np.sqrt((known**2).mean()) * 1e3:.3f} ms (standard deviation)"
+            )
+        return found
+
+
 TRIES = 3
 PAUSE = 0.1  # s before trying again, doubled each time
 
@@ -127,9 +164,24 @@ class SynchronisedCameras:
 
     def grab(self) -> dict[str, Frame]:
         """{camera: Frame}, exposed together as nearly as their triggers allow. Raises CameraError for all that gave
-        none.
+        none. Where an edge exposes some, all are armed before the others are triggered, and all are tried again.
         """
-        futures = [self._pool.submit(self._one, source) for source in self.sources]
+        armed = [source for source in self.sources if isinstance(source, EdgeTriggered) and source.waits_for_edge]
+        for k in range(self._tries if armed else 1):
+            for source in armed:
+                source.arm()
+            try:
+                return self._together(1 if armed else self._tries)
+            except CameraError as error:
+                if not armed or k + 1 == self._tries:
+                    raise
+                self.retried.append((", ".join(source.name for source in self.sources), str(error)))
+                self._clock.sleep(PAUSE * 2**k)
+        raise AssertionError("unreachable: the last try returns or raises")
+
+    def _together(self, tries: int) -> dict[str, Frame]:
+        """{camera: Frame} of all, each tried so often by itself."""
+        futures = [self._pool.submit(self._one, source, tries) for source in self.sources]
         errors = [error for error in (future.exception() for future in futures) if error is not None]
         for error in errors:
             if not isinstance(error, CameraError):
@@ -138,12 +190,12 @@ class SynchronisedCameras:
             raise CameraError("; ".join(map(str, errors)))
         return {source.name: future.result() for source, future in zip(self.sources, futures)}
 
-    def _one(self, source: Source) -> Frame:
-        for k in range(self._tries):
+    def _one(self, source: Source, tries: int) -> Frame:
+        for k in range(tries):
             try:
                 return source.grab()
             except CameraError as error:
-                if k + 1 == self._tries:
+                if k + 1 == tries:
                     raise
                 self.retried.append((source.name, str(error)))
                 self._clock.sleep(PAUSE * 2**k)

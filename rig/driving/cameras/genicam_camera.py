@@ -1,6 +1,8 @@
 """GenICam camera through harvesters.
 
-GigE Vision and USB3 Vision: software trigger, hardware timestamps.
+GigE Vision and USB3 Vision: triggered by the run, or by an edge that another camera's strobe gives; hardware
+timestamps, of one clock where cameras keep time by PTP.
+Source: GenICam Standard Features Naming Convention 2.7, chapters Acquisition Control, Digital I/O, PTP Control
 """
 
 import os
@@ -21,6 +23,12 @@ from rig.model.design import AS_IT_IS, CaptureSettings
 WAIT = 5.0  # s for a frame after its trigger
 STAMP = 1e-9  # s; GenICam counts nanoseconds unless the device says its tick frequency
 LATCH = "TimestampLatch"
+DRAIN = 1e-3  # s for an image that an earlier edge exposed
+PTP_LOCKS, PTP_AGAIN = 30.0, 0.5  # s in which a camera follows PTP; s between looks
+PTP_NODES = (
+    ("PtpEnable", "PtpDataSetLatch", "PtpStatus"),
+    ("GevIEEE1588", "GevIEEE1588DataSetLatch", "GevIEEE1588Status"),
+)
 FORMAT = re.compile(r"(Mono|Bayer(?:RG|GB|GR|BG)|RGB|BGR)(8|10|12|14|16)")
 BAYER = {"RG": "RGGB", "GB": "GBRG", "GR": "GRBG", "BG": "BGGR"}  # first two of a row, and all four as OpenCV has it
 
@@ -88,6 +96,9 @@ class Acquirer(Protocol):
     def fetch(self, *, timeout: float) -> Buffer | None:
         """The next buffer, None where none comes in timeout s."""
 
+    def try_fetch(self, *, timeout: float) -> Buffer | None:
+        """The next buffer, None where none comes in timeout s."""
+
     def stop(self) -> None:
         """End acquiring."""
 
@@ -125,6 +136,7 @@ class SharedHarvester:
     def __init__(self) -> None:
         self._harvester: Discovery | None = None
         self._users, self._lock = 0, threading.Lock()
+        self.ptp = ClockOffset()  # of the one clock of all cameras that keep time by PTP
 
     def open(self, name: str, serial: str) -> Acquirer:
         """The camera with a serial number. Raises MissingLibrary without harvesters, CameraError where it does not
@@ -154,7 +166,7 @@ class SharedHarvester:
     def _reset_unused(self) -> None:
         if not self._users and self._harvester is not None:
             self._harvester.reset()
-            self._harvester = None
+            self._harvester, self.ptp = None, ClockOffset()
 
 
 HARVESTER = SharedHarvester()
@@ -162,10 +174,9 @@ HARVESTER = SharedHarvester()
 
 class GenicamSource:
     """An acquiring camera. acquirer : harvesters' ImageAcquirer; size : (width, height) px; settings : of the camera;
-    let_go : called once it is closed. Raises CameraError for a setting that the camera does not take
+    let_go : called once it is closed; ptp : offset of the clock of PTP, for cameras that keep it. Raises CameraError
+    for a setting that the camera does not take, and for one that does not follow PTP
     """
-
-    can_set_exposure = True
 
     def __init__(
         self,
@@ -175,9 +186,14 @@ class GenicamSource:
         size: tuple[int, int],
         settings: CaptureSettings = AS_IT_IS,
         let_go: Callable[[], None] = lambda: None,
+        ptp: ClockOffset | None = None,
     ) -> None:
-        self._let_go = let_go
-        self.name, self._acquirer, self._clock, self._size, self._offset = name, acquirer, clock, size, ClockOffset()
+        self._let_go, self._settings = let_go, settings
+        self.waits_for_edge = bool(settings.trigger)
+        self.can_set_exposure = not self.waits_for_edge  # which is found by images that nothing would trigger
+        self._armed = clock.now()
+        self._offset = ptp if ptp is not None and settings.ptp else ClockOffset()
+        self.name, self._acquirer, self._clock, self._size = name, acquirer, clock, size
         nodes = acquirer.remote_device.node_map
         self._nodes = nodes
         for node, value in (
@@ -197,7 +213,44 @@ class GenicamSource:
             if hasattr(nodes, "GainAuto"):
                 nodes.GainAuto.value = "Off"
             self._set("Gain", settings.gain)
+        if settings.trigger:
+            self._set("TriggerSource", settings.trigger)
+        if settings.strobe:
+            for node, value in (
+                ("LineSelector", settings.strobe),
+                ("LineMode", "Output"),
+                ("LineSource", "ExposureActive"),
+            ):
+                self._set(node, value)
+        if settings.ptp:
+            self._follow_ptp()
         acquirer.start()
+
+    def _follow_ptp(self) -> None:
+        """Have the camera keep time by PTP. Raises CameraError where it cannot, or does not within PTP_LOCKS."""
+        nodes = next((names for names in PTP_NODES if hasattr(self._nodes, names[0])), None)
+        if nodes is None:
+            raise CameraError(f"camera {self.name!r} does not keep time by PTP: it has no {PTP_NODES[0][0]}")
+        self._set(nodes[0], True)
+        end, status = self._clock.now() + PTP_LOCKS, ""
+        while self._clock.now() < end:
+            if hasattr(self._nodes, nodes[1]):
+                getattr(self._nodes, nodes[1]).execute()
+            status = str(getattr(self._nodes, nodes[2]).value)
+            if status in ("Slave", "Master"):
+                return
+            self._clock.sleep(PTP_AGAIN)
+        raise CameraError(
+            f"camera {self.name!r} does not follow PTP within {PTP_LOCKS:g} s: its {nodes[2]} is {status}; does the "
+            "network have a PTP master, and does its switch pass PTP on?"
+        )
+
+    def arm(self) -> None:
+        """Drop what earlier edges exposed."""
+        while (old := self._acquirer.try_fetch(timeout=DRAIN)) is not None:
+            with old:
+                pass
+        self._armed = self._clock.now()
 
     def _set(self, node: str, value: float | str) -> None:
         """Set a setting of the camera. Raises CameraError where it lacks it or does not take the value."""
@@ -207,24 +260,38 @@ class GenicamSource:
             raise CameraError(f"camera {self.name!r} does not take {node} = {value}: {error}") from error
 
     def grab(self) -> Frame:
-        """Trigger an exposure and wait for its image. Raises CameraError where none comes."""
+        """Trigger an exposure, or where an edge does this wait for one, and for its image. Raises CameraError where
+        none comes.
+        """
         self._read_clock()
-        before = self._clock.now()
-        self._nodes.TriggerSoftware.execute()
+        before = self._armed if self.waits_for_edge else self._clock.now()
+        if not self.waits_for_edge:
+            self._nodes.TriggerSoftware.execute()
         triggered = self._clock.now()
+        cause = (
+            f"an edge at {self._settings.trigger}: is a strobe wired to it" if self.waits_for_edge else "its trigger"
+        )
         try:
             buffer = self._acquirer.fetch(timeout=WAIT)
         except Exception as error:  # harvesters passes on whatever the producer raises
-            raise CameraError(f"camera {self.name!r} gave no image in {WAIT:g} s after its trigger: {error}") from error
+            raise CameraError(f"camera {self.name!r} gave no image in {WAIT:g} s after {cause}: {error}") from error
         if buffer is None:
-            raise CameraError(f"camera {self.name!r} gave no image in {WAIT:g} s after its trigger")
+            raise CameraError(f"camera {self.name!r} gave no image in {WAIT:g} s after {cause}")
+        if self.waits_for_edge:
+            triggered = self._clock.now()
         with buffer:
             image = self._image(buffer.payload.components[0])
             stamp = buffer.timestamp_ns * STAMP if buffer.timestamp_ns else None
         half = self._exposure() / 2
         if stamp is None:
             return Frame(image, (before + triggered) / 2 + half, max(triggered - before, 1e-3) / 2)
+        restarts = self._offset.restarts
         self._offset.learn(before, stamp, self._clock.now())  # stamps are of the exposure's start, or later
+        if self._settings.ptp and self._offset.restarts > restarts:
+            raise CameraError(
+                f"camera {self.name!r}: its stamps contradict those of the other cameras that keep time by PTP, or its "
+                "own earlier ones: one of them does not follow the master"
+            )
         t, sigma = self._offset.host(stamp, self._clock.now())
         return Frame(image, t + half, sigma)
 
@@ -288,7 +355,7 @@ def open_genicam_camera(
     """
     acquirer = HARVESTER.open(name, serial)
     try:
-        return GenicamSource(name, acquirer, clock, size, settings, HARVESTER.close)
+        return GenicamSource(name, acquirer, clock, size, settings, HARVESTER.close, HARVESTER.ptp)
     except BaseException:
         acquirer.destroy()
         HARVESTER.close()

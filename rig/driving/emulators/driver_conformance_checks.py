@@ -21,6 +21,7 @@ from rig.driving.emulators.fault_trials import (
     move_counts_with_faults,
     times_executed,
 )
+from rig.driving.move_profiles_and_path_check import straight_move_segment
 from rig.driving.user_classes_and_sensor_reader import require_own_rig_toml
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stopped
 from rig.formats.json_toml_and_yaml_loading import toml_entries
@@ -55,6 +56,7 @@ def check_conformance(design: Design, protocol: str, moves: int = 300, seed: int
     emulated_bench(design, protocol)
     checks: list[tuple[str, Callable[[Design, str, int], str]]] = [
         ("greets, homes and moves", _moves),
+        ("a move before homing", _refused),
         ("stops while it moves", _stops_moving),
         ("stops while it homes", _stops_homing),
         ("restarted between two moves", _restarted),
@@ -105,6 +107,21 @@ def _moves(design: Design, protocol: str, seed: int) -> str:
         off = float(np.abs(emulator.machine.axes.at(clock.now()) - target).max())
         _require(off <= ARRIVED, f"a move ended {off * 1e3:.4f} mm from its goal and was reported as done")
     return f"{name}: {len(emulator.machine.executed)} moves"
+
+
+def _refused(design: Design, protocol: str, seed: int) -> str:
+    driver, emulator, clock = emulated_bench(design, protocol, (), seed)
+    mechanism = require_struts(design.mechanism)
+    home = home_lengths(mechanism)
+    clock.allow(LONGEST)
+    driver.open()
+    segment = straight_move_segment(home, home + STEP, 1.0, driver.controller, mechanism)
+    verdict = driver.link.run(driver.link.protocol.move(segment))
+    if verdict.accepted:
+        return "acknowledged: the driver alone refuses that"
+    understood = verdict.accepted is False and bool(verdict.reason)
+    _require(understood, "it was refused, and the answer fits no pattern as a whole, as `refused`, with a reason")
+    return f"refused: {verdict.reason}"
 
 
 def _stops_moving(design: Design, protocol: str, seed: int) -> str:

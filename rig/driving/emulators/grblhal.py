@@ -62,7 +62,7 @@ class GrblHAL(Emulator):
         self._forget_modes()
         self.alarm, self.held, self._checking = self._alarm_at_start(), False, False
         self.offset = np.zeros(n)  # m, of the work coordinates
-        self._reports = 0
+        self._reports, self._blocked = 0, False  # by an alarm that only a reset releases
 
     def greet(self) -> None:
         self._forget_modes()
@@ -125,7 +125,7 @@ class GrblHAL(Emulator):
             self.machine.halt(self.now)
         self.forget()
         self._forget_modes()
-        self._in, self.held = b"", False
+        self._in, self.held, self._blocked = b"", False, False
         alarm = 6 if homing else 3 if moving else 0
         if self.faults.take("stale-alarm"):
             self.say(f"{self._report(False)[:25]}ALARM:{alarm or 3}\r\n")
@@ -190,7 +190,7 @@ class GrblHAL(Emulator):
             zeros = self._figures(np.zeros(len(self.axes)))
             self.say(f"[G54:{self._figures(MM * self.offset)}]\r\n[G92:{zeros}]\r\n[TLO:{zeros}]\r\n")
         elif text == "$X":
-            if self.machine.deaf:
+            if self.machine.deaf or self._blocked:
                 return 79
             if self.alarm == 11:
                 return 46
@@ -219,7 +219,7 @@ class GrblHAL(Emulator):
     def _home(self) -> int | None:
         if not int(self.settings[22]) & 1:
             return 5
-        if self.machine.deaf:
+        if self.machine.deaf or self._blocked:
             return 79
         self.faults.begin(homing=True)
         self.alarm, self._error = 0, 0
@@ -280,7 +280,7 @@ class GrblHAL(Emulator):
             else:
                 target[i] = value + (0 if machine_coordinates else self.offset[i])
         if self.settings[20] and self.is_beyond_limits(target):
-            self.alarm = 2
+            self.alarm, self._blocked = 2, True
             self.say("ALARM:2\r\n[MSG:Reset to continue]\r\n")
             return
         duration = float(np.linalg.norm(target - start)) / (self._feed / MM / 60) if self._motion else 0.0

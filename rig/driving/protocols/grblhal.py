@@ -41,6 +41,7 @@ ASKED = (0.5, 2)  # s, times: a status report in order to stop; a controller tha
 READY = "G21G90G94"
 UNCONFIRMED, CONFIRMED = "F1", "F100"  # mm/min; of a position since the controller started
 SLOWEST = 2.0  # mm/min, of a move, so that its feed word is no F0 or F1
+BLOCKED = 79  # the error of a line in an alarm that blocks until a reset
 HOMING_REQUIRED = 11  # the alarm of a controller that starts locked ($22 with 4)
 _STATUS = re.compile(r"<([A-Za-z]+(?::\d+)?)((?:\|[^<>|]*)*)>")
 _NUMBERS = r"-?\d+\.\d+(?:,-?\d+\.\d+)*"
@@ -85,7 +86,7 @@ ERRORS = {
     46: "it must be homed first, without unlocking",
     50: "emergency stop is pressed",
     51: "a motor driver is in fault",
-    79: "not while an alarm is critical",
+    BLOCKED: "not while an alarm is critical",
 }
 ALARMS = {
     1: "a limit switch was hit, position lost",
@@ -204,7 +205,7 @@ class GrblHAL:
                 "they are rotary",
             )
         self._homing = True
-        verdict = yield from _command("$H", timeout)
+        verdict = yield from self._out_of_alarm("$H", timeout)
         if verdict.accepted is None:
             return Verdict(None, f"not home within {timeout:g} s ([controller] home_timeout)")
         self._homing, self._homed = False, None
@@ -232,7 +233,7 @@ class GrblHAL:
         return Verdict(True)
 
     def unlock(self) -> Dialogue[Verdict]:
-        verdict = yield from _command("$X")
+        verdict = yield from self._out_of_alarm("$X")
         if verdict.accepted:
             yield from self._make_ready()
         return verdict
@@ -275,6 +276,15 @@ class GrblHAL:
         """Units, distances, feed; what it answers. In an alarm it takes none of them."""
         feed = UNCONFIRMED if self.started_anew else CONFIRMED
         return (yield from _answer_lines(f"{READY}{feed}\n".encode(), locked=True))
+
+    def _out_of_alarm(self, line: str, timeout: float | None = None) -> Dialogue[Verdict]:
+        """Send what ends an alarm; one that blocks (a limit switch's, a motor's) takes it after a reset alone."""
+        verdict = yield from _command(line, timeout)
+        if verdict.reason.startswith(f"error:{BLOCKED}"):
+            yield Exchange(b"\x18", lambda lines: bool(_BANNER.match(lines[-1])))
+            yield from self._make_ready()  # its answer comes after the alarm that the start itself may raise
+            verdict = yield from _command(line, timeout)
+        return verdict
 
     def _learn_homed(self) -> Dialogue[None]:
         """Ask until it says whether it is homed, which comes with a whole report, or with every tenth, or never."""

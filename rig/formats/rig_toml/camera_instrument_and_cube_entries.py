@@ -33,6 +33,7 @@ from rig.model.protocol_and_port_names import USER_PROGRAMS, is_user_program
 LARGEST_IMAGE = 100_000  # px along a side
 NETWORK = ("http", "https", "rtsp")  # of cameras that a URL names
 SOURCES = ("uvc", "gstreamer", "genicam", "folder", "emulator", "command", *NETWORK, *USER_PROGRAMS)  # of cameras
+GENICAM = ("pixel_format", "gain", "trigger", "strobe", "ptp")  # what [camera.capture] may set of such a camera
 
 
 def cameras_of_tables(tables: list[Entries]) -> tuple[Camera, ...]:
@@ -113,7 +114,7 @@ def cameras_of_tables(tables: list[Entries]) -> tuple[Camera, ...]:
 
 def _capture(table: Entries, source: str | None) -> CaptureSettings:
     """How a run sets a camera. Raises FileError for a setting that its kind of source does not have."""
-    settings = {"uvc": ("pixel_format", "gain", "focus", "white_balance"), "genicam": ("pixel_format", "gain")}
+    settings = {"uvc": ("pixel_format", "gain", "focus", "white_balance"), "genicam": GENICAM}
     kind = (source or "").partition(":")[0]
     table.refuse_misspelt([field.name for field in fields(CaptureSettings)])
     for key in table.tree:
@@ -131,6 +132,9 @@ def _capture(table: Entries, source: str | None) -> CaptureSettings:
         table.number("gain", None),
         table.number("focus", None, least=0),
         table.number("white_balance", None, least=1000, most=20000, unit="K"),
+        table.text("trigger", default=""),
+        table.text("strobe", default=""),
+        table.flag("ptp", default=False),
     )
 
 

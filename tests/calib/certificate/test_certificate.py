@@ -6,6 +6,7 @@ import importlib.util
 import io
 import json
 import os
+import re
 import shutil
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
@@ -174,6 +175,29 @@ def test_the_promise_is_so(held, design):
     assert np.quantile(lengths, 0.95) <= promise["position_m"] < 2 * np.quantile(lengths, 0.95)
     assert promise["position"]["lower"] <= np.quantile(lengths, 0.95) and held.tree["conditions"]["moving"] == 4
     assert "Not counted: 4 exposures within 0.25 s of a move;" in held.out
+
+
+@pytest.mark.parametrize("offset", [-0.4, 0.4])
+def test_stamps_of_another_clock_are_shifted_as_verification_shifts_them(held, design, rig_text, tmp_path, offset):
+    """As much before or after the exposures, so that those at rest seem to be in motion, and some in motion at rest."""
+    right = _made(tmp_path / "right", held.secret, rig_text, design, "sobol:62,ladder:3,repeat:12,moving:30", 3)
+    stamped = tmp_path / "stamped"
+    shutil.copytree(right, stamped)
+    rows = [line.split(",") for line in (right / "frames.csv").read_text().splitlines()]
+    rows[1:] = [[frame, f"{float(t) + offset:.4f}", *rest] for frame, t, *rest in rows[1:]]
+    (stamped / "frames.csv").write_text("".join(",".join(row) + "\n" for row in rows))
+    made = {}
+    for folder in (right, stamped):
+        rig("certify", held.folder / "cal.json", folder, "--out", tmp_path / f"{folder.name}.json")
+        made[folder.name] = json.loads((tmp_path / f"{folder.name}.json").read_text())
+    (said,) = [line for line in made["stamped"]["displacement"] if "clock" in line]
+    found = re.search(r"times are ([0-9.]+) ms (early|late)", said)
+    assert found[2] == ("early" if offset < 0 else "late") and abs(float(found[1]) - 400) < 2
+    assert made["stamped"]["conditions"]["moving"] == made["right"]["conditions"]["moving"]
+    promises = [made[name]["promise"] for name in ("stamped", "right")]
+    assert promises[0]["n"] == promises[1]["n"]
+    assert promises[0]["position_m"] == pytest.approx(promises[1]["position_m"], rel=0.02)
+    assert made["stamped"]["claim"]["kept"] and made["right"]["claim"]["kept"]
 
 
 def test_the_first_line_says_whose_scale_it_is(held):

@@ -25,6 +25,7 @@ from tests.calib.controllers_in_c import (
     WARM,
     calibration_of,
     compiled_library,
+    effects,
     fitted,
     needs_compiler,
     pointer,
@@ -38,9 +39,10 @@ STEPS_PER_MM = 1e4
 STEP = 1e-3 / STEPS_PER_MM  # m
 SAME = 2e-8  # m: grblHAL holds poses and motors in single precision, 15 nm of a height of half a metre
 STRAIGHT = 2e-7  # m, from a line where motors run at constant ratios for half a millimetre or a tenth of a degree
-RAPID, INVERSE_TIME, JOG, CANCELLED = 1, 2, 4, 8
+RAPID, INVERSE_TIME, JOG, CANCELLED, BROKEN_OFF = 1, 2, 4, 8, 16
 MOST = 4000
-WITHOUT_PLAY = [name for name in CALIBRATIONS if name not in ("backlash", "all")]
+WITH_PLAY = ("backlash", "all")
+WITHOUT_PLAY = [name for name in CALIBRATIONS if name not in WITH_PLAY]
 
 
 def source_of(calibration, zero=None):
@@ -323,9 +325,63 @@ def test_motors_count_from_the_lengths_that_are_stated(design, tmp_path):
     assert "Motor C: -33.648182 to 65.351818, 0 where strut 6 is 0.460000000 m long" in plug_in.text
 
 
-def test_play_is_refused_and_so_is_a_zero_that_is_no_length(design):
-    with pytest.raises(RigError, match=r"takes up play \(strut 1, 4\)"):
-        source_of(CALIBRATIONS["backlash"](design))
+@needs_compiler
+@pytest.mark.parametrize("name", WITH_PLAY)
+def test_plays_are_taken_up_as_rig_correct_does_segment_by_segment(design, tmp_path, name):
+    calibration = CALIBRATIONS[name](design)
+    plug_in = PlugIn(calibration, tmp_path)
+    for channel in re.findall(r"channels\[\d+\] (\w+)", plug_in.text):
+        assert plug_in.command(f"{channel}:{WARM[channel]}") == 0
+    start = plug_in.where().astype(float)
+    words, ends = [], []
+    for T in wanted(design, 12, fill=0.5):
+        goal = pose_words(T)
+        ends.append(plug_in.line(goal)[0])
+        shares = np.arange(1, len(ends[-1]) + 1)[:, None] / len(ends[-1])
+        words.append(start + shares * (goal - start))
+        start = goal.astype(float)
+        assert np.abs(plug_in.where() - goal).max() < 2e-4
+    done = commanded(calibration, np.concatenate(words))
+    assert np.abs(np.concatenate(ends) - done).max() < SAME + STEP
+    turns = (np.diff(np.sign(np.diff(done, axis=0)), axis=0) != 0).sum(axis=0)
+    assert (turns > 3).all()
+
+
+def struts_driven(motors, struts, gaps):
+    """(6,) m where struts stand after their motors ran through (n, 6) m, each with its play. struts : (6,) m before"""
+    for row in motors:
+        struts = np.clip(struts, row - gaps / 2, row + gaps / 2)
+    return struts
+
+
+@needs_compiler
+def test_struts_with_play_stand_where_they_should_after_a_stop_and_after_homing(design, tmp_path):
+    """Struts that follow their motors by the law of play alone, and lengths of a calibration that knows of none."""
+    calibration = CALIBRATIONS["backlash"](design)
+    plug_in, without = PlugIn(calibration, tmp_path), replace(calibration, physics=None)
+    gaps = np.array([8e-5, 0, 0, 3e-5, 0, 0])
+    motors = struts = plug_in.lengths
+    goals = [pose_words(T) for T in wanted(design, 40, seed=3, fill=0.4)]
+    for k, goal in enumerate(goals):
+        if k == 20:  # homed: motors ran down by a millimetre and up again
+            plug_in.array("switches", ctypes.c_float, 6)[:] = (motors - plug_in.zero) * 1e3 - 1
+            assert plug_in.library.home(pointer(np.zeros(6, np.float32))) == 1
+            struts = struts_driven([motors - 1e-3, motors], struts, gaps)
+            assert np.allclose(struts, motors - gaps / 2)
+        broken = k % 3 == 1
+        ends, _, _ = plug_in.line(goal, kind=BROKEN_OFF if broken else 0)
+        ends = ends[:3] if broken else ends
+        struts, motors = struts_driven(np.r_[ends, plug_in.lengths[None]], struts, gaps), plug_in.lengths
+        assert np.abs(commanded(without, [plug_in.where()])[0] - struts).max() < SAME + 2 * STEP
+        if not broken:
+            assert np.abs(commanded(without, goal[None])[0] - struts).max() < SAME + 2 * STEP
+    assert np.abs(motors - struts).max() > 3e-5
+
+
+def test_a_play_with_a_cyclic_error_is_refused_and_so_is_a_zero_that_is_no_length(design):
+    both = effects(design, "backlash:strut1:gap=8e-5", "cyclic_error:strut1:amplitude=1e-5")
+    with pytest.raises(RigError, match="play together with a cyclic error"):
+        source_of(calibration_of(fitted(design), both))
     for zero in (np.full(6, np.nan), np.zeros(5)):
         with pytest.raises(RigError, match="--zero is one length or six"):
             source_of(CALIBRATIONS["plain"](design), zero)

@@ -117,6 +117,18 @@ def test_a_limit_of_one_motor_keeps_all_at_rest(ioc, driver):
     driver.move(home(driver) + STEP)
 
 
+def test_a_record_that_may_not_be_written_is_named_and_nothing_moves(ioc, path):
+    ioc.ask("PUT RIG:locked=3")
+    try:
+        with Driver(design_from_rig_toml.load_design(path)) as driver:
+            driver.home()
+            with pytest.raises(ControllerFault, match="no write access to RIG:m3.VAL"):
+                driver.move(home(driver) + STEP)
+            np.testing.assert_allclose(driver.lengths(), home(driver), atol=1e-9)
+    finally:
+        ioc.ask("PUT RIG:locked=0")
+
+
 @pytest.mark.parametrize(("kind", "why"), [("stall", "RIG:m3 slips or stalls"), ("fault", "RIG:m3 has a problem")])
 def test_a_motor_that_fails_stops_all(ioc, driver, kind, why):
     ioc.ask(f"PUT RIG:{kind}=3")

@@ -10,6 +10,7 @@ from rig.driving.run_journal import CameraExposures, Ended, Exposed, PositionUnk
 from rig.errors import ControllerFault, MotionError, PositionLost, RigError, Stopped
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.recording import recording_folder
+from tests.cli import run
 from tests.emulated_run import RigInThread
 
 NO_SWITCHES = "homing = false\nzero = 0.4\n"
@@ -170,3 +171,10 @@ def test_a_run_without_cameras_leaves_visits_that_an_instruments_poses_are_joine
 def test_what_takes_cameras_is_refused_without_them(made, tmp_path):
     with pytest.raises(RigError, match="without cameras there is neither --settle images"):
         made.run(tmp_path / "rec", cameras=False, settle="images")
+
+
+def test_the_alarm_that_only_homing_ends_is_ended_by_homing_with_unlocking_too(made):
+    made.emulator.settings[22] = 5
+    made.emulator.power_cycle()
+    assert "alarm 11 (homing is required)); rig home ends that" in run("status", made.path).stdout
+    assert run("home", made.path, "--unlock").stdout.splitlines()[1] == "idle"

@@ -1,5 +1,7 @@
 """Cameras: fresh frames only, their times on the host's clock, whole files only."""
 
+import time
+import tomllib
 import types
 from dataclasses import replace
 
@@ -8,15 +10,21 @@ import numpy as np
 import pytest
 
 from rig.driving.cameras import CameraError, genicam_camera, open_camera
-from rig.driving.cameras.camera_interface_and_user_cameras import ClockOffset
+from rig.driving.cameras.camera_interface_and_user_cameras import (
+    ClockOffset,
+    Frame,
+    StampDifferences,
+    SynchronisedCameras,
+)
 from rig.driving.cameras.camera_opening import EmulatedSource, FolderSource
-from rig.driving.cameras.genicam_camera import GenicamSource
+from rig.driving.cameras.genicam_camera import PTP_NODES, GenicamSource
 from rig.driving.cameras.opencv_camera import VideoSource
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Camera, CaptureSettings
 from rig.model.pose import pose
 from rig.planning.layout import hexapod_layout_and_camera_placement
+from tests.conftest import ROOT
 from tests.rig.simulated_clock import SIZE, Ticking
 
 
@@ -221,6 +229,157 @@ def test_a_genicam_camera_is_triggered_and_its_stamp_brought_to_the_host():
     nodes.TimestampLatchValue = Node(0)
     sharper = source.grab()
     assert sharper.t_sigma < 1e-3 and abs(sharper.t - (exposed[-1] + 0.005)) < 3e-3
+
+
+def with_nodes(nodes, *names):
+    for name in names:
+        setattr(nodes, name, Node())
+
+
+def wired(clock):
+    """Two cameras, the first exposes the second by its strobe: the second and the first as sources, nodes of the
+    first and the second, times at which the first exposed, the second's queue of times.
+    """
+    first, nodes, exposed = genicam(clock)
+    second, others, _ = genicam(clock, off=-40.0)
+    with_nodes(nodes, "LineSelector", "LineMode", "LineSource")
+    queue, trigger = [], nodes.TriggerSoftware.execute
+    others.TriggerSoftware.execute()  # so that there is a buffer; its stamp is the edge's
+    fetch = second.fetch
+
+    def both():
+        trigger()
+        queue.append(exposed[-1] + 2e-6)
+
+    def edge(timeout):
+        if not queue:
+            raise TimeoutError("no buffer")
+        buffer = fetch(timeout)
+        buffer.timestamp_ns = int((queue.pop(0) + 40.0) * 1e9)
+        return buffer
+
+    nodes.TriggerSoftware.execute = both
+    second.fetch, second.try_fetch = edge, lambda timeout: edge(timeout) if queue else None
+    others.TriggerSoftware.execute = lambda: pytest.fail("nothing but the edge exposes it")
+    sources = (
+        GenicamSource("edge", second, clock, SIZE, CaptureSettings(trigger="Line1")),
+        GenicamSource("main", first, clock, SIZE, CaptureSettings(strobe="Line2")),
+    )
+    return sources, nodes, others, exposed, queue
+
+
+def test_a_strobe_exposes_another_camera_and_their_stamps_are_compared():
+    clock = Ticking()
+    sources, nodes, others, exposed, queue = wired(clock)
+    assert others.TriggerSource.value == "Line1" and others.TriggerMode.value == "On"
+    assert (nodes.LineSelector.value, nodes.LineMode.value, nodes.LineSource.value) == (
+        "Line2",
+        "Output",
+        "ExposureActive",
+    )
+    assert [source.can_set_exposure for source in sources] == [False, True]
+    queue.append(clock.now())  # an edge of long before: nobody waited for it
+    differences = StampDifferences()
+    cameras = SynchronisedCameras(sources, clock)
+    for k in range(3):
+        clock.sleep(1.0)
+        for source in cameras.sources:
+            if source.waits_for_edge:
+                source.arm()
+        frames = {"main": cameras.sources[1].grab(), "edge": cameras.sources[0].grab()}
+        assert not queue and len(exposed) == k + 1
+        for frame in frames.values():
+            assert abs(frame.t - (exposed[-1] + 0.0025)) < 3 * frame.t_sigma < 0.1
+        differences.add(frames)
+    (line,) = differences.lines()
+    assert line.startswith("edge exposed ") and "ms after main in the mean of 3 frames" in line
+    with pytest.raises(
+        CameraError, match="'edge' gave no image in 5 s after an edge at Line1: is a strobe wired to it"
+    ):
+        sources[0].grab()
+    cameras.close()
+
+
+def test_cameras_of_which_an_edge_exposes_one_are_armed_first_and_tried_again_together():
+    calls = []
+
+    class Edge:
+        name, can_set_exposure, waits_for_edge = "edge", False, True
+
+        def arm(self):
+            calls.append("arm")
+
+        def grab(self):
+            while "trigger" not in calls[-2:]:
+                time.sleep(1e-4)
+            if calls.count("arm") < 2:
+                raise CameraError("camera 'edge' gave no image")
+            return Frame(np.zeros((2, 2), np.uint8), 1.0002, 1e-4)
+
+        def close(self):
+            calls.append("closed")
+
+    class Main(Edge):
+        name, waits_for_edge = "main", False
+
+        def grab(self):
+            calls.append("trigger")
+            return Frame(np.zeros((2, 2), np.uint8), 1.0, 1e-4)
+
+    cameras = SynchronisedCameras((Main(), Edge()), Ticking())
+    frames = cameras.grab()
+    assert calls == ["arm", "trigger", "arm", "trigger"] and set(frames) == {"main", "edge"}
+    assert cameras.retried == [("main, edge", "camera 'edge' gave no image")]
+    cameras.close()
+    differences = StampDifferences()
+    differences.add(frames)
+    assert differences.lines() == [
+        "edge exposed +0.200 ms after main in the mean of 1 frames, between +0.200 and +0.200; their clocks are "
+        "compared to 0.141 ms (standard deviation)"
+    ]
+
+
+def test_the_wired_cameras_of_the_page_are_those_that_open(tmp_path):
+    page = (ROOT / "docs" / "operating.md").read_text().split("\n## Wired cameras\n")[1].split("\n## ")[0]
+    text = "".join(line[4:] for line in page.splitlines(True) if line.startswith("    "))
+    settings = [CaptureSettings(**table["capture"]) for table in tomllib.loads(text)["camera"]]
+    assert [(one.trigger, one.strobe, one.ptp) for one in settings] == [("", "Line2", True), ("Line1", "", True)]
+    clock = Ticking()
+    for one in settings:
+        acquirer, nodes, _ = genicam(clock)
+        with_nodes(nodes, "LineSelector", "LineMode", "LineSource", *PTP_NODES[0])
+        nodes.PtpDataSetLatch.execute = lambda nodes=nodes: setattr(nodes.PtpStatus, "value", "Slave")
+        assert GenicamSource("cam", acquirer, clock, SIZE, one).waits_for_edge == bool(one.trigger)
+
+
+@pytest.mark.parametrize("names", PTP_NODES)
+def test_cameras_that_keep_time_by_ptp_share_one_clock(names):
+    clock, ptp = Ticking(), ClockOffset()
+
+    def follows(acquirer, nodes, status="Slave"):
+        with_nodes(nodes, *names)
+        latched = iter(["Listening", "Uncalibrated", status])
+        getattr(nodes, names[1]).execute = lambda: setattr(getattr(nodes, names[2]), "value", next(latched, status))
+        return acquirer, nodes
+
+    sources = []
+    for k in range(2):
+        acquirer, nodes = follows(*genicam(clock)[:2])
+        sources.append(GenicamSource(f"cam{k}", acquirer, clock, SIZE, CaptureSettings(ptp=True), ptp=ptp))
+        assert getattr(nodes, names[0]).value is True
+    for _ in range(20):
+        clock.sleep(0.1)
+        frames = [source.grab() for source in sources]
+    assert frames[0].t_sigma == pytest.approx(frames[1].t_sigma, abs=1e-4) and ptp.restarts == 0
+    acquirer, nodes = follows(*genicam(clock, off=249.0)[:2])  # says that it follows, and is a second off
+    other = GenicamSource("cam2", acquirer, clock, SIZE, CaptureSettings(ptp=True), ptp=ptp)
+    with pytest.raises(CameraError, match="'cam2': its stamps contradict those of the other cameras"):
+        other.grab()
+    acquirer, nodes = follows(*genicam(clock)[:2], "Listening")
+    with pytest.raises(CameraError, match=f"does not follow PTP within 30 s: its {names[2]} is Listening"):
+        GenicamSource("cam3", acquirer, clock, SIZE, CaptureSettings(ptp=True), ptp=ptp)
+    with pytest.raises(CameraError, match="it has no PtpEnable"):
+        GenicamSource("cam4", genicam(clock)[0], clock, SIZE, CaptureSettings(ptp=True), ptp=ptp)
 
 
 def test_a_genicam_camera_that_is_silent_or_packs_its_pixels_is_named():

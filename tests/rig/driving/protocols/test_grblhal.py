@@ -177,6 +177,20 @@ def test_stop_resets_what_answers_nothing_because_it_homes():
     assert talk(script, lambda p: p.stop(), greeted()).accepted
 
 
+@pytest.mark.parametrize("what, line", [("home", b"$H\n"), ("unlock", b"$X\n")])
+def test_an_alarm_that_blocks_is_reset_before_it_is_homed_or_unlocked(what, line):
+    """A limit switch's alarm: whoever asks for this at the machine has seen why."""
+    script = [
+        (line, b"error:79\r\n"),
+        (b"\x18", b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"),
+        (b"G21G90G94F100\n", b"ALARM:11\r\n[MSG:Homing cycle required]\r\nerror:9\r\n"),  # not of what follows
+        (line, b"ok\r\n"),
+        (b"G21G90G94F100\n", b"ok\r\n"),
+    ]
+    wanted = {"home": lambda p: p.home(10.0), "unlock": lambda p: p.unlock()}
+    assert talk(script, wanted[what], greeted()).accepted
+
+
 def test_scaled_coordinates_are_made_whole_again_and_never_moved_in():
     scaled = (MODES[0], MODES[1].replace(b"G50", b"G51:XY"))
     assert greeted([*HELLO[:3], scaled, HELLO[4], (b"G50\n", b"ok\r\n")]) is not None
