@@ -1,17 +1,21 @@
 """Temperatures whose logs hold noise: smooth ones come back, others stay as they were logged."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from calib.api.diagnose import diagnose
 from calib.diagnosis.problems.platform.alternatives_of_findings import parameter_errors_by_temperature_logs
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
 from calib.diagnosis.problems.remainder_covariates_and_repeatability import smooth_temperatures
+from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
+from rig.cli import command_line
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
-from rig.recording.recording_folder import Sensors
+from rig.recording.recording_folder import Sensors, load_recording
 from synthetic.secret_machine_and_truth_file import draw_temperatures
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.recordings_with_effects import recorded
@@ -99,3 +103,14 @@ def test_intervals_hold_what_the_thermometer_leaves_open(tmp_path, design):
             seen += ((ends[1] - ends[0]) / (2 * FAR)) ** 2
     np.testing.assert_allclose(more, seen, rtol=0.15)
     assert (more > 0.01 * np.diag(refined.covariance)).all()
+
+
+def test_a_machine_without_a_base_plate_has_none_that_grows(tmp_path):
+    delta = Path(__file__).parents[3] / "docs" / "kinematics" / "delta.toml"
+    effects = ("--effect", "scale_error:slide2:scale=2e-3", "--truth", str(tmp_path / "truth.json"))
+    plan = ("--plan", "sobol:60", "--seed", "3")
+    command_line.main(["simulate", str(delta), *plan, *effects, "--out", str(tmp_path / "rec")])
+    (tmp_path / "rec" / "sensors.csv").unlink()  # whose temperatures nobody logged
+    findings = diagnosis_report(diagnose(load_recording(tmp_path / "rec")).found).findings
+    assert [(f.effect, f.place) for f in findings] == [("scale_error", "slide 2")]
+    assert "base_expansion" not in {a.effect for f in findings for a in f.cannot_be_told_from}

@@ -79,10 +79,19 @@ def _unlogged_temperature_alternatives(problem: PlatformProblem, selection: Plat
             (kind, place)
             for kind in kinds
             for place in _places(kind, f.score.candidate.place)
-            if lacks_temperature_log(k, kind.follows(place, effect_context(k)))
+            if lacks_temperature_log(k, kind.follows(place, effect_context(k))) and _acts_if_warm(k, kind, place)
         ]
         findings.append(_beside_temperatures(problem, selection, f, requested) if requested else f)
     return replace(selection, findings=findings)
+
+
+def _acts_if_warm(k: OperatingPoint, kind: type[Effect], place: str) -> bool:
+    """Whether an effect may act on a machine, were its temperatures logged."""
+    if kind.stage == "view":
+        return True
+    warmth = {name: np.full(2, REFERENCE_TEMPERATURE) for name, *_ in kind.follows(place, effect_context(k))}
+    known = replace(k, sensors=Sensors(np.array([k.t.min(), k.t.max()]), warmth))
+    return kind(place, **{kind.parameters[0].name: STEP}).needs(known.motion(())) is None
 
 
 def _beside_temperatures(
