@@ -3,7 +3,7 @@
 Effects, places, sizes with uncertainty, and what has no known effect.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -15,6 +15,7 @@ from calib.diagnosis.engine.candidates_thresholds_and_outliers import (
     C,
     NotAsked,
     Outliers,
+    Site,
     StatedTerms,
 )
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
@@ -190,7 +191,7 @@ def diagnose_evidence(evidence: Evidence[Fit, C], name: str, progress: Progress 
         estimated = evidence.with_estimated_noise(explained.selection)
         if estimated is not None:
             evidence = estimated
-            explained, outliers = _explained_without_outliers(evidence, progress)
+            explained, outliers = _explained_without_outliers(evidence, progress, _sites(explained.selection))
     selection, left, tolerable, not_asked = explained
     if isinstance(evidence, TemperatureAlternatives):
         selection = evidence.with_temperature_alternatives(selection)
@@ -226,13 +227,16 @@ def diagnose_evidence(evidence: Evidence[Fit, C], name: str, progress: Progress 
     )
 
 
-def _explained_without_outliers(evidence: Evidence[Fit, C], progress: Progress | None) -> tuple[Explained, Outliers]:
+def _explained_without_outliers(
+    evidence: Evidence[Fit, C], progress: Progress | None, first: Sequence[Site] = ()
+) -> tuple[Explained, Outliers]:
     """(Explained without outliers, Outliers): beside what explains the evidence, rows show as wild that a large effect
-    hid; then all is explained anew without them.
+    hid; then all is explained anew without them, from what was found on.
     """
     known = evidence.gross_outliers()
     for turn in range(ROUNDS):
-        explained = _explained(evidence, known, progress)
+        explained = _explained(evidence, known, progress, first)
+        first = _sites(explained.selection)
         # what would show only in the last turn was searched, and is not left out
         found = known if turn == ROUNDS - 1 else evidence.outliers(explained.selection.fit, known)
         if found.left_out == known.left_out:
@@ -241,10 +245,16 @@ def _explained_without_outliers(evidence: Evidence[Fit, C], progress: Progress |
     return explained, found
 
 
-def _explained(evidence: Evidence[Fit, C], outliers: Outliers, progress: Progress | None) -> Explained:
-    """Explained of Evidence without outliers."""
+def _sites(selection: Selection[Fit, C]) -> list[Site]:
+    return [(f.score.candidate.name, f.score.candidate.place) for f in selection.findings]
+
+
+def _explained(
+    evidence: Evidence[Fit, C], outliers: Outliers, progress: Progress | None, first: Sequence[Site]
+) -> Explained:
+    """Explained of Evidence without outliers, from terms of these names and places on."""
     problem, not_asked = evidence.problem(outliers)
-    selection = select_terms(problem, progress)
+    selection = select_terms(problem, progress, first)
     problem = selection.problem
     left = problem.lack_of_fit(problem.residual(selection.fit))
     count = len(selection.findings)

@@ -4,7 +4,7 @@ Forward steps, backward removal, held-out tests, confirmation against alternativ
 """
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic
 
@@ -17,7 +17,7 @@ from calib.diagnosis.engine.candidate_score import (
     best_effect_at_several_axes,
     score_raised_to_likelihood_ratio,
 )
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import C
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import C, Site
 from calib.diagnosis.engine.finding_confirmation import (
     Finding,
     confirm_terms,
@@ -56,13 +56,16 @@ class Selection(Generic[Fit, C]):
     asked: int
 
 
-def select_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Selection[Fit, C]:
+def select_terms(
+    problem: Problem[Fit, Model, C], progress: Progress | None = None, first: Sequence[Site] = ()
+) -> Selection[Fit, C]:
     """Selection of the terms that a problem needs.
 
-    progress : called with (label, done, of), or None
+    progress : called with (label, done, of), or None; first : (name, place) of terms to begin with, which are confirmed
+    as all others are
     """
     before = problem.start()
-    problem, fit, scans = _chosen(problem, before, progress)
+    problem, fit, scans = _chosen(problem, before, progress, first)
     searched = problem.terms(fit)
     fit, findings = confirm_terms(problem, fit, scans, progress)
     for _ in range(SEARCHED_AGAIN):
@@ -85,29 +88,30 @@ def fit_selected_terms(problem: Problem[Fit, Model, C], progress: Progress | Non
 
 
 def _chosen(
-    problem: Problem[Fit, Model, C], before: Fit, progress: Progress | None
+    problem: Problem[Fit, Model, C], before: Fit, progress: Progress | None, first: Sequence[Site] = ()
 ) -> tuple[Problem[Fit, Model, C], Fit, Scans[C]]:
     """(Problem, Fit, Scans made) with terms admitted, and those that pay on stretches held out retained. Raises
     ValueError for a policy that admits companions of a problem that has none.
     """
     if np.isfinite(problem.policy.companions) and not isinstance(problem, Companions):
         raise ValueError("the policy admits companions, and the problem does not search for any")
-    problem, fit, scans = _forward(problem, _fit_with_stated_terms(problem, before), progress)
+    sites = dict.fromkeys([*problem.given.first, *first])
+    problem, fit, scans = _forward(problem, _fit_with_terms_at(problem, before, list(sites)), progress)
     if isinstance(problem, TermSimplification):
         fit = problem.simplify_terms(fit)
     return problem, _remove_terms_without_held_out_gain(problem, fit), scans
 
 
-def _fit_with_stated_terms(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
-    """The Fit with what is said beforehand admitted, each at its best beside those before it."""
-    for site in problem.given.first:
+def _fit_with_terms_at(problem: Problem[Fit, Model, C], fit: Fit, sites: list[Site]) -> Fit:
+    """The Fit with terms of these names and places admitted, each at its best beside those before it."""
+    for site in sites:
         own = [c for c in _admissible(problem, fit) if (c.name, c.place) == site]
         model = problem.residual(fit)
         size = problem.linear(model).size
         scores = problem.search(model, own, -np.inf, None)
         if scores:
             fit = problem.add_term(fit, max(scores, key=lambda s: s.evidence(size)))
-    return _refined(problem, fit) if problem.given.first else fit
+    return _refined(problem, fit) if sites else fit
 
 
 def _admissible(problem: Problem[Fit, Model, C], fit: Fit) -> list[C]:

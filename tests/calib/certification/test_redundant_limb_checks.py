@@ -116,7 +116,7 @@ def test_fewer_limbs_than_freedoms_are_refused_with_the_reason(tmp_path):
     design = design_from_rig_toml.load_design(tmp_path / "rig.toml")
     with pytest.raises(
         RigError,
-        match="has 4 measuring limbs in .insitu., and a platform has six freedoms: fewer than six lengths tell no",
+        match="has 4 measuring limbs in .insitu., and a platform has six freedoms: fewer than six lengths determine no",
     ):
         measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design)
     assert not redundant_limb_checks.has_six_measuring_limbs(design)
