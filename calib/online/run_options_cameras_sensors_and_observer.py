@@ -133,14 +133,14 @@ class RunOptions:
             raise RigError(f"--interval takes seconds of at least 0, not {self.interval:g}")
 
 
-def compile_kernels_for_run(design: Design) -> None:
-    """Compile the kernels that a run needs.
+def compile_kernels_for_run(design: Design) -> bool:
+    """Compile the kernels that a run needs; False of other machines than hexapods with cameras.
 
     By measuring one drawn image of a hexapod at home.
     """
     m = design.mechanism
     if not is_hexapod(m) or not design.cameras or not any(target.body == "platform" for target in design.targets):
-        return
+        return False
     markers, live = marker_map(design), Live(design)
     images = render_marker_images(design.cameras, m.home, markers)
     live.take(0, images)
@@ -150,6 +150,7 @@ def compile_kernels_for_run(design: Design) -> None:
     learner, lengths = Learner(m), mechanisms.kinematics_of(m).inverse(m.home, m)
     for _ in range(2):  # the second is held against the first
         learner.learn(lengths, m.home, 1e-10 * np.eye(6))
+    return True
 
 
 def open_cameras(design: Design, clock: Clock) -> SynchronisedCameras:

@@ -115,7 +115,7 @@ def poses_aligned_with_machine(
     ends : which are unknown; level : whether the platform stays level
     """
     base, tool = align_poses(predicted, T, ends, 3 if level else 6)
-    numbers, figures = (6 * ends[0], 3 * len(T)) if level else (6 * sum(ends), 6 * len(T))
+    numbers, figures = (6 if ends[0] else 3, 3 * len(T)) if level else (6 * sum(ends), 6 * len(T))
     left = pose_difference(predicted, base.inv() * T * tool.inv()) / np.sqrt(1 - min(numbers / figures, 0.9))
     left[:, 3:] *= not level
     line = (

@@ -74,4 +74,9 @@ def run_kernels(arguments: Namespace) -> None:
     from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run
     from rig.formats.rig_toml import design_from_rig_toml
 
-    compile_kernels_for_run(design_from_rig_toml.load_design(arguments.design))
+    design = design_from_rig_toml.load_design(arguments.design)
+    print(
+        "compiled: what runs and measurements of this rig take"
+        if compile_kernels_for_run(design)
+        else "nothing compiled: ahead, only kernels of hexapods whose cameras see a cube on the platform are"
+    )

@@ -218,7 +218,7 @@ class Kernel:
                 compiled: Any = numba.njit(**self._options)(self._function)
             finally:
                 settings.CACHE_DIR = before
-        if self._options.get("cache"):
+        if self._options.get("cache") and hasattr(compiled, "_cache"):  # none where compilation is switched off
             compiled._cache._cache_file._source_stamp = self.digest
         return cast(Callable[..., object], compiled)
 

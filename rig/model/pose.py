@@ -15,6 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.compute.numba_kernels_and_lazy_exports import njit
+from rig.errors import NotEnoughData
 
 TRIANGLE = np.triu_indices(6)
 LOCKED = 1e-9  # cosine of a pitch below which roll and yaw turn about the same axis
@@ -124,6 +125,8 @@ def adjoint(T: RigidTransform) -> Floats:
 
 ALIGNMENT = np.repeat([1e-3, 2e-3], 3)  # m, rad; by which poses weigh that a stated machine and a measurement have
 ALIGNMENT_STEPS, HUBER = 50, 3.0
+FEWEST_ALIGNED = 4  # poses
+LINE = 1e-6  # of the length of a row of positions, within which they lie on a line
 
 
 def align_poses(
@@ -133,11 +136,20 @@ def align_poses(
     squares, from rotations between poses on.
 
     ends : whether each is unknown, the identity where not; rows : 6, or 3 where positions alone were measured
+    Raises NotEnoughData for fewer than FEWEST_ALIGNED poses, and positions on a line
     Source: Park and Martin, Robot sensor calibration: solving AX = XB on the Euclidean group, IEEE Trans. Robotics 1994
     """
     none = RigidTransform.identity()
     base, tool = none, none
     p, q = predicted.translation, measured.translation
+    if len(p) < FEWEST_ALIGNED:
+        raise NotEnoughData(
+            f"where an instrument stands is determined from {FEWEST_ALIGNED} poses at least, not {len(p)}"
+        )
+    if ends[0] and rows == 3:
+        spread = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
+        if spread[1] <= LINE * spread[0]:
+            raise NotEnoughData(f"{len(p)} positions on a line do not determine how an instrument is turned about it")
     if ends[0] and rows == 6:
         turned = [(T.rotation * T.rotation[0].inv()).as_rotvec()[1:] for T in (measured, predicted)]
         start = (measured.rotation * predicted.rotation.inv()).mean()

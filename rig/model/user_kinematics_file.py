@@ -163,7 +163,14 @@ class KinematicsFile:
         function, by_name = getattr(self.module, name), self.by_name(p)
         with self._reported(name), np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore", np.exceptions.ComplexWarning)  # of a complex step that a function discards
-            found = function(given, by_name) if batched else [_one(function, one, by_name, shape) for one in given]
+            found = (
+                function(given, by_name)
+                if batched
+                else [
+                    _one(function, one, by_name, shape) if name == "inverse" else function(one, by_name)
+                    for one in given
+                ]
+            )
             out = np.asarray(found)
         expected = (len(given), *shape)
         if out.shape != expected and len(given):

@@ -245,6 +245,8 @@ def _of_axes(
     kinds = mechanisms.axis_units(m)
     if table.unit is not None and table.unit not in (*ANGLES, *LENGTHS):
         raise RigError(f"{table.file}: {table.unit} is not a unit of angles or lengths of axes")
+    if table.unit is not None and not any(table.unit in (ANGLES if si == "rad" else LENGTHS) for si in kinds):
+        raise RigError(f"{table.file}: {table.unit} is a unit of none of {', '.join(m.axes)}: {', '.join(kinds)}")
     for si, known, usual, word in (("rad", ANGLES, "deg", "turns"), ("m", LENGTHS, "mm", "slides")):
         own = [i for i, unit in enumerate(kinds) if unit == si]
         units = {i: table.unit if table.unit in known else stated[i] for i in own}

@@ -154,22 +154,38 @@ def _directions(cells: Cells, found: dict[str, int], table: ForeignTable) -> Rea
     if values.shape[1] == 3:
         length = np.linalg.norm(values, axis=1, keepdims=True)
         if (np.abs(length - 1) > UNIT).any():
-            raise RigError(f"{table.file}: x, y, z are no directions: vectors of length one")
+            k = int(np.argmax(np.abs(length - 1)))
+            raise FileError(
+                cells.path,
+                "x, y, z are no direction: a vector of length one",
+                cells.lines[k],
+                value=f"{length[k, 0]:.6g}",
+            )
         return poses_pointing_along(values / length), table, (f"{table.file.name}: directions are vectors",)
-    stated = {cells.unit(found[name]) for name in DIRECTION} - {None}
-    unit = table.rotation_unit or (next(iter(stated)) if len(stated) == 1 else None)
-    if unit not in ANGLES:
+    stated = [cells.unit(found[name]) for name in DIRECTION]
+    for name, own in zip(DIRECTION, stated):
+        if own is not None and own not in ANGLES:
+            raise RigError(f"{table.file}: {own} is not a unit of {name}; there are {', '.join(ANGLES)}")
+    units = [table.rotation_unit or own for own in stated]
+    if None in units and len({*units} - {None}) == 1:
+        units = [next(own for own in units if own is not None)] * 2
+    if None in units:
         fit = [u for u, turn in (("rad", 2 * np.pi), ("deg", 360.0)) if (np.abs(values) <= [turn, turn / 4]).all()]
         if len(fit) != 1:
             raise ambiguity_error(
                 f"{table.file}: the unit of azimuth and elevation is not stated, and they do not decide",
                 [(u, f"poses.rotation_unit={u}") for u in ("rad", "deg")],
             )
-        unit = fit[0]
-    angles = values / ANGLES[unit]
-    if (np.abs(angles) > [2 * np.pi * (1 + UNIT), np.pi / 2]).any():
-        raise RigError(f"{table.file}: an azimuth or elevation is beyond the circle in {unit}")
-    told = () if stated or table.rotation_unit else (f"{table.file.name}: azimuth and elevation are in {unit}",)
+        units = [*fit, *fit]
+    angles = values / [ANGLES[unit] for unit in units if unit is not None]
+    beyond = (np.abs(angles) > [2 * np.pi * (1 + UNIT), np.pi / 2]).any(axis=1)
+    if beyond.any():
+        k = int(np.argmax(beyond))
+        message = f"an azimuth or elevation is beyond the circle in {' and '.join(map(str, dict.fromkeys(units)))}"
+        raise FileError(cells.path, message, cells.lines[k], value=", ".join(f"{v:.6g}" for v in values[k]))
+    guessed = table.rotation_unit is None and not any(stated)
+    told = (f"{table.file.name}: azimuth and elevation are in {units[0]}",) if guessed else ()
+    unit = units[0] if units[0] == units[1] else table.rotation_unit
     return poses_pointing_along(directions_of_angles(angles)), replace(table, rotation_unit=unit), told
 
 

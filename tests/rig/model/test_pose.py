@@ -1,7 +1,10 @@
 import numpy as np
+import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.errors import NotEnoughData
 from rig.model.pose import (
+    align_poses,
     covariance_from_triangle,
     exp,
     log,
@@ -63,3 +66,14 @@ def test_at_a_quarter_turn_of_pitch_roll_is_told_and_no_uncertainty():
         T = pose([0, 0, 0], (Rotation.from_euler("y", pitch) * Rotation.from_euler("x", 0.3)).as_rotvec())
         np.testing.assert_allclose(roll_pitch_yaw(T), [0.3, pitch, 0], atol=1e-7)
         assert np.isinf(roll_pitch_yaw_sigmas(T, np.eye(6)))[[0, 2]].all()
+
+
+def test_too_few_poses_and_positions_on_a_line_place_no_instrument():
+    rng = np.random.default_rng(3)
+    T = RigidTransform.from_components(rng.normal(size=(6, 3)), Rotation.random(6, rng=rng))
+    for count in (1, 3):
+        with pytest.raises(NotEnoughData, match=f"4 poses at least, not {count}"):
+            align_poses(T[:count], T[:count], (True, True))
+    line = RigidTransform.from_translation(np.outer(np.arange(6.0), [1.0, 2.0, 0.5]))
+    with pytest.raises(NotEnoughData, match="6 positions on a line"):
+        align_poses(line, line, (True, False), 3)

@@ -181,3 +181,21 @@ def test_temperatures_get_the_names_by_which_they_count(tmp_path, header, names)
     assert [name for name, _ in read.channels] == names
     again = read_sensors(read.table, lambda t: True, mechanism)  # as a recipe repeats it
     assert [name for name, _ in again.channels] == names
+
+
+def test_directions_of_two_units_and_of_none(tmp_path):
+    """Each column is read in its own unit; lengths, and what is beyond the circle, are refused."""
+    rig = ARM.replace("[-3.0, 3.0], [-1.5, 1.5]", "[0.0, 6.28], [0.0, 1.5]")
+    rig += INSTRUMENT + 'kind = "direction"\nrotation_sigma = 1e-5\n'
+    angles = [(45.0 * k, 0.3 + 0.1 * k) for k in range(8)]
+    rows = "".join(f"{k},{a:.9f},{e:.9f}\n" for k, (a, e) in enumerate(angles))
+    commands = "t,az [rad],el [rad]\n" + "".join(
+        f"{k},{np.radians(a):.9f},{e:.9f}\n" for k, (a, e) in enumerate(angles)
+    )
+    found = imported(tmp_path, rig, commands, f"t,az [deg],el [rad]\n{rows}")
+    assert found.status == 0, found.text
+    seen = found.recording.poses.T_base_platform.rotation.as_matrix()[:, :, 2]
+    np.testing.assert_allclose(-seen[:, 2], np.sin([e for _, e in angles]), atol=1e-8)
+    assert "mm is not a unit of azimuth" in imported(tmp_path, rig, commands, f"t,az [mm],el [rad]\n{rows}").text
+    text = imported(tmp_path, rig, commands, f"t,az [deg],el [deg]\n{rows}8,400,0.5\n").text
+    assert "beyond the circle in deg" in text and "tracker.csv:10" in text and "400, 0.5" in text, text
