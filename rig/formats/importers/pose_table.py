@@ -155,12 +155,8 @@ def _directions(cells: Cells, found: dict[str, int], table: ForeignTable) -> Rea
         length = np.linalg.norm(values, axis=1, keepdims=True)
         if (np.abs(length - 1) > UNIT).any():
             k = int(np.argmax(np.abs(length - 1)))
-            raise FileError(
-                cells.path,
-                "x, y, z are no direction: a vector of length one",
-                cells.lines[k],
-                value=f"{length[k, 0]:.6g}",
-            )
+            message = f"x, y, z are no direction, a vector of length one, but of length {length[k, 0]:.6g}"
+            raise FileError(cells.path, message, cells.lines[k], value=length[k, 0])
         return poses_pointing_along(values / length), table, (f"{table.file.name}: directions are vectors",)
     stated = [cells.unit(found[name]) for name in DIRECTION]
     for name, own in zip(DIRECTION, stated):
@@ -181,8 +177,9 @@ def _directions(cells: Cells, found: dict[str, int], table: ForeignTable) -> Rea
     beyond = (np.abs(angles) > [2 * np.pi * (1 + UNIT), np.pi / 2]).any(axis=1)
     if beyond.any():
         k = int(np.argmax(beyond))
-        message = f"an azimuth or elevation is beyond the circle in {' and '.join(map(str, dict.fromkeys(units)))}"
-        raise FileError(cells.path, message, cells.lines[k], value=", ".join(f"{v:.6g}" for v in values[k]))
+        both, row = " and ".join(map(str, dict.fromkeys(units))), ", ".join(f"{v:.6g}" for v in values[k])
+        message = f"an azimuth or elevation is beyond the circle in {both}: {row}"
+        raise FileError(cells.path, message, cells.lines[k], value=row)
     guessed = table.rotation_unit is None and not any(stated)
     told = (f"{table.file.name}: azimuth and elevation are in {units[0]}",) if guessed else ()
     unit = units[0] if units[0] == units[1] else table.rotation_unit
