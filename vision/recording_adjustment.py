@@ -252,9 +252,9 @@ def _located(
     if not other:
         return found, cameras
     moved = tuple(replace(c, pose=other.get(i, c.pose)) for i, c in enumerate(cameras))
-    repeated = locate_frames(undistorted, moved, t, progress)
-    if _disagreement(undistorted, repeated, moved) < _disagreement(undistorted, found, cameras):
-        return repeated, moved
+    relocated = locate_frames(undistorted, moved, t, progress)
+    if _disagreement(undistorted, relocated, moved) < _disagreement(undistorted, found, cameras):
+        return relocated, moved
     return found, cameras
 
 

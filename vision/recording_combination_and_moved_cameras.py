@@ -158,7 +158,7 @@ def _standing(owners: Owners, measured: Sequence[Measurement]) -> tuple[Owners, 
     """(Owners, [Elsewhere]) by where each measurement finds its cameras: one that stands where it stood is the latest
     of those there.
     """
-    requested = sum(len(own) for own in owners[1:])
+    count = sum(len(own) for own in owners[1:])
     out: list[dict[str, int]] = [dict(owners[0])]
     moved, places = [], [_places(one) for one in measured]
     for k in range(1, len(owners)):
@@ -169,7 +169,7 @@ def _standing(owners: Owners, measured: Sequence[Measurement]) -> tuple[Owners, 
                 continue
             earlier = sorted({o[name] for o in out if name in o and o[name] >= stated}, reverse=True)
             apart = [(j, *_apart(places[j][name], at)) for j in earlier if name in places[j]]
-            same = next((j for j, _, p in apart if p * requested > ALIKE), None)
+            same = next((j for j, _, p in apart if p * count > ALIKE), None)
             if same is None and apart:
                 here[name] = k
                 _, motion, _ = apart[0]

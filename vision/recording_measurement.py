@@ -153,7 +153,7 @@ def _measured(
     frames, t = recording.exposures.times()
     markers, motion = marker_map(design), None if rates is None else ReadoutMotion(recording, rates)
 
-    def message(label: str) -> Callable[[int, int], None] | None:
+    def labelled(label: str) -> Callable[[int, int], None] | None:
         return (lambda done, of: progress(label, done, of)) if progress else None
 
     def solved(
@@ -183,20 +183,20 @@ def _measured(
             f"{recording.folder}: frames.csv names no images and there is no corners.csv, so there is "
             "nothing to measure"
         )
-    found = collect_corners(recording, markers, message("reading images"))
+    found = collect_corners(recording, markers, labelled("reading images"))
     if not len(found.corners.frame):
         raise NotEnoughData(
             f"{recording.folder}: no marker of rig.toml was found in any of {_why_none(recording, found, markers)}"
         )
     measured = solved(found.corners, found.correlation, look)
-    repeated = search_missed_markers(recording, found, measured, markers, message("looking again"))
-    if len(repeated.corners.frame) > len(found.corners.frame):
-        found = repeated
+    more = search_missed_markers(recording, found, measured, markers, labelled("looking again"))
+    if len(more.corners.frame) > len(found.corners.frame):
+        found = more
         measured = solved(found.corners, found.correlation)
     for _ in range(ROUNDS):
         if largest_lens_difference(found.corners, found.cameras, measured.design.cameras) < SETTLED:
             break
-        found = refit_corners(recording, found, measured.design.cameras, markers, message("placing anew"))
+        found = refit_corners(recording, found, measured.design.cameras, markers, labelled("placing anew"))
         measured = solved(found.corners, found.correlation)
     return measured, found
 

@@ -57,7 +57,7 @@ def certify_investigation(out: Path, rig: InvestigatedRig, rounds: Sequence[Inve
     lines = []
     recordings = [str(recording_path(out, look.number)) for look in rounds]
     calibration, number = out / "calibration.json", len(rounds)
-    poses, commands, plan, repeated = (
+    poses, commands, plan, verifying = (
         out / f"verify{number}{suffix}" for suffix in ("-poses.csv", "-commands.csv", ".csv", "")
     )
     done = plan.exists()
@@ -89,13 +89,13 @@ def certify_investigation(out: Path, rig: InvestigatedRig, rounds: Sequence[Inve
             write_plan_table(
                 plan, replace(build_plan(rig.design, f"commands:{commands}"), turned=stands), rig.design.mechanism.axes
             )
-        rig.record(plan, repeated, rig.options.seed + VERIFYING)
-        rig.call("verify", str(calibration), str(repeated))
-        lines.append(f"verified on new poses, commanded through the correction: {repeated.name}")
+        rig.record(plan, verifying, rig.options.seed + VERIFYING)
+        rig.call("verify", str(calibration), str(verifying))
+        lines.append(f"verified on new poses, commanded through the correction: {verifying.name}")
     except RigError as error:
         return (*lines, f"not verified: {error}")
     try:
-        rig.call("certify", str(calibration), str(repeated), "--out", str(out / "certificate"))
+        rig.call("certify", str(calibration), str(verifying), "--out", str(out / "certificate"))
         lines.append("certificate")
     except RigError as error:
         lines.append(f"no certificate: {error}")

@@ -272,21 +272,21 @@ def why(
     """
     require_data(data)
     with tempfile.TemporaryDirectory(prefix="rig-why-") as scratch:
-        retained = Path(scratch) if folder is None else folder
-        recording, assumed = recording_of_data(data, options, retained, notice)
+        results = Path(scratch) if folder is None else folder
+        recording, assumed = recording_of_data(data, options, results, notice)
         require_one_hand(recording.design.mechanism, "rig why answers")
         _require_commands(recording, data)
         diagnosed = diagnose(recording, DiagnoseOptions(anyway=options.anyway), progress, notice)
-        diagnosis = retained / "diagnosis"
+        diagnosis = results / "diagnosis"
         diagnosis.mkdir()
         diagnosed.write(diagnosis)
-        diagnosed.write_page(retained / "diagnosis.html", links)
+        diagnosed.write_page(results / "diagnosis.html", links)
         with_findings = bool(diagnosed.report.findings) and not recording.design.mechanism.bodies
-        requested = CalibrateOptions(
+        calibrating = CalibrateOptions(
             diagnosis=diagnosis if with_findings else None, quick=not with_findings, anyway=options.anyway
         )
-        calibrated = calibrate(recording, requested, progress)
-        save(retained / "calibration.json", calibrated.calibration)
+        calibrated = calibrate(recording, calibrating, progress)
+        save(results / "calibration.json", calibrated.calibration)
         try:
             following, problem = diagnosed.next_experiment(progress=progress or silent_progress), ""
         except RigError as error:  # a machine of which no plan can be foretold

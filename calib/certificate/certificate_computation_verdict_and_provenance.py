@@ -90,12 +90,12 @@ def calibration_certificate(
     poses = combined_held_out_poses(calibration, held_out_recordings)
     units, scale = _units(calibration, poses), request.scale or 0.0
     promise = pose_error_promise(poses, request.coverage, request.confidence, scale, units, rng)
-    repeated = pose_repeatability(poses)
+    repeatability = pose_repeatability(poses)
     at = poses.first
     contributions = uncertainty_budget(
         poses,
         _model(calibration, poses),
-        repeated,
+        repeatability,
         [(s.samples, s.measurement) for _, s in held_out_recordings],
         request.scale,
         thermometer_covariance(calibration, [(recording, s.samples) for recording, s in held_out_recordings]),
@@ -109,7 +109,7 @@ def calibration_certificate(
         promise,
         promise_by_cell(poses, request.coverage, request.confidence, scale, units, rng),
         measured_volume(poses, calibration.correction.nominal),
-        repeated,
+        repeatability,
         iso9283_accuracy_and_repeatability(poses, duty),
         iso230_axis_tests(calibration.correction, poses),
         _judged(poses, request, rng),
@@ -194,7 +194,7 @@ AGAIN = "Check periodically whether it is still valid: `rig watch calibration.js
 
 def certificate_verdict(certificate: Certificate) -> Verdict:
     """Verdict of a certificate: against its tolerances, or what it promises where there are none."""
-    message = (
+    lines = (
         certificate_sentences.conformity_lines(certificate)
         if certificate.conformity
         else [certificate_sentences.promise_line(certificate)]
@@ -216,7 +216,7 @@ def certificate_verdict(certificate: Certificate) -> Verdict:
     return judge_evidence(
         replace(
             known,
-            statement="; ".join(line.removesuffix(".") for line in message),
+            statement="; ".join(line.removesuffix(".") for line in lines),
             steps=steps,
             confounds=tuple(confounds),
             missing=tuple(missing),

@@ -232,10 +232,10 @@ def _promise(paper: _Paper, c: Certificate, title: str) -> None:
     paper.line(f"certificate {c.provenance['id']}", 7)
     paper.line(certificate_sentences.length_scale_line(c))
     paper.line(certificate_sentences.promise_line(c), 11, bold=True)
-    for lines in (certificate_sentences.measured_volume_line(c), *certificate_sentences.basis_lines(c)):
-        paper.line(lines)
-    for lines in certificate_sentences.conformity_lines(c):
-        paper.line(lines, bold=True)
+    for line in (certificate_sentences.measured_volume_line(c), *certificate_sentences.basis_lines(c)):
+        paper.line(line)
+    for line in certificate_sentences.conformity_lines(c):
+        paper.line(line, bold=True)
     figure, place = paper.drawn(0.2)
     axes = figure.add_axes(place)
     lengths = np.sort(np.linalg.norm(c.errors[:, :3], axis=1)) * 1e6

@@ -169,7 +169,7 @@ def _administrative(part: ET.Element, c: Certificate, issuer: Issuer) -> None:
         _sub(software, "release", release)
     core = _sub(part, "coreData")
     day = c.provenance["created"][:10]
-    for name, message in (
+    for name, text in (
         ("countryCodeISO3166_1", issuer.country),
         ("usedLangCodeISO639_1", "en"),
         ("mandatoryLangCodeISO639_1", "en"),
@@ -179,7 +179,7 @@ def _administrative(part: ET.Element, c: Certificate, issuer: Issuer) -> None:
         ("performanceLocation", "other"),
         ("issueDate", day),
     ):
-        _sub(core, name, message)
+        _sub(core, name, text)
     item = _sub(_sub(part, "items"), "item")
     _content(item, "name", f"{c.machine} as calibrated")
     _contact(

@@ -245,7 +245,7 @@ def pointing_certificate(
     require_sample_size(len(at), request.coverage, request.confidence)
     lengths, sigma = np.linalg.norm(poses.errors[at, ACROSS], axis=1), poses.sigma(ACROSS)[at]
     limits = tolerance_limits_of_true_errors(lengths, sigma, request.coverage, request.confidence, DIMENSIONS)
-    repeated = pose_repeatability(poses)
+    repeatability = pose_repeatability(poses)
     recordings = [recording for recording, _ in held_out_recordings]
     confounds = confounds_of_recordings(recordings)
     off = lengths > FAR * max(float(np.median(lengths)), float(sigma.mean()))
@@ -258,7 +258,7 @@ def pointing_certificate(
         _figure(poses.plain[at]),
         _figure(poses.errors[at]),
         float(np.sqrt((sigma**2).mean())),
-        None if repeated.rotation is None else (repeated.rotation, repeated.visits, repeated.poses),
+        None if repeatability.rotation is None else (repeatability.rotation, repeatability.visits, repeatability.poses),
         tuple((int(poses.frame[at[i]]), float(lengths[i])) for i in np.flatnonzero(off)),
         _judged(lengths, sigma, request),
         measuring_conditions(poses, recordings, [sampled.source for _, sampled in held_out_recordings]),

@@ -142,14 +142,14 @@ class _Problem:
                     np.where(rng.random(CHAINS) < likely[j], rng.uniform(low, high, CHAINS), -np.inf),
                 )
                 inside = ~np.isfinite(new) | ((new >= low) & (new <= high))
-                requested = np.flatnonzero(inside & (new != state[:, j]))  # most stay absent
-                if not len(requested):
+                changed = np.flatnonzero(inside & (new != state[:, j]))  # most stay absent
+                if not len(changed):
                     continue
-                proposed = state[requested]
-                proposed[:, j] = new[requested]
+                proposed = state[changed]
+                proposed[:, j] = new[changed]
                 costs = self.cost(proposed)
-                better = np.log(rng.random(len(requested))) < 0.5 * (cost[requested] - costs)
-                state[requested[better]], cost[requested[better]] = proposed[better], costs[better]
+                better = np.log(rng.random(len(changed))) < 0.5 * (cost[changed] - costs)
+                state[changed[better]], cost[changed[better]] = proposed[better], costs[better]
             if sweep >= BURN and (sweep - BURN) % EVERY == 0:
                 draws.append(state.copy())
         return np.exp(np.concatenate(draws)) * self.unit

@@ -142,7 +142,7 @@ def uncertainty_budget(
     shared = np.sum([c @ np.swapaxes(c, 1, 2) for c in poses.common], axis=0)
     noise = rms_position_and_rotation_uncertainty(poses.own)
     seen = [float(np.sqrt((poses.errors[:, p] ** 2).sum(axis=1).mean())) for p in PARTS]
-    repeated = [
+    repeatability = [
         None if value is None else _less(value, own) for value, own in zip((repeat.position, repeat.rotation), noise)
     ]
     rest = [
@@ -151,12 +151,12 @@ def uncertainty_budget(
             noise[i],
             rms_position_and_rotation_uncertainty(shared)[i],
             rms_position_and_rotation_uncertainty(model)[i],
-            repeated[i] or 0.0,
+            repeatability[i] or 0.0,
         )
         for i in range(2)
     ]
     physics = _alike(poses.errors, rest)
-    returns = None if repeated[0] is None else _alike(poses.errors, [repeated[0], repeated[1] or 0.0])
+    returns = None if repeatability[0] is None else _alike(poses.errors, [repeatability[0], repeatability[1] or 0.0])
     place = np.pad(poses.T_base_platform.rotation.inv().apply(poses.T_base_platform.translation), ((0, 0), (0, 3)))
     datum = None if scale is None else scale**2 * place[:, :, None] * place[:, None, :]
     parts = camera_and_lens_covariance(measured)

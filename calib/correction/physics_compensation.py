@@ -65,9 +65,9 @@ class Unknown:
         if self.by:
             before, after = self.held_out
             gained, whole = (quantity_text(v, self.held_out_unit) for v in (max(before - after, 0.0), before))
-            lines = f"a smooth curve undoes {gained} of {whole} (held out)"
-            lines += "; over time it holds within the recorded time only" if TIME in self.by else ""
-            return f"unknown at {self.place}, by {' and '.join(self.by)}: {lines}"
+            sentence = f"a smooth curve undoes {gained} of {whole} (held out)"
+            sentence += "; over time it holds within the recorded time only" if TIME in self.by else ""
+            return f"unknown at {self.place}, by {' and '.join(self.by)}: {sentence}"
         if self.corrected:
             reason = "corrected as a smooth function of the configuration"
         elif at.kind in ("camera", "cameras", "marker", "markers", "target"):

@@ -67,9 +67,9 @@ def effect_separation(
         rows = W @ loop_closure_parameter_jacobian(still, m)
         prior = np.full(rows.shape[2], PRIOR)
     else:
-        requested, white = independent_parameter_names_units_sizes_and_jacobian(m), 1 / np.repeat(sigma, 3)
+        geometry, white = independent_parameter_names_units_sizes_and_jacobian(m), 1 / np.repeat(sigma, 3)
         parts = [pose_difference(still, T) * white for T in moved]
-        rows, prior = requested.jacobian(commands.at(t)) * white[:, None], requested.size
+        rows, prior = geometry.jacobian(commands.at(t)) * white[:, None], geometry.size
     a, b = (part.ravel() for part in parts)
     return _signal_separation(plan_name, len(t), (a, b), rows.reshape(-1, rows.shape[-1]), prior)
 

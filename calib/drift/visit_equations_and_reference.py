@@ -265,10 +265,10 @@ def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, refe
     """What corners say, linearised where they fit best. T : (n,) expected; lenses are each visit's own, as good as
     stated.
     """
-    a, retained = measured.adjustment, measured.used()
-    u, estimate = adjustment_unknowns(retained, a.state, a.stated, FREE)
-    _, derivatives = whitened_residuals_and_derivatives(retained, estimate, u, whitener_of_observations(retained))
-    blocks = normal_equations(retained, derivatives, u, np.zeros(u.shared))
+    a, used = measured.adjustment, measured.used()
+    u, estimate = adjustment_unknowns(used, a.state, a.stated, FREE)
+    _, derivatives = whitened_residuals_and_derivatives(used, estimate, u, whitener_of_observations(used))
+    blocks = normal_equations(used, derivatives, u, np.zeros(u.shared))
     frames, at = 6 * len(samples), {Place("target", name): s for name, s in u.targets.items()}
     at |= {Place("camera", a.state.cameras[i].name): s for i, s in u.poses.items()}
     away = np.concatenate([log(T.inv() * a.state.platform).ravel() / POSE_SCALE, np.zeros(u.shared)])

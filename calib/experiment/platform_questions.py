@@ -101,11 +101,11 @@ def _predict_outcomes(question: PlatformQuestion, plan: Plan, temperature_rise: 
     everything = join_columns([Column(c.parts) for c in (*seen.columns, *seen.moved, *seen.shapes)])
     found = model.linear.project(everything)
     values, vectors = np.linalg.eigh(found.gram)
-    retained = values > WEAK * values[-1]
-    beyond = (vectors[:, retained] * np.sqrt(values[retained])).T  # (k, columns) of what nuisances leave
+    strong = values > WEAK * values[-1]
+    beyond = (vectors[:, strong] * np.sqrt(values[strong])).T  # (k, columns) of what nuisances leave
     parts = np.split(np.concatenate([found.onto, beyond]), np.cumsum([*counts, len(named)])[: len(counts) + 1], axis=1)
     nuisances = np.concatenate(
-        [np.linalg.pinv(model.nuisances.solve), np.zeros((int(retained.sum()), len(model.nuisances.names)))]
+        [np.linalg.pinv(model.nuisances.solve), np.zeros((int(strong.sum()), len(model.nuisances.names)))]
     )
     means, covariances = parts[len(counts)].T, []
     for fit, tangent in zip(fits, parts):

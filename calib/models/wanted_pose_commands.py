@@ -139,9 +139,9 @@ def _approached(of: Machine, T: RigidTransform, route: Route, values: Floats, pa
             due &= np.arange(n) == (np.argmax(due) if due.any() else -1)  # what one forgets, those after it need not
         if not due.any():
             break
-        requested = np.where(due[:, None], side if sure is None else np.where(unsure, side, 0.0), reach)
+        approach = np.where(due[:, None], side if sure is None else np.where(unsure, side, 0.0), reach)
         try:
-            route, reach = timed_route(pace, values, route.start, requested), requested
+            route, reach = timed_route(pace, values, route.start, approach), approach
         except Unreachable as error:
             refused[np.intersect1d(error.index, np.flatnonzero(due))] = True
     return route

@@ -122,10 +122,10 @@ def state_with_pose(state: State, pose: Pose, start: Start, update_at_once: bool
     before, slot, innovation = state.estimate, state.learnt % WINDOW, np.empty(6)
     after = Estimate(before.p.copy(), before.s.copy(), before.S.copy(), before.sums.copy())
     try:
-        message = add_pose_to_estimate_in_place(pose, start.machine, after, slot, innovation, update_at_once)
+        outcome = add_pose_to_estimate_in_place(pose, start.machine, after, slot, innovation, update_at_once)
     except ZeroDivisionError:  # a strut without length
-        message = REFUSED
-    if message == REFUSED:
+        outcome = REFUSED
+    if outcome == REFUSED:
         raise RigError(
             f"pose {pose.number}: the commanded lengths {pose.command.round(6).tolist()} m close on no pose, "
             "or covariance is invalid"
@@ -134,7 +134,7 @@ def state_with_pose(state: State, pose: Pose, start: Start, update_at_once: bool
     first = state.first
     if first is not None:
         first = (*first, pose) if len(first) < AGAIN[-1] else None
-    return State(after, state.learnt + 1, recent, first, innovation, message == ALARM)
+    return State(after, state.learnt + 1, recent, first, innovation, outcome == ALARM)
 
 
 def relinearised_state(state: State, start: Start) -> State:
@@ -149,13 +149,13 @@ def relinearised_state(state: State, start: Start) -> State:
     begins, k = _initial_estimate(p, start.root, len(s)), len(s) + 42
     begins.s[:] = s
     begins.S[:, k] = np.r_[-s, start.root @ (geometric_parameters(start.nominal) - p)]
-    repeated = State(begins, state.learnt, (), (), state.innovation, False)
+    relinearised = State(begins, state.learnt, (), (), state.innovation, False)
     for pose in state.first:
-        repeated = state_with_pose(repeated, pose, start, update_at_once=False)
+        relinearised = state_with_pose(relinearised, pose, start, update_at_once=False)
     solve_triangle_into_estimate(
-        repeated.estimate.p, repeated.estimate.s, repeated.estimate.S
+        relinearised.estimate.p, relinearised.estimate.s, relinearised.estimate.S
     )  # in place: nothing else holds this estimate yet
-    return repeated
+    return relinearised
 
 
 def change_evidence(state: State) -> list[Evidence]:
@@ -190,10 +190,10 @@ def state_refiltered_with_changes_freed(state: State, changes: tuple[Change, ...
     estimate = Estimate(before.p, before.s, before.S.copy(), np.zeros_like(before.sums))
     for change in changes:
         _loosen(estimate, change, start.nominal)
-    repeated = State(estimate, state.learnt - at, (), None, state.innovation, False)
+    refiltered = State(estimate, state.learnt - at, (), None, state.innovation, False)
     for each in state.recent[-at:]:
-        repeated = state_with_pose(repeated, each.pose, start)
-    return repeated
+        refiltered = state_with_pose(refiltered, each.pose, start)
+    return refiltered
 
 
 def _loosen(estimate: Estimate, change: Change, nominal: Hexapod) -> None:

@@ -88,9 +88,9 @@ def _figure(m: Measurement, i: int, frame: int, image: bytes) -> str:
         own = own[np.argsort(o.corner[own])]
         good = bool(m.inliers[own].all())
         points = " ".join(f"{u:.1f},{v:.1f}" for u, v in o.uv[own].tolist())
-        lines = f"marker {ids[marker]}" + ("" if good else ", rejected")
+        label = f"marker {ids[marker]}" + ("" if good else ", rejected")
         shapes.append(
-            f'<polygon class="quad{"" if good else " aside"}" points="{points}"><title>{lines}</title></polygon>'
+            f'<polygon class="quad{"" if good else " aside"}" points="{points}"><title>{label}</title></polygon>'
         )
     solved = rows[np.isfinite(m.residuals[rows, 0]) & m.inliers[rows]]
     d = "".join(
@@ -98,14 +98,14 @@ def _figure(m: Measurement, i: int, frame: int, image: bytes) -> str:
         for (u, v), (du, dv) in zip(o.uv[solved].tolist(), (ENLARGED * m.residuals[solved]).tolist())
     )
     rms = f", {np.sqrt((m.residuals[solved] ** 2).mean()):.3f} px RMS" if len(solved) else ""
-    lines = f"frame {frame}, {camera.name}: {len(np.unique(o.marker[rows]))} markers{rms}"
+    label = f"frame {frame}, {camera.name}: {len(np.unique(o.marker[rows]))} markers{rms}"
     return (
-        f'<figure class="picture"><div class="stack"><img alt="{html.escape(lines)}" width="{camera.width}" '
+        f'<figure class="picture"><div class="stack"><img alt="{html.escape(label)}" width="{camera.width}" '
         f'height="{camera.height}" '
         f'src="data:image/jpeg;base64,{base64.b64encode(image).decode()}">'
         f'<svg role="img" aria-label="its markers, outlined" viewBox="-0.5 -0.5 {camera.width} '
         f'{camera.height}">{"".join(shapes)}'
-        f'<path class="residual" d="{d}"/></svg></div><figcaption>{html.escape(lines)}</figcaption></figure>'
+        f'<path class="residual" d="{d}"/></svg></div><figcaption>{html.escape(label)}</figcaption></figure>'
     )
 
 

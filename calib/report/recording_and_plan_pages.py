@@ -160,7 +160,7 @@ def write_plan_page(path: Path | str, file: str, plan_result: PlanFigures, links
             for i, (name, (scale, unit)) in enumerate(zip(mechanisms.axis_place_texts(mechanism), scales))
         )
     )
-    lines = [heading_html("In figures"), list_html(filter(None, plan_result.said))] if any(plan_result.said) else []
+    figures = [heading_html("In figures"), list_html(filter(None, plan_result.said))] if any(plan_result.said) else []
     parts = [
         heading_html("In three dimensions"),
         *view_3d_html(rig_scene(plan_result.design, n, T, plan_result.values)),
@@ -168,7 +168,7 @@ def write_plan_page(path: Path | str, file: str, plan_result: PlanFigures, links
         pose_coverage_figures(pose_to_vector(T)),
         heading_html("Axis by axis"),
         captioned_html(axes, "What each axis is commanded, configuration by configuration."),
-        *lines,
+        *figures,
     ]
     steps = [
         f"Drive it: `rig run RIG.toml --plan commands:{file} --out REC`",

@@ -28,8 +28,6 @@ from rig.recording.recording_tables import Poses
 ROUNDS = 5  # of linearising about the poses and the mounting, and of weighing readings
 GATE = 6.0  # standard deviations beyond which a reading is left out
 GONE = 1e6  # rad, standard deviation of a reading that is left out
-
-
 UNSTATED = (1e-5, 1e-4)  # m, rad; standard deviations of poses for which nobody states any
 FITS = 0.25  # of how far positions lie about their middle; an instrument's place that leaves more (medians) is none
 LEVEL = 1.0  # rad; stands for the rotations of a platform that stays level, which were not measured and do not count

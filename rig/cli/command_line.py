@@ -214,11 +214,11 @@ class Ended(KeyboardInterrupt):
 def _run(arguments: argparse.Namespace) -> int:
     """The exit status of a command; what it has written is in its place before this returns."""
     name = f"rig {arguments.command}"
-    requested = _for_programs(arguments)
+    for_programs = _for_programs(arguments)
     try:
         if any(getattr(arguments, written, None) for written in WRITTEN):
             _require_utf8([*arguments.argv, os.path.realpath(".")])
-        if requested and getattr(arguments, "out", None) == STANDARD_OUTPUT:
+        if for_programs and getattr(arguments, "out", None) == STANDARD_OUTPUT:
             raise RigError("--json and --out - both write to the standard output; name a file, or omit --json")
         with (
             _signals(),
@@ -236,7 +236,7 @@ def _run(arguments: argparse.Namespace) -> int:
             from rig.report.pages.page_templates_and_index_page import refresh_indices
 
             refresh_indices(outputs.pages)
-        if requested and arguments.result is not None:
+        if for_programs and arguments.result is not None:
             from rig.cli.shared.common_options import print_json
 
             print_json(arguments.result)

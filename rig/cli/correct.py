@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 def arguments(parser: ArgumentParser) -> None:
     """Add the arguments of `rig correct` to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
-    requested = parser.add_mutually_exclusive_group(required=True)
-    requested.add_argument(
+    group = parser.add_mutually_exclusive_group(required=True)
+    group.add_argument(
         "--poses",
         metavar="FILE",
         type=Path,
@@ -44,7 +44,7 @@ def arguments(parser: ArgumentParser) -> None:
         "the time of each pose, the "
         "commands run in time",
     )
-    requested.add_argument(
+    group.add_argument(
         "--forward",
         metavar="FILE",
         type=Path,

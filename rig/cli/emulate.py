@@ -132,10 +132,10 @@ def _emulate(arguments: Namespace) -> None:
         if arguments.tcp is not None
         else controller_emulator_opening_and_ports.Terminal(arguments.link)
     )
-    retained = tempfile.TemporaryDirectory(
+    scratch = tempfile.TemporaryDirectory(
         prefix="rig-emulate-"
     )  # of what the cameras follow, where nobody else wants it
-    followed = arguments.history or (Path(retained.name) / "history.csv" if arguments.cameras else None)
+    followed = arguments.history or (Path(scratch.name) / "history.csv" if arguments.cameras else None)
     history = emulators.TrueCommandsLog(emulator, followed) if followed else None
     cameras = _cameras(arguments, followed) if followed and arguments.cameras else None
     for ending in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
@@ -152,7 +152,7 @@ def _emulate(arguments: Namespace) -> None:
             cameras.close()
         if history:
             history.close()
-        retained.cleanup()
+        scratch.cleanup()
 
 
 def _protocol(arguments: Namespace) -> str | None:

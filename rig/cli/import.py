@@ -117,19 +117,19 @@ def run(arguments: argparse.Namespace) -> None:
         return
     out = arguments.outputs.folder(arguments.out)
     imported, remarks = import_recording(recipe, out, arguments.out, arguments.skip_unreadable)
-    retained = arguments.out.parent / f"{arguments.out.name}.import.toml"
+    recipe_file = arguments.out.parent / f"{arguments.out.name}.import.toml"
     if arguments.recipe is None:
-        write_text(arguments.outputs.file(retained), importers.recipe_toml(imported.recipe, retained.parent))
+        write_text(arguments.outputs.file(recipe_file), importers.recipe_toml(imported.recipe, recipe_file.parent))
     _say(imported)
     arguments.result = _result(
-        imported, [str(remark) for remark in remarks], retained if arguments.recipe is None else arguments.recipe
+        imported, [str(remark) for remark in remarks], recipe_file if arguments.recipe is None else arguments.recipe
     )
     _print_camera_places(out)
     for remark in remarks:
         print(f"{'wrong' if remark.spoils else 'to look at'}: {remark}")
     print(
         f"written: {arguments.out}"
-        + (f"; {retained} repeats it (rig import --recipe)" if arguments.recipe is None else "")
+        + (f"; {recipe_file} repeats it (rig import --recipe)" if arguments.recipe is None else "")
         + f"; `rig check {arguments.out}` checks it in detail"
     )
 

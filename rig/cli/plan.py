@@ -33,23 +33,23 @@ if TYPE_CHECKING:
 def arguments(parser: ArgumentParser) -> None:
     """Add the arguments of `rig plan` to a parser."""
     parser.add_argument("design", metavar="RIG.toml", type=Path)
-    requested = parser.add_mutually_exclusive_group(required=True)
-    requested.add_argument("--for", dest="purpose", choices=("parameters",), help="what the plan is to determine")
-    requested.add_argument(
+    group = parser.add_mutually_exclusive_group(required=True)
+    group.add_argument("--for", dest="purpose", choices=("parameters",), help="what the plan is to determine")
+    group.add_argument(
         "--separate",
         nargs=2,
         metavar=("EFFECT", "EFFECT"),
         help="which moves distinguish two effects, each written as for "
         "rig simulate --effect, as large as it is expected: OUT gets t,l1..l6 of the best plan",
     )
-    requested.add_argument(
+    group.add_argument(
         "--promise",
         type=parse_length,
         metavar="20um",
         help="the fewest and best poses after which the corrected machine meets this error, "
         "RMS over its workspace; besides those --given the next best ones, in order of benefit",
     )
-    requested.add_argument(
+    group.add_argument(
         "--parts",
         metavar="PARTS",
         help="parts of a plan as for rig simulate --plan, at whose exposures the struts rest, written as "
@@ -109,8 +109,8 @@ def run(arguments: Namespace) -> None:
     arguments.result = made.tree()
     if page is not None:
         made.write_page(page, str(arguments.out), page_links(arguments, arguments.page))
-    retained = ", which remains unchanged" if arguments.out.is_file() else ""
-    written = f"written: {arguments.out}" if len(made.values) else f"nothing is written to {arguments.out}{retained}"
+    unchanged = ", which remains unchanged" if arguments.out.is_file() else ""
+    written = f"written: {arguments.out}" if len(made.values) else f"nothing is written to {arguments.out}{unchanged}"
     print(written + (f"; look at {arguments.page}" if page else ""))
 
 

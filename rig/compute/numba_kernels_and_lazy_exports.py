@@ -59,10 +59,10 @@ def set_kernel_cache_folder() -> None:
 @cache
 def kernel_cache_folder() -> Path | None:
     """The cache folder for compiled kernels, None where numba writes next to the sources."""
-    retained = HERE / "__pycache__"
+    beside_sources = HERE / "__pycache__"
     return (
         None
-        if os.access(retained if retained.is_dir() else HERE, os.W_OK)
+        if os.access(beside_sources if beside_sources.is_dir() else HERE, os.W_OK)
         else user_cache_folder(f"{HERE.parent} cannot be written")
     )
 
@@ -212,9 +212,9 @@ class Kernel:
             before = settings.CACHE_DIR
             try:
                 beside = Path(inspect.getfile(self._function)).parent / "__pycache__"
-                retained = private_folder_or_user_cache(Path(settings.CACHE_DIR or beside))
-                if retained != beside:
-                    settings.CACHE_DIR = str(retained)
+                folder = private_folder_or_user_cache(Path(settings.CACHE_DIR or beside))
+                if folder != beside:
+                    settings.CACHE_DIR = str(folder)
                 compiled: Any = numba.njit(**self._options)(self._function)
             finally:
                 settings.CACHE_DIR = before

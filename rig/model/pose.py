@@ -153,22 +153,22 @@ def align_poses(
     if ends[0] and rows == 6:
         turned = [(T.rotation * T.rotation[0].inv()).as_rotvec()[1:] for T in (measured, predicted)]
         start = (measured.rotation * predicted.rotation.inv()).mean()
-        turn = Rotation.align_vectors(*turned)[0] if ends[1] and len(p) > 3 else start
+        turn = Rotation.align_vectors(*turned)[0] if ends[1] else start
         base = RigidTransform.from_rotation(turn)
     elif ends[0]:
         base = RigidTransform.from_rotation(Rotation.align_vectors(q - q.mean(axis=0), p - p.mean(axis=0))[0])
     if ends[1] and rows == 6:
         tool = RigidTransform.from_rotation((predicted.rotation.inv() * base.rotation.inv() * measured.rotation).mean())
-    requested = np.repeat([ends[0], ends[0], ends[1], ends[1] and rows == 6], 3)
+    free = np.repeat([ends[0], ends[0], ends[1], ends[1] and rows == 6], 3)
     for _ in range(ALIGNMENT_STEPS):
         moved = predicted * tool
         left = (pose_difference(base * moved, measured) / ALIGNMENT)[:, :rows]
         size = np.sqrt((left**2).mean(axis=1))
         weight = np.minimum(1.0, HUBER * max(float(np.median(size)), 1e-9) / np.maximum(size, 1e-12))
-        columns = np.concatenate([adjoint(moved.inv()), np.broadcast_to(np.eye(6), (len(p), 6, 6))], axis=2) * requested
+        columns = np.concatenate([adjoint(moved.inv()), np.broadcast_to(np.eye(6), (len(p), 6, 6))], axis=2) * free
         columns = (columns / ALIGNMENT[:, None])[:, :rows]
         H = np.einsum("n,nia,nib->ab", weight, columns, columns) + np.eye(12)
-        step = np.linalg.solve(H, np.einsum("n,nia,ni->a", weight, columns, left)) * requested
+        step = np.linalg.solve(H, np.einsum("n,nia,ni->a", weight, columns, left)) * free
         base, tool = base * exp(step[:6]), tool * exp(step[6:])
         if np.abs(step).max() < 1e-9:
             break

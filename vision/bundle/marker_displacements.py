@@ -94,7 +94,7 @@ def compare_stated_and_adjusted_places(measurement: Measured, t: Floats) -> Plac
     """
     m, a = measurement, measurement.adjustment
     solved = np.searchsorted(m.observations.frames, m.frames)
-    retained = m.used()
+    used = m.used()
     rest = tuple(group for group in a.free if group not in ("markers", "targets"))
     stated = replace(
         a.stated,
@@ -103,13 +103,13 @@ def compare_stated_and_adjusted_places(measurement: Measured, t: Floats) -> Plac
         markers=a.stated.markers,
         cameras=tuple(replace(s, pose=c.pose) for s, c in zip(a.stated.cameras, a.state.cameras)),
     )
-    before = adjust_bundle(retained, stated, rest, stated=a.stated)
+    before = adjust_bundle(used, stated, rest, stated=a.stated)
     weighted = before.cost / before.dof, a.cost / a.dof
     return Places(
         marker_displacements(a),
         m.frames,
-        _by_frame(retained, before.state, len(m.frames)),
-        _by_frame(retained, a.state, len(m.frames)),
+        _by_frame(used, before.state, len(m.frames)),
+        _by_frame(used, a.state, len(m.frames)),
         weighted,
         _odd(m, t[solved]),
     )
@@ -121,15 +121,15 @@ def are_stated_places_doubtful(measurement: Measured, markers: MarkerMap) -> boo
     Whether most of the corners' scatter comes from them.
     markers : MarkerMap as stated
     """
-    a, retained = measurement.adjustment, measurement.used()
+    a, used = measurement.adjustment, measurement.used()
     state = replace(a.state, markers=markers)
-    u, estimate = adjustment_unknowns(retained, state, replace(a.stated, markers=markers), (*a.free, "markers"))
-    W = whitener_of_observations(retained)
-    residual, derivatives = whitened_residuals_and_derivatives(retained, estimate, u, W)
+    u, estimate = adjustment_unknowns(used, state, replace(a.stated, markers=markers), (*a.free, "markers"))
+    W = whitener_of_observations(used)
+    residual, derivatives = whitened_residuals_and_derivatives(used, estimate, u, W)
     away = offset_from_stated(estimate, replace(a.stated, markers=markers), u)
-    blocks = normal_equations(retained, derivatives, u, away)
+    blocks = normal_equations(used, derivatives, u, away)
     left = (residual**2).sum() - predicted_decrease(blocks, *solve_step(blocks, u))
-    dof = 2 * len(retained) - u.used.sum() - u.basis.shape[1]
+    dof = 2 * len(used) - u.used.sum() - u.basis.shape[1]
     return bool(dof > 0 and left / dof < HALVED**2 * a.cost / a.dof)
 
 

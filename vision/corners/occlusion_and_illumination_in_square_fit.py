@@ -178,15 +178,15 @@ def remove_occluded_pixels(pixels: EdgePixels, g: Floats, occluded: Floats) -> i
     g : (3, 3) homography to cells
     Returns how many remain
     """
-    retained, top, start = 0, occluded.shape[0] - 1, 0
+    rows, top, start = 0, occluded.shape[0] - 1, 0
     for kind in range(KINDS):
         for k in range(start, pixels.first[kind + 1]):
             i, j = _at(pixels.x[k], pixels.y[k], g, top)
-            pixels.x[retained], pixels.y[retained], pixels.greys[retained] = pixels.x[k], pixels.y[k], pixels.greys[k]
-            pixels.i[retained], pixels.j[retained], pixels.looks[retained] = pixels.i[k], pixels.j[k], pixels.looks[k]
-            retained += not occluded[j, i]
-        start, pixels.first[kind + 1] = pixels.first[kind + 1], retained
-    return retained
+            pixels.x[rows], pixels.y[rows], pixels.greys[rows] = pixels.x[k], pixels.y[k], pixels.greys[k]
+            pixels.i[rows], pixels.j[rows], pixels.looks[rows] = pixels.i[k], pixels.j[k], pixels.looks[k]
+            rows += not occluded[j, i]
+        start, pixels.first[kind + 1] = pixels.first[kind + 1], rows
+    return rows
 
 
 TERMS = 3  # x^2, x y, y^2 of local coordinates, which reach to about 1 on either side of a square's middle

@@ -275,16 +275,16 @@ class Live:
             for name, camera in cameras.items()
             if any(key[1] == name for key in seen)
         }
-        measurement, repeated, placed_by = None, dict[tuple[int, str], Detection](), cameras
+        measurement, refitted, placed_by = None, dict[tuple[int, str], Detection](), cameras
         for _ in range(1 + (ROUNDS if seen else 0)):
-            repeated = {
+            refitted = {
                 key: fit_read_markers(
-                    full[key], placed_by[key[1]], self.markers, d.read, spread[key[1]], 0.0 if repeated else REACH
+                    full[key], placed_by[key[1]], self.markers, d.read, spread[key[1]], 0.0 if refitted else REACH
                 )
-                for key, d in (repeated or seen).items()
+                for key, d in (refitted or seen).items()
             }
             corners, correlation = corners_from_detections(
-                [(frame, name, repeated.get((frame, name), detection)) for frame, name, detection in rows]
+                [(frame, name, refitted.get((frame, name), detection)) for frame, name, detection in rows]
             )
             observed = observations_from_corners(
                 corners, np.unique(corners.frame), self.design, self.markers, correlation
@@ -292,11 +292,11 @@ class Live:
             try:
                 measurement = measure_observations(observed, self.design, self.markers)
             except NotEnoughData:
-                return _Adjusted(None, spread, repeated)
+                return _Adjusted(None, spread, refitted)
             if (
                 not seen
                 or largest_lens_difference(
-                    corners_from_detections([(*key, d) for key, d in repeated.items()])[0],
+                    corners_from_detections([(*key, d) for key, d in refitted.items()])[0],
                     placed_by,
                     measurement.design.cameras,
                 )
@@ -304,7 +304,7 @@ class Live:
             ):
                 break
             placed_by = {camera.name: camera for camera in measurement.design.cameras}
-        return _Adjusted(measurement, spread, repeated)
+        return _Adjusted(measurement, spread, refitted)
 
     def close(self) -> None:
         """End the threads, once what is adjusted has come to its end. Raises what that raised."""

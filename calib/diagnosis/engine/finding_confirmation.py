@@ -302,8 +302,8 @@ def _outdone(problem: Problem[Fit, Model, C], model: Model, fit: Fit, score: Sco
     if not likelier:
         return False
     after = _smooth_functions(problem, problem.residual(fit), place)
-    retained = {(u.place, u.depends_on, u.freedom): u.delta_chi2 for u in after}
-    likelier = [u for u in likelier if retained.get((u.place, u.depends_on, u.freedom), 0.0) < TAKEN * u.delta_chi2]
+    left = {(u.place, u.depends_on, u.freedom): u.delta_chi2 for u in after}
+    likelier = [u for u in likelier if left.get((u.place, u.depends_on, u.freedom), 0.0) < TAKEN * u.delta_chi2]
     far_from_usual = any(score.complexity(size) > u.shortest(size)[1] + alike for u in likelier)
     return far_from_usual or bool(likelier and after)
 

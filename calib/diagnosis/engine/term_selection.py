@@ -84,19 +84,19 @@ def fit_selected_terms(problem: Problem[Fit, Model, C], progress: Progress | Non
 
     As `select_terms` has it.
     """
-    return _chosen(problem, problem.start(), progress)[1]
+    return _chosen(problem, problem.start(), progress, ())[1]
 
 
 def _chosen(
-    problem: Problem[Fit, Model, C], before: Fit, progress: Progress | None, first: Sequence[Site] = ()
+    problem: Problem[Fit, Model, C], before: Fit, progress: Progress | None, first: Sequence[Site]
 ) -> tuple[Problem[Fit, Model, C], Fit, Scans[C]]:
     """(Problem, Fit, Scans made) with terms admitted, and those that pay on stretches held out retained. Raises
     ValueError for a policy that admits companions of a problem that has none.
     """
     if np.isfinite(problem.policy.companions) and not isinstance(problem, Companions):
         raise ValueError("the policy admits companions, and the problem does not search for any")
-    sites = dict.fromkeys([*problem.given.first, *first])
-    problem, fit, scans = _forward(problem, _fit_with_terms_at(problem, before, list(sites)), progress)
+    sites = list(dict.fromkeys([*problem.given.first, *first]))
+    problem, fit, scans = _forward(problem, _fit_with_terms_at(problem, before, sites), progress)
     if isinstance(problem, TermSimplification):
         fit = problem.simplify_terms(fit)
     return problem, _remove_terms_without_held_out_gain(problem, fit), scans
@@ -353,10 +353,10 @@ def _companions(
         if score.candidate.place in places or not close or len(problem.terms(fit)) >= policy.most:
             continue
         places.add(score.candidate.place)
-        repeated = problem.companion(fit, score)
-        if repeated is not None and is_significant(repeated, len(problem.candidates), size, policy):
+        companion = problem.companion(fit, score)
+        if companion is not None and is_significant(companion, len(problem.candidates), size, policy):
             taken.add(_hypothesis_key(score))
-            fit = problem.add_term(fit, repeated)
+            fit = problem.add_term(fit, companion)
     return fit
 
 

@@ -162,7 +162,7 @@ def repeatability_of_pairs(
     turned = float(np.linalg.norm(off[:, 3:], axis=1).mean()) if off.shape[1] == 6 else None
     one, two = residuals_of_pairs
     product = (one * two).sum(axis=1)
-    repeated = float(product.sum() / max(((one**2).sum() + (two**2).sum()) / 2, 1e-300))
+    correlation = float(product.sum() / max(((one**2).sum() + (two**2).sum()) / 2, 1e-300))
     z = float(product.sum() / max(np.sqrt((product**2).sum()), 1e-300))
     return Repeats(
         len(pairs),
@@ -170,7 +170,7 @@ def repeatability_of_pairs(
         float(np.sqrt((apart**2).mean())),
         unit,
         turned,
-        max(repeated, 0.0),
+        max(correlation, 0.0),
         float(scipy.special.ndtr(-z)),
     )
 

@@ -155,10 +155,10 @@ def _sketched(name: str) -> list[str]:
     """What an effect of the catalogue does, as the catalogue shows it; nothing of one that is not in it."""
     if name not in BY_NAME:
         return []
-    sketch, message = effect_sketch(BY_NAME[name]), f"What {BY_NAME[name].label()} does"
+    sketch, caption = effect_sketch(BY_NAME[name]), f"What {BY_NAME[name].label()} does"
     return [
         folding_section_html(
-            message, paragraph_html(f"From the catalogue of effects: {sketch.words}."), panel_row_html(*sketch.figures)
+            caption, paragraph_html(f"From the catalogue of effects: {sketch.words}."), panel_row_html(*sketch.figures)
         )
     ]
 
@@ -255,16 +255,18 @@ def _suggestions(report: Report) -> list[str]:
 
 
 def _asked(report: Report) -> list[str]:
-    requested = [paragraph_html(f"{report.asked} hypotheses, an effect at a place each, were tested on the recording.")]
-    requested += (
+    paragraphs = [
+        paragraph_html(f"{report.asked} hypotheses, an effect at a place each, were tested on the recording.")
+    ]
+    paragraphs += (
         [paragraph_html(f"Stated by the operator beforehand: {'; '.join(report.said)}.")] if report.said else []
     )
     files = "; ".join(f"{f.file} ({', '.join(f.effects)}; sha256 {f.sha256})" for f in report.own_effects)
-    requested += [paragraph_html(f"Effects of the operator's own: {files}.")] if files else []
+    paragraphs += [paragraph_html(f"Effects of the operator's own: {files}.")] if files else []
     if not report.not_asked:
-        return [*requested, paragraph_html("The whole catalogue could be tested.")]
+        return [*paragraphs, paragraph_html("The whole catalogue could be tested.")]
     rows = [(s.effect.replace("_", " "), s.reason) for s in report.not_asked]
-    return [*requested, folding_section_html(f"{len(rows)} could not be", table_html(("effect", "why"), rows))]
+    return [*paragraphs, folding_section_html(f"{len(rows)} could not be", table_html(("effect", "why"), rows))]
 
 
 def _measurement(report: Report, machine_figures: MachineFigures) -> list[tuple[str, object]]:

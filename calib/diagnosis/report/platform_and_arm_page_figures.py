@@ -179,10 +179,10 @@ class ArmFigures:
     def measurement(self) -> list[tuple[str, object]]:
         """Where poses came from, and how well they repeat."""
         d = self.diagnosis
-        repeated = repeatability_rows(d)
+        rows = repeatability_rows(d)
         if self.fit.scatter[0] > 0:
             beyond, _ = self.evidence.scatter_beyond_stated(d.selection)
-            repeated.append(
+            rows.append(
                 ("beyond what the instrument states, poses scatter by", f"{beyond * 1e6:.1f} µ{self.fit.arms.unit}")
             )
         arms = self.fit.arms
@@ -191,7 +191,7 @@ class ArmFigures:
             ("poses", len(arms)),
             ("time", f"{np.ptp(arms.t) / 60:.1f} min"),
             ("sensors", ", ".join(arms.channels) or "none"),
-            *repeated,
+            *rows,
         ]
 
     def _errors(self) -> str:
@@ -330,10 +330,10 @@ def repeatability_rows(diagnosis: Diagnosis) -> list[tuple[str, object]]:
 
     None where too few commands were repeated.
     """
-    repeated = diagnosis.repeats
-    if repeated is None:
+    repeats = diagnosis.repeats
+    if repeats is None:
         return []
-    text = f"{repeated.mean * 1e6:.1f} {UNITS[repeated.unit]} ({repeated.pairs} pairs)"
+    text = f"{repeats.mean * 1e6:.1f} {UNITS[repeats.unit]} ({repeats.pairs} pairs)"
     return [("repeatability of the same command", text)]
 
 
@@ -355,9 +355,9 @@ def held_out_gain_table(diagnosis: Diagnosis) -> str:
         )
     places = [] if diagnosis.design is None else mechanisms.axis_place_texts(diagnosis.design.mechanism)
     units = " or ".join(dict.fromkeys(UNITS.get(v.unit, v.unit) for v in diagnosis.cross_validations))
-    message = note_html(
+    note = note_html(
         f"{units}, RMS along one axis, by which held-out data are predicted better with it than without. A curve of "
         "an axis' own position is undetermined where that axis was never recorded: there, its gain by that axis' own "
         "regions may be negative."
     )
-    return table_html(("finding", "held out: time", *places[: len(diagnosis.regions)]), rows) + message
+    return table_html(("finding", "held out: time", *places[: len(diagnosis.regions)]), rows) + note

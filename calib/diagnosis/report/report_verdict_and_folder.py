@@ -379,15 +379,15 @@ def held_out_entries(diagnosis: Diagnosis) -> Json:
 
 def repeatability_entry(diagnosis: Diagnosis) -> Json | None:
     """Entry on how well poses repeat; None where too few commands were repeated."""
-    repeated = diagnosis.repeats
-    if repeated is None:
+    repeats = diagnosis.repeats
+    if repeats is None:
         return None
     return {
-        "pairs": repeated.pairs,
-        f"mean_{repeated.unit}": repeated.mean,
-        f"rms_{repeated.unit}": repeated.rms,
-        **({} if repeated.unit == "rad" else {"mean_rad": repeated.mean_rad}),
-        "remainder_that_repeats": repeated.recurring_share,
+        "pairs": repeats.pairs,
+        f"mean_{repeats.unit}": repeats.mean,
+        f"rms_{repeats.unit}": repeats.rms,
+        **({} if repeats.unit == "rad" else {"mean_rad": repeats.mean_rad}),
+        "remainder_that_repeats": repeats.recurring_share,
     }
 
 

@@ -64,11 +64,11 @@ def worst_pose_contribution_figure(evidence: PoseContributions[Fit, C], selectio
         parts.append(svg_text(START - 6, y + 12, str(frames[pose]), "end"))
         for which in [*np.argsort(-sizes[pose, :-1]).tolist(), len(names) - 1]:
             wide = float(sizes[pose, which]) * scale
-            lines = f"{names[which].replace('_', ' ')}: {sizes[pose, which] * 1e6:.1f} µm"
+            label = f"{names[which].replace('_', ' ')}: {sizes[pose, which] * 1e6:.1f} µm"
             parts.append(
                 f'<rect class="fill {_colour(which, len(names))}" x="{at:.1f}" y="{y:.1f}" '
                 f'width="{wide:.1f}" height="{ROW - 3:g}">'
-                f"{svg_tooltip(lines)}</rect>"
+                f"{svg_tooltip(label)}</rect>"
             )
             at += wide
     for k, name in enumerate(names):

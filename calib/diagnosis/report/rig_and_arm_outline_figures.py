@@ -68,14 +68,14 @@ class Outline:
             return np.stack([across, MARGIN + tall - scale * (points[..., 1] - low[1])], axis=-1)
 
         parts = []
-        for points, style, colour, lines in sorted(self._shapes, key=lambda s: (s[1] != "plate", s[2] != PLAIN)):
+        for points, style, colour, label in sorted(self._shapes, key=lambda s: (s[1] != "plate", s[2] != PLAIN)):
             d = (
                 "M"
                 + "L".join(f"{x:.1f} {y:.1f}" for x, y in placed(points).tolist())
                 + ("Z" if style != "outline" else "")
             )
             marked = f" marked c{colour}" if colour != PLAIN else ""
-            parts.append(f'<path class="{style}{marked}" d="{d}">{svg_tooltip(lines) if lines else ""}</path>')
+            parts.append(f'<path class="{style}{marked}" d="{d}">{svg_tooltip(label) if label else ""}</path>')
         for point, words, colour in self._words:
             x, y = placed(point).tolist()
             parts.append(
@@ -197,21 +197,21 @@ def arm_outline_figures(arm: Arm | Chain, q: Floats, marked_joints: dict[int, di
     typical = int(np.argmin(((q - np.median(q, axis=0)) ** 2).sum(axis=1)))
     ghosts = np.linspace(0, len(q) - 1, GHOSTS).astype(int)
     places, units = mechanisms.axis_place_texts(arm), mechanisms.axis_units(arm)
-    message = {
+    labels = {
         j: f"{places[j]}: "
         + ", ".join(f"{name} {size * 1e3:.3f} m{units[j]}" for name, size in marked_joints[j].items())
         for j in sorted(marked_joints)
     }
     largest = max((max(found.values()) for found in marked_joints.values()), default=1.0)
     marks = [
-        Mark(place, max(marked_joints[j].values()) / largest if j in marked_joints else None, message.get(j, place))
+        Mark(place, max(marked_joints[j].values()) / largest if j in marked_joints else None, labels.get(j, place))
         for j, place in enumerate(places)
     ]
     views = [
         _view(title, at[ghosts][:, :, [a, b]], at[typical][:, [a, b]], joints[typical][:, [a, b]], marks)
         for (a, b), title in VIEWS
     ]
-    return panel_row_html(*views) + (list_html(message.values()) if message else "")
+    return panel_row_html(*views) + (list_html(labels.values()) if labels else "")
 
 
 class Mark(NamedTuple):

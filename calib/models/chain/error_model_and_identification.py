@@ -302,15 +302,15 @@ def identify_chain(samples: Samples, nominal: Chain) -> Identified:
                 raise
             found = fit_least_squares(linearise, start, start, sigma[free], inliers=inliers, robust=True)
         hat = noise_leverage(linearise(found.parameters), found.inliers, sigma[free])
-        repeated = np.array(
+        recomputed = np.array(
             [
                 one.scatter(W, found.residual[own], found.inliers[own], hat[own])
                 for one, W, own in zip(measured, white, rows)
             ]
         )
-        if np.allclose(repeated, scatter, rtol=SETTLED, atol=1e-12):
+        if np.allclose(recomputed, scatter, rtol=SETTLED, atol=1e-12):
             break
-        scatter = repeated
+        scatter = recomputed
     step, covariance = np.zeros(len(sigma)), np.zeros((len(sigma), len(sigma)))
     step[free], covariance[np.ix_(free, free)] = found.parameters, found.covariance
     below = tuple(

@@ -60,7 +60,7 @@ class FolderSource:
         """
         for name in self._names():  # dropped while nobody had asked: exposed some other time
             self._known.add(name)
-        requested = self._clock.now()
+        began = self._clock.now()
         sizes: dict[str, tuple[Any, ...]] = {}
         (self._folder / "ask").touch()
         while True:
@@ -71,8 +71,8 @@ class FolderSource:
                 self._known.add(name)
                 image = self._decoded(self._folder / name)
                 first = sizes[name][2]
-                return Frame(image, (requested + first) / 2, max(first - requested, EVERY) / 12**0.5)
-            if now - requested > self._wait:
+                return Frame(image, (began + first) / 2, max(first - began, EVERY) / 12**0.5)
+            if now - began > self._wait:
                 raise CameraError(
                     f"camera {self.name!r}: no whole image appeared in {self._folder} within {self._wait:g} s"
                 )
@@ -149,7 +149,7 @@ class EmulatedSource:
 
     def grab(self) -> Frame:
         """A picture of the rig in its present state. Raises CameraError where the emulator does not answer."""
-        requested = self._clock.now()
+        began = self._clock.now()
         try:
             self._socket.sendall(f"expose {self.name} {self._exposure!r}\n".encode())
             head = self._stream.readline(4096)
@@ -177,8 +177,8 @@ class EmulatedSource:
         image = np.frombuffer(data, np.uint8 if tree["bits"] == 8 else "<u2").reshape(tree["height"], tree["width"])
         if tree["bits"] != 8:
             image = image.astype(np.uint16) << (16 - tree["bits"])  # as a 16-bit file holds it
-        latest = max(after - tree["age"], requested)
-        return Frame(image, (requested + latest) / 2, (latest - requested) / UNIFORM)
+        latest = max(after - tree["age"], began)
+        return Frame(image, (began + latest) / 2, (latest - began) / UNIFORM)
 
     def set_exposure(self, seconds: float) -> float:
         """Brighten or darken the pictures to come."""

@@ -109,16 +109,16 @@ class VideoSource:
         """A frame exposed after this call: what waits in the driver's queue is let go by. Raises CameraError where none
         comes.
         """
-        requested, last = self._clock.now(), None
+        began, last = self._clock.now(), None
         for _ in range(FLUSHED + 3):
             before = self._clock.now()
             if not self._capture.grab():
                 raise CameraError(f"camera {self.name!r} gives no frame; is it plugged in, and free?")
             after = self._clock.now()
-            if after - requested > WAIT:
-                raise CameraError(f"camera {self.name!r} gave no fresh frame in {after - requested:.1f} s")
+            if after - began > WAIT:
+                raise CameraError(f"camera {self.name!r} gave no fresh frame in {after - began:.1f} s")
             last, (begin, t, sigma) = after if after - before >= BLOCKED else None, self._time(before, after, last)
-            if begin >= requested:
+            if begin >= began:
                 return Frame(self._image(), t, sigma)
         raise CameraError(
             f"camera {self.name!r} gave {FLUSHED + 3} frames, none of them known to be exposed after the request"

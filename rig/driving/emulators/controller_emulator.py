@@ -101,11 +101,11 @@ class Emulator:
         if not self.plugged:
             raise LinkLost("unplugged")
         self._run_due()
-        retained = bytearray()
+        received = bytearray()
         for byte in data:
-            if not self.at_once(byte) and len(retained) < self.buffer:  # what comes in one go; in between it is read
-                retained.append(byte)
-        self._in = (self._in + bytes(retained))[-LONGEST:]
+            if not self.at_once(byte) and len(received) < self.buffer:  # what comes in one go; in between it is read
+                received.append(byte)
+        self._in = (self._in + bytes(received))[-LONGEST:]
         while (cut := min((at for at in (self._in.find(end) for end in self.ends) if at >= 0), default=-1)) >= 0:
             line, self._in = self._in[:cut], self._in[cut + 1 :]
             self.line(line)

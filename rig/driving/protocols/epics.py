@@ -163,9 +163,9 @@ class Epics:
             activity = "moving"
         else:
             activity = "held" if held else "idle"
-        lines = f"DMOV {''.join(str(int(word)) for word in done)}, MSTA {' '.join(f'{word:#x}' for word in bits)}"
-        lines += f", SPMG {held[0]}" if held else ""
-        return State(activity, positions / self._unit, bool((bits >> HOMED & 1).all()), "; ".join(faults), lines)
+        report = f"DMOV {''.join(str(int(word)) for word in done)}, MSTA {' '.join(f'{word:#x}' for word in bits)}"
+        report += f", SPMG {held[0]}" if held else ""
+        return State(activity, positions / self._unit, bool((bits >> HOMED & 1).all()), "; ".join(faults), report)
 
     def _texts(self, field: str) -> Dialogue[list[str]]:
         return [unquote(word) for word in (yield from self._asked([f"{motor}.{field}" for motor in self.motors]))]

@@ -346,9 +346,9 @@ class GCSHexapod(GCS):
         self.frames = PoseFrames(hexapod.home if work is None else work, NONE if tool is None else tool)
 
     def hello(self) -> Dialogue[str]:
-        message = yield from super().hello()
+        answer = yield from super().hello()
         yield from self._learn_pivot()
-        return f"{message}, pivot point {' '.join(f'{MM * value:g}' for value in self.frames.pivot)} mm"
+        return f"{answer}, pivot point {' '.join(f'{MM * value:g}' for value in self.frames.pivot)} mm"
 
     def fence(self) -> Dialogue[bool]:
         same = yield from super().fence()

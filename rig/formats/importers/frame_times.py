@@ -131,8 +131,8 @@ def _by_table(
         if gone
         else ()
     )
-    message = (*exposed.said, *cells.said, *t.said, *absent)
-    return replace(exposed, t=[first[frame] for frame in exposed.frame], said=message), replace(recipe, frames=resolved)
+    lines = (*exposed.said, *cells.said, *t.said, *absent)
+    return replace(exposed, t=[first[frame] for frame in exposed.frame], said=lines), replace(recipe, frames=resolved)
 
 
 def _times_of_image_names(

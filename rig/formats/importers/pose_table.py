@@ -214,7 +214,7 @@ def _positions(
         raise RigError(
             f"{table.file}: x, y, z must be in one unit of {', '.join(LENGTHS)}; --set poses.unit=mm states it"
         )
-    message: tuple[str, ...] = ()
+    lines: tuple[str, ...] = ()
     if unit is None:
         size, far = _size(design), float(np.median(np.linalg.norm(values, axis=1)))
         fit = [u for u in ("m", "mm") if REACH[0] * size <= far / LENGTHS[u] <= REACH[1] * size]
@@ -224,7 +224,7 @@ def _positions(
                 "origin in the middle",
                 [(u, f"poses.unit={u}") for u in ("m", "mm")],
             )
-        unit, message = (
+        unit, lines = (
             fit[0],
             (f"{table.file.name}: positions are in {fit[0]}, as the rig measures some {size:.2g} m",),
         )
@@ -233,7 +233,7 @@ def _positions(
         raise RigError(
             f"{table.file}: a position of {np.abs(p).max():g} m is implausible; --set poses.unit=mm states another unit"
         )
-    return p, replace(table, unit=unit), message
+    return p, replace(table, unit=unit), lines
 
 
 def _size(design: Design) -> float:

@@ -74,10 +74,10 @@ def design_with_imported_cameras(recipe: Recipe) -> tuple[Design, str | None, tu
     design = design_from_rig_toml.load_design(recipe.rig)
     if recipe.cameras is None:
         return design, None, ()
-    text, message = rig_toml_with_cameras(
+    text, lines = rig_toml_with_cameras(
         recipe.cameras, read_text(recipe.rig, design_from_rig_toml.LARGEST), design.cameras
     )
-    return design_from_rig_toml.design_of_entries(toml_entries(text, recipe.rig)), text, message
+    return design_from_rig_toml.design_of_entries(toml_entries(text, recipe.rig)), text, lines
 
 
 def unpack_recipe_bags(recipe: Recipe, folder: Path) -> Recipe:
@@ -167,11 +167,11 @@ def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
         poses=posed.table if posed else None,
         sensors=logged.table if logged else None,
     )
-    message = (
+    lines = (
         *of_cameras,
         *dict.fromkeys(line for part in (commanded, exposed, posed, logged) if part for line in part.said),
     )
-    return ImportedRecording(design, exposed, commanded, posed, logged, replace(recipe, said=message), message, rig)
+    return ImportedRecording(design, exposed, commanded, posed, logged, replace(recipe, said=lines), lines, rig)
 
 
 def _without_rotation_sigma(recipe: Recipe, text: str | None) -> str:

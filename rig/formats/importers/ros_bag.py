@@ -69,12 +69,10 @@ def unpack_bags(recipe: Recipe, design: Design, folder: Path) -> Recipe:
     if empty:
         raise FileError(bag.files[0], f"topic {empty} has no messages")
     bare = ", ".join(topic.name for topic in wanted.values() if not topic.stamped)
-    statement = (
-        (f"{bare}: messages have no stamps, so their times are those at which they were received",) if bare else ()
-    )
+    lines = (f"{bare}: messages have no stamps, so their times are those at which they were received",) if bare else ()
     return _recipe(
         recipe,
-        replace(bag, folder=folder, said=statement + tuple(f"{topic} is {part}" for part, topic in _parts(bag))),
+        replace(bag, folder=folder, said=lines + tuple(f"{topic} is {part}" for part, topic in _parts(bag))),
         wanted,
         design,
     )

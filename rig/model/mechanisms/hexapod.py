@@ -85,15 +85,15 @@ def forward(lengths: Floats, hexapod: Hexapod, guess: RigidTransform | None = No
     if start.ndim > 2:
         start = np.broadcast_to(start, (*lengths.shape[:-1], 4, 4)).reshape(-1, 4, 4)
     _side_by_side(flat, start.reshape(-1, 4, 4), hexapod, (matrix, residual, crossed))
-    repeated = np.flatnonzero(~(residual <= TOLERANCE) | crossed)
-    if len(repeated):  # with pivots, and a word on what has no solution
+    failed = np.flatnonzero(~(residual <= TOLERANCE) | crossed)
+    if len(failed):  # with pivots, and a word on what has no solution
         began = start if start.ndim > 2 else np.broadcast_to(start, (len(flat), 4, 4))
-        for at in range(0, len(repeated), CHUNK):
-            part = repeated[at : at + CHUNK]
+        for at in range(0, len(failed), CHUNK):
+            part = failed[at : at + CHUNK]
             moved = began[part].copy()
             residual[part] = _newton(moved, flat[part], hexapod)
             matrix[part] = moved
-        _check(matrix, began, residual, lengths, hexapod, repeated)
+        _check(matrix, began, residual, lengths, hexapod, failed)
     return RigidTransform(
         matrix.reshape(*lengths.shape[:-1], 4, 4), normalize=False, copy=False
     )  # of unit quaternions, normal as it is

@@ -182,13 +182,13 @@ def table_html(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     header : of its columns, "" for one without; rows : of text and numbers
     """
     lines = [[str(cell) for cell in row] for row in rows]
-    messages = [_of_text(column) for column in zip(*lines)] or [False] * len(header)
+    of_text = [_of_text(column) for column in zip(*lines)] or [False] * len(header)
     head = "".join(
         f'<th scope="col"{_style(cell, text, WORDY)}>{escape_html(cell)}</th>' if cell else "<td></td>"
-        for cell, text in zip(header, messages)
+        for cell, text in zip(header, of_text)
     )
     cells = [
-        [f"<td{_style(cell, text, LONG)}>{escape_html(cell)}</td>" for cell, text in zip(line, messages)]
+        [f"<td{_style(cell, text, LONG)}>{escape_html(cell)}</td>" for cell, text in zip(line, of_text)]
         for line in lines
     ]
     body = "".join(f"<tr>{''.join(row)}</tr>" for row in cells)
@@ -203,8 +203,8 @@ def _of_text(column: Sequence[str]) -> bool:
     """Whether a column is of text, which begins at its left; of numbers, which end at its right, it is when half of its
     cells begin with one.
     """
-    lines = [cell for cell in column if cell]
-    return 2 * sum(re.match(r"[-+±]?[\d.]", cell) is not None for cell in lines) < len(lines)
+    filled = [cell for cell in column if cell]
+    return 2 * sum(re.match(r"[-+±]?[\d.]", cell) is not None for cell in filled) < len(filled)
 
 
 def _style(cell: str, text: bool, long: int) -> str:

@@ -165,18 +165,18 @@ def read_page_summary(path: Path) -> PageSummary | None:
     """
     try:
         with path.open(encoding="utf-8") as file:
-            message = SAID.search(file.read(HEAD))
+            found = SAID.search(file.read(HEAD))
         changed = path.stat().st_mtime
     except (OSError, UnicodeDecodeError):
         return None
-    if message is None or message[2] not in list(State):
+    if found is None or found[2] not in list(State):
         return None
     later = verdict_and_display.refutations_of_file(path.with_suffix(".json"))
     state, why = (
-        worst_state([State(message[2]), *(one.state for one in later)]),
-        "; ".join([*(one.line for one in later), html.unescape(message[3])]),
+        worst_state([State(found[2]), *(one.state for one in later)]),
+        "; ".join([*(one.line for one in later), html.unescape(found[3])]),
     )
-    return PageSummary(path, message[1], html.unescape(message[4]), state, why, changed)
+    return PageSummary(path, found[1], html.unescape(found[4]), state, why, changed)
 
 
 def list_pages_below_folder(folder: Path) -> list[PageSummary]:

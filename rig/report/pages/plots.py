@@ -156,9 +156,9 @@ def plot_panel_svg(
     if level is not None:
         parts.append(f'<path class="level" d="M{LEFT} {float(y.at(level)):.1f}H{RIGHT}"/>')
     parts += [_drawn(s, x, y) for s in series]
-    message = f' data-x="{x.said()}" data-y="{y.said()}" data-labels="{escape_html("|".join(labels))}"'
+    attributes = f' data-x="{x.said()}" data-y="{y.said()}" data-labels="{escape_html("|".join(labels))}"'
     return svg_figure(
-        int(bottom + BELOW + 17 * len(_below(labels[0]))), f"{title}: {labels[1]} over {labels[0]}", parts, message
+        int(bottom + BELOW + 17 * len(_below(labels[0]))), f"{title}: {labels[1]} over {labels[0]}", parts, attributes
     )
 
 

@@ -231,10 +231,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         """The button. Only a page of this very server may press it."""
-        requested = self._allowed(post=True)
-        if requested is None:
+        request = self._allowed(post=True)
+        if request is None:
             return
-        if requested[0] != "/stop":
+        if request[0] != "/stop":
             self._refuse(HTTPStatus.NOT_FOUND, "no such button")
             return
         self.server.page.pressed()

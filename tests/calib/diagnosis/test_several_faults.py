@@ -36,6 +36,18 @@ def test_what_may_have_either_sign_does_and_a_column_that_another_makes_needless
     assert np.allclose(twice @ found, columns @ sizes) and gain == pytest.approx(((columns @ sizes) ** 2).sum())
 
 
+def diagnosed(seed, faults, folder):
+    """(Diagnosis, its findings, hidden faults) of a recording."""
+    case, hidden = drawn(seed, faults)
+    result = diagnose(recording_folder.load_recording(record(case, folder / "rec"))).found
+    return result, tuple(diagnosis_report(result).findings), hidden
+
+
+def require_named_or_stated(effects, hidden):
+    for one in hidden:
+        assert one.is_named(effects) or one.is_in_stated_set(effects), (str(one), [str(f) for f in effects])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "seed",
@@ -46,11 +58,8 @@ def test_what_may_have_either_sign_does_and_a_column_that_another_makes_needless
     ],
 )
 def test_what_moves_with_the_speed_is_named_or_listed_among_what_it_cannot_be_told_from(seed, tmp_path):
-    case, hidden = drawn(seed, 2)
-    found = diagnosis_report(diagnose(recording_folder.load_recording(record(case, tmp_path / "rec"))).found)
-    effects = tuple(f for f in found.findings if f.effect != "unknown")
-    for one in hidden:
-        assert one.is_named(effects) or one.is_in_stated_set(effects), (str(one), [str(f) for f in effects])
+    _, effects, hidden = diagnosed(seed, 2, tmp_path)
+    require_named_or_stated(tuple(f for f in effects if f.effect != "unknown"), hidden)
 
 
 @pytest.mark.slow
@@ -58,23 +67,18 @@ def test_what_moves_with_the_speed_is_named_or_listed_among_what_it_cannot_be_to
     "seed",
     [
         pytest.param(67002, id="springs of which one is three times stiffer, and a hysteresis"),
-        pytest.param(67011, id="struts that warm up and lose steps twice, one of them half as warm as the others"),
+        pytest.param(67011, id="struts that warm up differently and lose steps twice"),
         pytest.param(67014, id="a hysteresis at every strut, and a clock that is late"),
     ],
 )
 def test_axes_that_differ_in_what_the_whole_machine_shows_leave_nothing_unknown(seed, tmp_path):
-    case, hidden = drawn(seed, 2)
-    result = diagnose(recording_folder.load_recording(record(case, tmp_path / "rec"))).found
+    result, effects, hidden = diagnosed(seed, 2, tmp_path)
     assert not result.left
-    effects = tuple(diagnosis_report(result).findings)
-    for one in hidden:
-        assert one.is_named(effects) or one.is_in_stated_set(effects), (str(one), [str(f) for f in effects])
+    require_named_or_stated(effects, hidden)
 
 
 @pytest.mark.slow
 def test_a_profile_as_fine_as_the_data_show_leaves_nothing_unknown_beside_a_lag(tmp_path):
-    case, hidden = drawn(68004, 3)
-    result = diagnose(recording_folder.load_recording(record(case, tmp_path / "rec"))).found
-    effects = tuple(diagnosis_report(result).findings)
+    result, effects, hidden = diagnosed(68004, 3, tmp_path)
     assert not result.left
     assert all(one.is_named(effects) for one in hidden if one.effect in ("servo_lag", "transmission_error"))

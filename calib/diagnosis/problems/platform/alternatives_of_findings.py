@@ -307,9 +307,9 @@ def _reason(
     found = tolerance_model(model, problem.sensitivities)
     if found is None:
         return None
-    score, retained = finding.score, problem.sensitivities.at(model.point)
+    score, sensitivities = finding.score, problem.sensitivities.at(model.point)
     share = share_not_explained_by_tolerances(
-        model, found, candidate_column(model, score.candidate, score.node, retained), not len(score.coefficients)
+        model, found, candidate_column(model, score.candidate, score.node, sensitivities), not len(score.coefficients)
     )
     if is_significant(_weaken_score(score, share), selection.asked, problem.size(fit), problem.policy):
         return None

@@ -300,9 +300,9 @@ def cross_validate_effect_by_regions(
 def _both(refined: Refinement, numbers: set[int], fold: Integers | None = None) -> tuple[HeldOut, HeldOut, Integers]:
     """(held out without the effects, with them, folds (F,)). fold : stretches of time where None"""
     model, k = refined.model, refined.point
-    requested = [k.effects[i] for i in sorted(numbers)]
+    effects = [k.effects[i] for i in sorted(numbers)]
     if fold is None:
-        fold = frame_folds(model.frames, any(e.sudden for e in requested), sides_of_sudden_changes(requested, k.t))
+        fold = frame_folds(model.frames, any(e.sudden for e in effects), sides_of_sudden_changes(effects, k.t))
     with_all = refined.marginalised
     after = held_out_residuals(with_all.linear, tuple(b.residual for b in with_all.linear.blocks), fold)
     others = [i for i, c in enumerate(refined.coordinates) if c.effect not in numbers]
