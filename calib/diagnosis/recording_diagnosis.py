@@ -24,8 +24,8 @@ from calib.diagnosis.engine.finding_removal_with_smooth_functions import (
     remove_findings_insignificant_with_smooth_functions,
 )
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
-from calib.diagnosis.engine.problem_interface import Fit, Progress
-from calib.diagnosis.engine.term_selection import Selection, select_terms
+from calib.diagnosis.engine.problem_interface import Fit, Model, Problem, Progress
+from calib.diagnosis.engine.term_selection import Selection, search_beside, select_terms
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     Evidence,
     HeldOutPoses,
@@ -249,6 +249,27 @@ def _sites(selection: Selection[Fit, C]) -> list[Site]:
     return [(f.score.candidate.name, f.score.candidate.place) for f in selection.findings]
 
 
+def _without_insignificant_findings(
+    problem: Problem[Fit, Model, C], selection: Selection[Fit, C], progress: Progress | None
+) -> tuple[Selection[Fit, C], list[LackOfFit]]:
+    """(Selection without findings that are none beside smooth functions of what is left, what is left then). What they
+    hid is searched for once they are gone, and found where less is left with it than without.
+    """
+    left = problem.lack_of_fit(problem.residual(selection.fit))
+    kept = remove_findings_insignificant_with_smooth_functions(problem, selection, left)
+    sites = {(c.name, c.place) for c in problem.terms(selection.fit)} - set(_sites(kept))
+    if not sites:
+        return kept, left
+    left = problem.lack_of_fit(problem.residual(kept.fit))
+    again = search_beside(problem, kept, sites, progress)
+    if again is kept:
+        return kept, left
+    still = problem.lack_of_fit(problem.residual(again.fit))
+    again = remove_findings_insignificant_with_smooth_functions(problem, again, still)
+    still = problem.lack_of_fit(problem.residual(again.fit))
+    return (again, still) if len(still) < len(left) else (kept, left)
+
+
 def _explained(
     evidence: Evidence[Fit, C], outliers: Outliers, progress: Progress | None, first: Sequence[Site]
 ) -> Explained:
@@ -256,11 +277,7 @@ def _explained(
     problem, not_asked = evidence.problem(outliers)
     selection = select_terms(problem, progress, first)
     problem = selection.problem
-    left = problem.lack_of_fit(problem.residual(selection.fit))
-    count = len(selection.findings)
-    selection = remove_findings_insignificant_with_smooth_functions(problem, selection, left)
-    if len(selection.findings) < count:
-        left = problem.lack_of_fit(problem.residual(selection.fit))
+    selection, left = _without_insignificant_findings(problem, selection, progress)
     if not isinstance(evidence, ToleratedFindings):
         return Explained(selection, left, Tolerable(), not_asked)
     selection, left, tolerable = evidence.set_apart_tolerable(selection, left)

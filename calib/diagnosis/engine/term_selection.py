@@ -5,7 +5,7 @@ Forward steps, backward removal, held-out tests, confirmation against alternativ
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic
 
 import numpy as np
@@ -40,6 +40,7 @@ from calib.diagnosis.engine.problem_interface import (
 
 SEARCHED_AGAIN = 2  # times that terms are searched for beside those confirmed, where confirmation changed them
 DIGITS = 3  # of a node's values, by which hypotheses are told apart
+Merges = set[tuple[str, frozenset[Site]]]  # (name at several axes, (name, place) of all other terms), tried as one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,11 +80,20 @@ def select_terms(
     return Selection(problem, before, fit, findings, len(problem.candidates))
 
 
-def fit_selected_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Fit:
-    """Fit of the terms that selection keeps, before alternatives are tried.
+def search_beside(
+    problem: Problem[Fit, Model, C], selection: Selection[Fit, C], removed: set[Site], progress: Progress | None
+) -> Selection[Fit, C]:
+    """Selection with the terms that are found beside its findings, but for those that were removed: (name, place)."""
+    scans, refused = Scans[C](), [c for c in problem.candidates if (c.name, c.place) in removed]
+    more = _steps(problem, selection.fit, scans, progress, refused)
+    if more is None or len(problem.terms(more)) == len(problem.terms(selection.fit)):
+        return selection
+    fit, findings = confirm_terms(problem, more, scans, progress)
+    return replace(selection, fit=fit, findings=findings)
 
-    As `select_terms` has it.
-    """
+
+def fit_selected_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Fit:
+    """Fit of the terms that `select_terms` keeps, before alternatives are tried."""
     return _chosen(problem, problem.start(), progress, ())[1]
 
 
@@ -143,13 +153,15 @@ def _forward(
     return problem, fit if found is None else found, scans
 
 
-def _steps(problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress: Progress | None) -> Fit | None:
+def _steps(
+    problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress: Progress | None, but: Sequence[C] = ()
+) -> Fit | None:
     """The Fit with terms admitted step by step; after each step, those that others have made needless go again. None
-    where tolerances explain more than any name. scans : kept of each step"""
+    where tolerances explain more than any name. scans : kept of each step; but : candidates that are not admitted"""
     policy, count = problem.policy, len(problem.candidates)
     taken: set[tuple[object, ...]] = set()
-    merged: set[str] = set()
-    refused: list[C] = []
+    merged: Merges = set()
+    refused: list[C] = list(but)
     while len(problem.terms(fit)) < policy.most:
         model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
         model_size = problem.linear(model).size
@@ -212,12 +224,8 @@ def _projection_of_scores(problem: Problem[Fit, Model, C], model: Model) -> Call
 
 def _hypothesis_key(score: Score[C]) -> tuple[object, ...]:
     """What a hypothesis is known by: its name, place and node."""
-    node = tuple(
-        sorted(
-            (name, round(value, DIGITS) if isinstance(value, float) else value) for name, value in score.node.items()
-        )
-    )
-    return score.candidate.name, score.candidate.place, node
+    node = ((name, round(value, DIGITS) if isinstance(value, float) else value) for name, value in score.node.items())
+    return score.candidate.name, score.candidate.place, tuple(sorted(node))
 
 
 def _step(
@@ -290,17 +298,18 @@ def _same_name_elsewhere(
 
 
 def _one_hypothesis_of_alike_axes(
-    problem: Problem[Fit, Model, C], fit: Fit, taken: set[tuple[object, ...]], merged: set[str]
+    problem: Problem[Fit, Model, C], fit: Fit, taken: set[tuple[object, ...]], merged: Merges
 ) -> Fit:
     """The Fit with one hypothesis about the whole machine in place of a name's terms at several axes, where that is
     likelier once fitted, by what residuals scatter, and no axis then shows what no name explains; axes may then differ
-    from it anew. merged : names that it was tried for, once each"""
+    from it anew. merged : those tried, each once"""
     terms, size = problem.terms(fit), problem.size(fit)
-    for name in dict.fromkeys(c.name for c in terms if c.site.is_axis and c.name not in merged):
+    for name in dict.fromkeys(c.name for c in terms if c.site.is_axis):
+        tried = name, frozenset((c.name, c.place) for c in terms if c.name != name)
         numbers = [i for i, c in enumerate(terms) if c.name == name and c.site.is_axis]
         whole = [c for c in problem.candidates if c.name == name and not c.site.is_axis]
         places = {terms[i].place for i in numbers}
-        if len(places) < SEVERAL or not whole or any(problem.given.holds(terms[i]) for i in numbers):
+        if len(places) < SEVERAL or not whole or any(problem.given.holds(terms[i]) for i in numbers) or tried in merged:
             continue
         bare, left = fit, problem.linear(problem.residual(fit))
         for number in reversed(numbers):
@@ -311,7 +320,7 @@ def _one_hypothesis_of_alike_axes(
         new = problem.add_term(bare, max(scores, key=lambda s: s.evidence(size)))
         fewer = _parameters(problem, fit, numbers) - _parameters(problem, new, [len(problem.terms(new)) - 1])
         gain = problem.likelihood_ratio(fit, new) / max(left.cost() / left.size, 1.0)
-        merged.add(name)
+        merged.add(tried)
         if gain + fewer * np.log(size) > 0 and not _leaves_axes_unexplained(problem, fit, new, name, places):
             taken -= {known for known in taken if known[0] == name and known[1] in places}
             return new

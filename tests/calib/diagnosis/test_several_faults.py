@@ -82,3 +82,10 @@ def test_a_profile_as_fine_as_the_data_show_leaves_nothing_unknown_beside_a_lag(
     result, effects, hidden = diagnosed(68004, 3, tmp_path)
     assert not result.left
     assert all(one.is_named(effects) for one in hidden if one.effect in ("servo_lag", "transmission_error"))
+
+
+@pytest.mark.slow
+def test_a_late_clock_that_one_struts_hysteresis_hides_at_first_is_one_finding_once_that_is_known(tmp_path):
+    result, effects, hidden = diagnosed(71009, 2, tmp_path)
+    assert not result.left and len(effects) == 2
+    require_named_or_stated(effects, hidden)
