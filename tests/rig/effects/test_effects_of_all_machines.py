@@ -154,7 +154,7 @@ def test_what_a_machine_lacks_is_said(design):
     context = context_of(bare)
     for text, says in (
         ("compliance:joint2:stiffness=1e5", "needs .platform. mass"),
-        ("compliance:joint2:moments=1e-6", "takes 24 moments"),
+        ("compliance:joint2:moments=1e-6", "takes up to 24 moments"),
         ("screw_coupling:rig:gain=0.5", "takes a hexapod"),
         ("backlash:strut2:gap=1e-5", "axes are joint 1 to joint 6"),
         ("axis_coupling:joint2:scale=1e-3,other=9", "1 to 6"),
