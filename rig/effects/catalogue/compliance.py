@@ -10,6 +10,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.machine_motion_and_play import Motion, independent_load_columns
 from rig.effects.framework.parameters_covariates_and_markers import (
+    COUNT,
     Context,
     Covariate,
     Drawing,
@@ -22,6 +23,7 @@ from rig.effects.framework.parameters_covariates_and_markers import (
 )
 from rig.errors import RigError
 from rig.model.hands_places_and_tolerances import Place
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
 
 HEAVIEST, LIGHTER, OFF_CENTRE = (
     (4.0, 15.0),
@@ -29,6 +31,8 @@ HEAVIEST, LIGHTER, OFF_CENTRE = (
     0.1,
 )  # kg of a first link, each next one's share of it, m: of links that are drawn
 STIFFENS = (0.3, 0.6, 1.2, 2.5)  # greatest loads over that at which an axis yields half as far, which a search tries
+PARALLEL = float(np.cos(np.radians(5)))  # cosine between axes from which they are parallel
+LINK = 4  # numbers of a link: its mass and three mass moments
 GIVES = 1e-3  # rad RMS; real joints give a tenth of it under an arm's own weight
 
 
@@ -39,7 +43,7 @@ class Compliance(Effect):
 
     moments : where the weight of an arm's links is not stated, their masses and mass moments (kg and kg m, four for
     each link, along its frame) over the stiffness, in place of f / stiffness: 1/(m/s^2), as far as they are not stated
-    with the platform
+    with the platform. Links beyond the last stated one weigh nothing.
     """
 
     place: str
@@ -68,8 +72,8 @@ class Compliance(Effect):
         count = motion.links().shape[2]
         return (
             None
-            if len(self.moments) == count
-            else f"takes {count} moments, four for each link that the axes carry, not {len(self.moments)}"
+            if len(self.moments) <= count and len(self.moments) % LINK == 0
+            else f"takes up to {count} moments, four for each link that the axes carry, not {len(self.moments)}"
         )
 
     def deviation(self, motion: Motion) -> Floats:
@@ -83,7 +87,7 @@ class Compliance(Effect):
             reason = self.needs(motion)
             if reason:
                 raise RigError(f"{self.name} {reason}")
-            out = out - mask * (motion.links() @ np.asarray(self.moments))
+            out = out - mask * (motion.links()[..., : len(self.moments)] @ np.asarray(self.moments))
         return out
 
     def covariate(self, motion: Motion) -> Covariate:
@@ -124,12 +128,14 @@ class Compliance(Effect):
             nodes = [{"stiffening": share / most} for share in STIFFENS] if most > 0 else []
             stiffening = [Candidate(cls, place, nodes, column, "stiffening", extra=1)] if nodes else []
             return [Candidate(cls, place, [{}], column), *stiffening]
-        table = motion.links()[:, motion.places.index(place)]
-        retained = independent_load_columns(table)
-        if not len(retained):
-            return []
-        node = {"_count": table.shape[1]}
-        return [Candidate(cls, place, [node], [Linear("moments", int(i), 1e-5) for i in retained], "links' moments")]
+        joint, found = motion.places.index(place), list[Candidate]()
+        table, fewest = motion.links()[:, joint], LINK * _links_about_parallel_axes(joint, motion)
+        for count in range(fewest, table.shape[1] + 1, LINK):  # a wrist's own weight often turns nothing to speak of
+            retained = independent_load_columns(table[:, :count])
+            if len(retained) > (len(found[-1].linear) if found else 0):
+                linear = [Linear("moments", int(i), 1e-5) for i in retained]
+                found.append(Candidate(cls, place, [{COUNT: count}], linear, f"moments of {count // LINK} links"))
+        return found
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
@@ -143,12 +149,23 @@ class Compliance(Effect):
 
     @classmethod
     def columns(cls, candidate: Candidate, node: Node, motion: Motion) -> Floats:
-        if "_count" not in node:
+        if COUNT not in node:
             return super(Compliance, cls).columns(candidate, node, motion)
         i = motion.places.index(candidate.place)
         out = np.zeros((*motion.lengths.shape, len(candidate.linear)))
         out[:, i] = -motion.links()[:, i][:, [column.entry for column in candidate.linear if column.entry is not None]]
         return out
+
+
+def _links_about_parallel_axes(joint: int, motion: Motion) -> int:
+    """How many links, from the first on, an arm has up to the last that turns about an axis parallel to a joint's.
+
+    Their weights load that joint alike; one that is left out is taken for others'.
+    """
+    if not has_links(motion.mechanism):
+        return 1
+    parallel = np.abs(np.cos(motion.mechanism.rows[joint:-1, 3])) > PARALLEL
+    return joint + 1 + int(np.cumprod(parallel).sum())
 
 
 def places_loaded_by_links_only(context: Context) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ AXIS, UNIT = "axis", "m"
 SCALE = 5e-4  # m that a parameter's tolerance counts as, so that lengths and angles share one scale
 TOLERANCE, GOOD = 1e-13, 1e-10  # m or rad of an axis; what Newton seeks, and what counts as solved
 MAX_ITERATIONS = 40
+CONTRACTS = 0.3  # share of its error that a step leaves at the most for derivatives to stay as they are
 MAX_MOVE, MAX_TURN = 0.2, 0.4  # of the distance of home from the base's origin; rad, per step
 LEAST_REACH = 0.05  # m, which that distance counts as at least
 
@@ -75,16 +76,27 @@ def forward(values: Floats, mechanism: FileMechanism, guess: RigidTransform | No
     if start.ndim > 2:
         start = np.broadcast_to(start, (*values.shape[:-1], 4, 4))
     poses = locked_poses(mechanism.stated, np.array(np.broadcast_to(start.reshape(-1, 4, 4), (len(flat), 4, 4))))
-    before = _side(poses, mechanism)
-    left = _newton(poses, flat, mechanism)
-    left[(left < GOOD) & (_side(poses, mechanism) != before)] = np.inf
+    columns = _columns_at_starts(poses, mechanism)
+    before = _side(columns)
+    left = _newton(poses, flat, columns, mechanism)
+    after = _side(freedom_columns(mechanism.stated, poses, mechanism.parameters))
+    left[(left < GOOD) & (after != before)] = np.inf
     _require_solved(left, flat, mechanism)
     return RigidTransform.from_matrix(poses.reshape(*values.shape[:-1], 4, 4))
 
 
-def _newton(poses: Floats, values: Floats, mechanism: FileMechanism) -> Floats:
+def _columns_at_starts(poses: Floats, mechanism: FileMechanism) -> Floats:
+    """(n, axes, freedoms) change of the axes with the freedoms at poses (n, 4, 4); once where all are the same."""
+    one = len(poses) > 1 and not np.ptp(poses, axis=0).any()
+    columns = freedom_columns(mechanism.stated, poses[:1] if one else poses, mechanism.parameters)
+    return np.array(np.broadcast_to(columns, (len(poses), *columns.shape[1:])))
+
+
+def _newton(poses: Floats, values: Floats, columns: Floats, mechanism: FileMechanism) -> Floats:
     """Move poses (n, 4, 4) in place until their axis values are those wanted (n, axes); what is left (n,) m or rad.
 
+    columns : (n, axes, freedoms) change of the axes with the freedoms at these poses; made anew, in place, for a pose
+        whose error a step has not made much smaller, since derivatives cost most
     A step to where the file has no values is halved
     """
     file, left, going = mechanism.stated, np.full(len(poses), np.inf), np.arange(len(poses))
@@ -92,28 +104,29 @@ def _newton(poses: Floats, values: Floats, mechanism: FileMechanism) -> Floats:
     for _ in range(MAX_ITERATIONS):
         error = values[going] - file.inverse(poses[going], mechanism.parameters).astype(float)
         worst = np.abs(error).max(axis=1)
-        there = np.isfinite(worst)
+        there, slow = np.isfinite(worst), ~(worst < CONTRACTS * left[going])
         keep = ~there | ((worst > TOLERANCE) & ((worst < left[going]) | (worst > GOOD)))
         left[going[there]] = worst[there]
-        going, error, there = going[keep], error[keep], there[keep]
+        going, error, there, slow = going[keep], error[keep], there[keep], slow[keep]
         if not len(going):
             break
         step[going[~there]] /= 2
         fresh = going[there]
         start[fresh] = poses[fresh]
-        step[fresh] = _step(start[fresh], error[there], mechanism)
+        renewed = going[there & slow]
+        if len(renewed):
+            columns[renewed] = freedom_columns(file, poses[renewed], mechanism.parameters)
+        step[fresh] = _step(columns[fresh], error[there], file)
         poses[going] = _moved(start[going], step[going], file)
     return left
 
 
-def _step(poses: Floats, error: Floats, mechanism: FileMechanism) -> Floats:
+def _step(columns: Floats, error: Floats, file: KinematicsFile) -> Floats:
     """(n, freedoms) m or rad by which to move poses so that their axis values change by (n, axes), bounded in length;
-    0 where their change is unknown.
+    0 where their change (n, axes, freedoms) is unknown.
     """
-    file = mechanism.stated
     reach = MAX_MOVE * max(float(np.linalg.norm(file.home[:3, 3])), LEAST_REACH)
-    J = freedom_columns(file, poses, mechanism.parameters)
-    J[~np.isfinite(J).all(axis=(1, 2))] = 0
+    J = np.where(np.isfinite(columns).all(axis=(1, 2), keepdims=True), columns, 0.0)
     step = (np.linalg.pinv(J) @ error[..., None])[..., 0]
     moves = np.array(file.freedoms) < 3
     move, turn = np.linalg.norm(step[:, moves], axis=1), np.linalg.norm(step[:, ~moves], axis=1)
@@ -129,9 +142,11 @@ def _moved(poses: Floats, step: Floats, file: KinematicsFile) -> Floats:
     return out
 
 
-def _side(poses: Floats, mechanism: FileMechanism) -> Floats:
-    """(n,) sign of the determinant of the axes' change with the freedoms: of which assembly poses (n, 4, 4) are."""
-    return np.sign(np.linalg.det(np.nan_to_num(freedom_columns(mechanism.stated, poses, mechanism.parameters))))
+def _side(columns: Floats) -> Floats:
+    """(n,) sign of the determinant of the axes' change with the freedoms (n, axes, freedoms): of which assembly poses
+    are.
+    """
+    return np.sign(np.linalg.det(np.nan_to_num(columns)))
 
 
 def _require_solved(left: Floats, values: Floats, mechanism: FileMechanism) -> None:

@@ -28,6 +28,21 @@ from tests.truth.written import record
 GRAVITY = np.array([0, 0, -9.80665])
 STIFFNESS = 2e5  # N m/rad
 GAP = 6e-4  # rad
+SCALE = 5e-4
+RIGHT = np.pi / 2
+INDUSTRIAL = np.array(
+    [
+        [0, 0.615, 0.1, -RIGHT],
+        [-RIGHT, 0, 0.705, 0],
+        [0, 0, 0.135, -RIGHT],
+        [0, 0.755, 0, RIGHT],
+        [0, 0, 0, -RIGHT],
+        [0, 0.085, 0, 0],
+    ]
+)
+TRAVEL = np.array(
+    [[-6.2, 6.2], [-2.25, 2.75], [-2.0, 2.0], [-6.8, 6.8], [-4.0, 4.0], [-9.0, 9.0]]
+)  # rad, of which half is visited
 STANDING = replace(UR10, base=secret_arms.BASE)  # it leans, and so does its weight
 LINKS = arm_dynamics_and_step_by_step_kinematics.LinkMasses(
     np.array([8.0, 12.0, 6.0, 2.0, 1.0, 0.5]), np.tile([-0.05, 0.02, 0.06], (6, 1)), np.zeros((6, 3, 3))
@@ -87,6 +102,40 @@ def test_sizes_are_those_that_were_hidden(found):
     assert by_name["compliance"].parameters["rms"].value == pytest.approx(load.std(), rel=0.15)
     assert "joint" in by_name["backlash"].action and all(f.matters for f in by_name.values())
     json.dumps(diagnosis_report(d).tree())
+
+
+def giving_way(q):
+    """Compliance at joints 2 and 3 of a heavy arm, and a gear of joint 3 that turns too far."""
+    heavy = replace(LINKS, mass=np.array([70.0, 45.0, 55.0, 12.0, 8.0, 2.0]))
+    standing = replace(STANDING, joints=INDUSTRIAL, limits=TRAVEL)
+    still = np.zeros(q.shape)
+    torque = arm_dynamics_and_step_by_step_kinematics.joint_torques(q, still, still, standing, heavy, GRAVITY)
+    out = np.zeros(q.shape)
+    out[:, 1:3] = -torque[:, 1:3] / 1e6
+    out[:, 2] += SCALE * q[:, 2]
+    return out
+
+
+def test_what_a_heavy_arm_and_a_gear_do_shows_at_one_reflector():
+    """A joint's load takes few numbers, so that compliance of both joints and a scale are found apart, each as large
+    as it is."""
+    rng = np.random.default_rng(4)
+    stated = replace(UR10, joints=INDUSTRIAL, limits=TRAVEL)
+    true = secret_arms.secret(stated, rng)
+    samples = secret_arms.tracked(true, stated, 200, rng, sigma=(5e-5, 1e-4), deviation=giving_way)
+    covariance = samples.covariance.copy()
+    covariance[:, range(3, 6), range(3, 6)] = np.inf  # a reflector has no rotation
+    arms, _ = linearise_poses(replace(samples, covariance=covariance), secret_arms.design(stated))
+    fit = select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit
+    terms = {(t.candidate.name, t.candidate.place): n for n, t in enumerate(fit.terms)}
+    assert set(terms) == {("compliance", "joint 2"), ("compliance", "joint 3"), ("scale_error", "joint 3")}
+    number, load = terms["scale_error", "joint 3"], giving_way(arms.q)
+    (scale,), sigma = fit.theta[fit.slices[number]], float(np.sqrt(fit.covariance(number)[0, 0]))
+    assert abs(scale - SCALE) < 3 * sigma < 0.6 * SCALE
+    load[:, 2] -= SCALE * arms.q[:, 2]
+    for joint in (1, 2):
+        found = fit.part(terms["compliance", f"joint {joint + 1}"])
+        assert found.std() == pytest.approx(load[:, joint].std(), rel=0.3)
 
 
 def test_nothing_hidden_nothing_found():

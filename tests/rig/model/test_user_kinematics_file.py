@@ -81,6 +81,23 @@ def test_a_function_of_one_pose_is_called_pose_by_pose():
     assert np.abs(kinematics_of(m).inverse(kinematics_of(m).forward(values, m), m) - values).max() < 1e-12
 
 
+def test_forward_kinematics_asks_a_slow_function_for_few_poses():
+    """A function of one pose is what takes the time: Newton's derivatives take 24 of them for each pose."""
+    m = nominal_mechanism("cranks.py", (EXAMPLES / "cranks.py").read_text())
+    function, asked = m.stated.module.inverse, []
+
+    def counted(poses, p):
+        asked.append(1 if poses.ndim == 2 else len(poses))
+        return function(poses, p)
+
+    low, high = kinematics_of(m).travel_ranges(m).T
+    values = np.random.default_rng(1).uniform(low + 0.2 * (high - low), high - 0.2 * (high - low), (60, len(low)))
+    m.stated.module.inverse = counted
+    T = kinematics_of(m).forward(values, m)
+    assert sum(asked) < 60 * 60
+    assert np.abs(kinematics_of(m).inverse(T, m) - values).max() < 1e-12
+
+
 def test_poses_out_of_reach_are_named():
     m = rig.load_design(EXAMPLES / "delta.toml").mechanism
     T = RigidTransform.from_translation([[0.0, 0.0, 0.1], [0.4, 0.0, 0.1]])

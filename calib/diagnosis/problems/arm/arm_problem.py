@@ -32,6 +32,7 @@ from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import (
     FINE,
     QUICK,
     candidates_compatible_with_terms,
+    choose_forms_of_laws,
     merge_sinusoids_into_profiles,
     optimise_terms,
     refine_knots_and_parameters,
@@ -140,6 +141,7 @@ class ArmProblem:
         return fit_terms_to_poses(self.arms, terms, self.train, now.weighing, rounds=QUICK)
 
     def refine_terms(self, fit: Fit) -> Fit:
+        fit = choose_forms_of_laws(fit, self.candidates, self.train, self.policy, self.given)
         return refine_knots_and_parameters(fit, self.train, self.policy)
 
     def simplify_terms(self, now: Fit) -> Fit:

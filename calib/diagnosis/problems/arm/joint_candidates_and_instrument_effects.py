@@ -89,6 +89,11 @@ class JointCandidate(Candidate):
         return self.specs[0].kind
 
     @property
+    def of_posture(self) -> bool:
+        """Whether it is a function of the joint's own angle, or of the load that the posture brings."""
+        return self.form in OWN_ANGLE or self.kind.form == "load"
+
+    @property
     def sought(self) -> str:
         """The one parameter that the grid goes through."""
         return next(iter(self.grid[0]))
@@ -206,7 +211,7 @@ def joint_candidate(specs: tuple[EffectCandidate, ...], arms: Arms) -> JointCand
         weights=_cached_function_of_node(lambda node: _weights(_spec(specs, node), node, joint, arms)),
         prior=lambda node: _prior(_spec(specs, node)),
         form=form,
-        vector=len(first.linear) > 2,
+        vector=max(len(spec.linear) for spec in specs) > 2,
         step=first.spacing,
         bounds=(np.zeros(1), np.full(1, np.inf)) if positive else None,
     )

@@ -155,5 +155,31 @@ def simplify_profiles(
     return fit
 
 
+def choose_forms_of_laws(
+    fit: Fit,
+    candidates: list[JointCandidate],
+    train: Booleans | None,
+    policy: SelectionPolicy,
+    stated_terms: StatedTerms = NO_STATED_TERMS,
+) -> Fit:
+    """The Fit with each law in the form of more or fewer numbers that explains best beside all other terms.
+
+    A search admits a form before the other terms are there, and more numbers stand for some of these.
+    train : (n,) bool, or None for all poses
+    """
+    for one in [t for t in fit.terms if t.candidate.form not in (Form.PROFILE, Form.SINUSOID)]:
+        forms = [c for c in candidates if (c.name, c.place) == (one.candidate.name, one.candidate.place)]
+        if stated_terms.holds(one.candidate) or len({len(c.prior(node)) for c in forms for node in c.grid}) < 2:
+            continue
+        rest = fit.without_terms(_numbers(fit, one))
+        trials = [
+            rest.with_terms([Term.of(s)]) for s in score_candidates(rest, forms, correlated_frames=policy.cluster)
+        ]
+        best = min(trials, key=Fit.criterion, default=fit)
+        if best.criterion() < fit.criterion():
+            fit = fit_terms_to_poses(fit.arms, best.terms, train, fit.weighing, rounds=QUICK)
+    return fit
+
+
 def _numbers(now: Fit, one: Term) -> list[int]:
     return [i for i, t in enumerate(now.terms) if t is one]
