@@ -32,7 +32,7 @@ CALLS = {
     **{verb: f"calib.api.verify_and_watch:{verb}" for verb in ("verify", "watch")},
     "simulate": "synthetic.api:simulate",
     "measure": "vision.api:measure",
-    "calibrate online": "calib.api.online_learning:learn",
+    "calibrate online": "calib.api.online_parameter_learning:learn",
     "correct serve": "calib.api.pose_move_and_correction_server:CorrectionServer",
     "limbs test": "calib.api.measuring_limb_acceptance_and_platform_poses:accept_limbs",
     "limbs closures": "calib.api.loop_closure_check_of_redundant_legs:close_loops",
@@ -82,7 +82,7 @@ COMPUTING = (
 )  # of what a command imports nothing, but for names of types and of what it prints
 NOT_COMPUTING = (
     "calib.certificate",
-    "report_sentences",
+    "diagnosis_texts",
     "Options",
     "DIRECTIONS",
     "AXES",

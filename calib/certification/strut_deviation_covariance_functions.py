@@ -44,7 +44,9 @@ def strut_load_signs(samples: Samples, nominal: Parallel) -> list[tuple[Floats, 
     middle, half = ranges.mean(axis=1), np.ptp(ranges, axis=1) / 2
 
     def seen(T: RigidTransform, commands: Floats, payload: Floats) -> Floats:
-        loads = mechanisms.kinematics_of(nominal).axis_loads(T, commands, nominal, weight.wrench(T, payload))
+        loads = mechanisms.kinematics_of(nominal).axis_forces_and_torques(
+            T, commands, nominal, weight.wrench(T, payload)
+        )
         return np.asarray(np.sign(loads) * (np.abs(loads) > NOTHING * np.abs(loads).max(initial=0.0)))
 
     @cache

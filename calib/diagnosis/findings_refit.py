@@ -16,7 +16,7 @@ from calib.correction.correction import AnyCorrection
 from calib.correction.physics_compensation import Physics, Unknown
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
-from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import measured_effects
+from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import effects_shown_by_instruments
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     operating_point_of_recording,
@@ -32,7 +32,7 @@ from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm_of_
 from calib.models.arm.error_model_and_observations import parameter_names, sample_observations
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import History, JointFit, Prior, fit_geometry_and_effects
 from calib.models.platform.identification import Loops
-from calib.samples.pose_samples import Sampled, Samples, samples_of_freedoms
+from calib.samples.pose_samples import Sampled, Samples, samples_of_movable_coordinates
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import MOTION_STAGES, Effect
@@ -124,12 +124,10 @@ def findings_of_diagnosis(diagnosis: Diagnosis) -> Findings:
 def findings_with_missing_instrument_effects_added(
     findings: Findings | None, recording: Recording, sampled: Sampled
 ) -> Findings | None:
-    """Findings with the effects that an arm's instruments show by themselves (`measured_effects`), where they have none
-    of that kind at that place already.
-    """
+    """Findings with the `effects_shown_by_instruments` of an arm, where none of that kind and place is known."""
     known = Findings((), None, ()) if findings is None else findings
     places = {(effect.form, effect.place) for effect in known.effects}
-    more = tuple(e for e in measured_effects(recording, sampled) if (e.form, e.place) not in places)
+    more = tuple(e for e in effects_shown_by_instruments(recording, sampled) if (e.form, e.place) not in places)
     if not more:
         return findings
     sigma = known.sigma
@@ -235,7 +233,7 @@ def refit_platform_with_findings(
     report("refining physics and geometry jointly", 1, 1)
     k, samples = refined.point.with_effects(_motion(effects)), sampled.samples
     if any(e.stage not in MOTION_STAGES for e in findings.effects):  # what cameras left out moved every pose
-        samples = samples_of_freedoms(replace(samples, T_base_platform=k.T), recording.design.mechanism)
+        samples = samples_of_movable_coordinates(replace(samples, T_base_platform=k.T), recording.design.mechanism)
     known = replace(k, T=samples.T_base_platform).effective() - samples.commanded
     physics = _physics(effects, own, unknown, len(geometric_parameters(nominal)), recording, samples.t)
     return PlatformRefit(replace(samples, known=known), physics, refined)
@@ -263,7 +261,7 @@ def _motion(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
     return tuple(e for e in effects if e.stage in MOTION_STAGES)
 
 
-def sensor_medians_and_standard_deviations(recording: Recording, t: Floats) -> dict[str, tuple[float, float]]:
+def median_and_spread_of_each_sensor_channel(recording: Recording, t: Floats) -> dict[str, tuple[float, float]]:
     """Median and standard deviation of each sensor channel at times t (n,) s.
 
     Returns {channel: (median, deviation)}
@@ -289,7 +287,7 @@ def _physics(
     own : (c, c) covariance of the effects' coordinates; parameters : of the geometry; t : (n,) s of the samples
     """
     design = of.design
-    sensed = sensor_medians_and_standard_deviations(of, t)
+    sensed = median_and_spread_of_each_sensor_channel(of, t)
     return Physics(
         effects,
         own,

@@ -130,7 +130,7 @@ class Diagnosis:
     @property
     def machine_effects(self) -> tuple[Effect, ...]:
         """All effects that make another machine: measured before the search, and found by it."""
-        before = self.evidence.measured_effects if isinstance(self.evidence, MeasuredFindings) else ()
+        before = self.evidence.effects_shown_by_instruments if isinstance(self.evidence, MeasuredFindings) else ()
         return (*before, *self.effects)
 
 

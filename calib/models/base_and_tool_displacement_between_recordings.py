@@ -252,7 +252,9 @@ def _chance(moved: Floats, covariance: Floats) -> float:
     return float(scipy.special.chdtrc(int(some.sum()), square))
 
 
-def is_clear(predicted: RigidTransform, samples: Samples, placement: Placement, scatter: Floats) -> bool:
+def is_placement_significant(
+    predicted: RigidTransform, samples: Samples, placement: Placement, scatter: Floats
+) -> bool:
     """Whether a placement does CLEAR times as much to the whitened poses as it leaves.
 
     predicted : (n,) poses in the reference; scatter : (6,) m, rad beyond the poses' noise
@@ -339,7 +341,9 @@ def _without_displacement(calibration: Calibration, samples: Samples, instrument
         return replace(one, covariance=one.covariance + shared)
 
     both = estimated((True, True))
-    tested = placement_with_significant_displacements(both, always, is_clear(predicted, samples, both, scatter))
+    tested = placement_with_significant_displacements(
+        both, always, is_placement_significant(predicted, samples, both, scatter)
+    )
     if not any(tested.ends):
         return PlacedSamples(samples)
     found = both

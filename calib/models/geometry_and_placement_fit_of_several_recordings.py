@@ -23,7 +23,7 @@ from calib.models.base_and_tool_displacement_between_recordings import (
     asked_numbers,
     base_origin,
     estimate_placement,
-    is_clear,
+    is_placement_significant,
     placement_columns,
     placement_with_significant_displacements,
     samples_in_reference,
@@ -157,7 +157,7 @@ def remove_base_and_tool_displacement(recording: Recording) -> tuple[Recording, 
     free = () if design.instrument is None else (design.instrument.base == "free", design.instrument.tool == "free")
     tested = []
     for one, part in zip(found, parts[1:]):
-        clear = any(free) or is_clear(target_poses(part, fit.machine), part, one, fit.scatter)
+        clear = any(free) or is_placement_significant(target_poses(part, fit.machine), part, one, fit.scatter)
         repeated = placement_with_significant_displacements(one, (False, False), clear)
         own = one if repeated.ends == (True, True) else _placement(part, fit.machine, fit.scatter, repeated.ends)
         tested.append(replace(own, p_values=repeated.p_values))

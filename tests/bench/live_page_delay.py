@@ -14,9 +14,9 @@ from types import SimpleNamespace
 import numpy as np
 
 from calib.online.live_learner_and_run_state import Learner
-from calib.online.live_run_page import RunPage
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run
+from calib.online.web_page_of_ongoing_run import RunPage
 from rig.driving.cameras.camera_interface_and_user_cameras import Frame, SynchronisedCameras
 from rig.driving.clock import SystemClock
 from rig.driving.driver_opening_and_settling import parse_settling

@@ -340,7 +340,7 @@ class MeasuredFindings(Protocol):
         """Those findings."""
 
     @property
-    def measured_effects(self) -> tuple[Effect, ...]:
+    def effects_shown_by_instruments(self) -> tuple[Effect, ...]:
         """Their effects, as far as these make another machine."""
 
 

@@ -299,7 +299,9 @@ class Motion:
         m = self.mechanism
         if has_links(m) and m.hands:
             return self.once(("loads",), lambda: loads_by_weight_of_hands(self.lengths, m, self.gravity_in_base()))
-        return self.once(("loads",), lambda: self.kind.axis_loads(self.T, self.lengths, m, self.platform_wrench()))
+        return self.once(
+            ("loads",), lambda: self.kind.axis_forces_and_torques(self.T, self.lengths, m, self.platform_wrench())
+        )
 
     def no_loads(self) -> str | None:
         """Why the loads of the axes are not known, or None."""

@@ -162,7 +162,8 @@ class Written:
             "",
             "import numpy as np",
             "",
-            f"from rig.effects.base import {'REFERENCE_TEMPERATURE, ' if uses else ''}Effect, Motion, Parameter",
+            "from rig.effects.user_base_classes import "
+            f"{'REFERENCE_TEMPERATURE, ' if uses else ''}Effect, Motion, Parameter",
             "",
             "",
             "@dataclass(frozen=True, slots=True)",

@@ -40,7 +40,7 @@ def refuse_tables_unsuited_to_several_hands(root: Entries) -> None:
         instrument.fail("the poses or positions of several hands are calibrated, no other part of a pose", "kind")
 
 
-def bodies_by_word(mechanism: Mechanism) -> dict[str, str]:
+def bodies_by_name_in_rig_toml(mechanism: Mechanism) -> dict[str, str]:
     """{word in rig.toml: body of a Target}: of an arm with several hands the hand's name; the first one's targets are
     the platform's, those of others are measured as the stages of a chain are.
     """

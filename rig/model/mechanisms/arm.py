@@ -190,7 +190,7 @@ def home_values(arm: Arm) -> Floats:
     return np.zeros(len(arm.joints))
 
 
-def axis_loads(T: RigidTransform, q: Floats, arm: Arm, wrench: Floats) -> Floats:
+def axis_forces_and_torques(T: RigidTransform, q: Floats, arm: Arm, wrench: Floats) -> Floats:
     """Loads (m, n) N m (slides: N) of the joints that hold a wrench (m, 6) on the platform, the hand."""
     return -np.einsum("mij,mi->mj", jacobian(q, arm), wrench)
 

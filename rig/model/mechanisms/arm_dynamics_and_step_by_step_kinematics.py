@@ -350,7 +350,9 @@ def loads_by_weight_of_hands(q: Floats, arm: Arm, gravity: Floats) -> Floats:
     for number, hand in enumerate(arm.hands):
         seen = arm.of_hand(number)
         T = mechanism.forward(q, seen)
-        out += mechanism.axis_loads(T, q, seen, weight_wrench(T, gravity, hand.mass or 0.0, hand.centre_of_mass))
+        out += mechanism.axis_forces_and_torques(
+            T, q, seen, weight_wrench(T, gravity, hand.mass or 0.0, hand.centre_of_mass)
+        )
     return out
 
 

@@ -200,7 +200,7 @@ class MechanismKinematics(Protocol[M]):
         """(axes,) commanded values from which strokes count."""
         ...
 
-    def axis_loads(self, T: RigidTransform, values: Floats, mechanism: M, wrench: Floats, /) -> Floats:
+    def axis_forces_and_torques(self, T: RigidTransform, values: Floats, mechanism: M, wrench: Floats, /) -> Floats:
         """(n, axes) force or torque that the axes exert, in the direction of growing values, to hold a wrench (n, 6) on
         the platform.
         """

@@ -15,7 +15,7 @@ from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import ranked
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearise_poses
 from calib.diagnosis.problems.arm.projected_pose_residuals import fit_terms_to_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.diagnosis.report.report_sentences import covariate_table_heads_and_rows
+from calib.diagnosis.report.diagnosis_texts import covariate_table_heads_and_rows
 from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.effects.framework.machine_motion_and_play import Path, play_operator
 from rig.recording.recording_folder import Sensors

@@ -17,7 +17,7 @@ from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import find_l
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Columns, Part, linearise_poses
 from calib.diagnosis.problems.arm.projected_pose_residuals import Term, fit_terms_to_poses
 from calib.diagnosis.problems.arm.scores_of_all_candidates import (
-    joint_motion_inner_products,
+    joint_motion_normal_equations_by_frame,
     score_candidates,
     solve_candidate_at_all_nodes,
     solve_candidate_at_nodes,
@@ -52,7 +52,7 @@ def searched():
 def test_short_cuts_give_the_best_nodes_their_score_and_the_others_a_bound(searched, name):
     now, candidates = searched
     candidate = next(c for c in candidates if c.name == name and c.joint == 2)
-    products = joint_motion_inner_products(now, 2)
+    products = joint_motion_normal_equations_by_frame(now, 2)
     quick, long = (
         solve_candidate_at_all_nodes(now, candidate, products),
         solve_candidate_at_nodes(now, candidate, products, candidate.grid),

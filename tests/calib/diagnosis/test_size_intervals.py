@@ -9,20 +9,20 @@ import pytest
 
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value, value_with_interval_cut_at_bounds
-from calib.diagnosis.problems.platform import tolerance_columns
+from calib.diagnosis.problems.platform import marker_and_thermometer_tolerances
 from calib.diagnosis.problems.platform.alternatives_of_findings import (
     parameter_errors_by_tolerances,
     widen_intervals_by_temperature_logs_and_tolerances,
 )
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.marker_and_thermometer_tolerances import tolerance_sigmas_from_residuals
 from calib.diagnosis.problems.platform.simultaneous_refinement import (
     Refinement,
     refine_at_fixed_repeated_error,
     refine_operating_point,
 )
-from calib.diagnosis.problems.platform.tolerance_columns import tolerance_sigmas_from_residuals
-from calib.diagnosis.report import report_sentences
+from calib.diagnosis.report import diagnosis_texts
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
@@ -61,7 +61,7 @@ def test_sides_of_single_markers_make_the_side_of_all_less_sure(tmp_path, design
     """
     prints = blind_cases.draw_printing_errors(design, np.random.default_rng(3), 3e-6, SIDE)
     refined, sensitivities = fitted(tmp_path, design, [prints])
-    found = tolerance_columns.tolerance_model(refined.marginalised, sensitivities)
+    found = marker_and_thermometer_tolerances.tolerance_model(refined.marginalised, sensitivities)
     sigma = tolerance_sigmas_from_residuals(found.projected(refined.marginalised), found)
     singles = {s.place: s.columns.start for s in found.sites if s.effect == "print_scale" and s.place != "markers"}
     together = next(s.columns for s in found.sites if s.place == "markers")
@@ -111,10 +111,10 @@ def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open
     p = value_with_interval_cut_at_bounds(value, "s", (low, high), effect.parameters[1].bounds)
     assert p.open == left_open and p.ci95 == [low, high]
     finding = FindingEntry("warm_up", "strut 2", {"time_constant": p})
-    assert said in report_sentences.parameter_rows(finding)[0][2] and (
-        left_open is None or f"time_constant 1800.0 s ({said})" in report_sentences.finding_line(finding)
+    assert said in diagnosis_texts.parameter_rows(finding)[0][2] and (
+        left_open is None or f"time_constant 1800.0 s ({said})" in diagnosis_texts.finding_line(finding)
     )
-    assert (report_sentences.finding_size_text(finding) == ", time constant 1800.0 s (not determined)") is (
+    assert (diagnosis_texts.finding_size_text(finding) == ", time constant 1800.0 s (not determined)") is (
         left_open == "both"
     )
 
@@ -130,6 +130,6 @@ def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open
 def test_an_interval_that_is_cut_off_at_one_end_says_so(ends, left_open, said):
     p = value_with_interval_cut_at_bounds(5e-5, "m", ends, (-2e-3, 2e-3))
     finding = FindingEntry("warm_up", "strut 2", {"amplitude": p})
-    assert p.open == left_open and report_sentences.parameter_rows(finding) == [("amplitude", "50 µm", said)]
-    assert report_sentences.finding_size_text(finding) == f", amplitude 50 µm (95 %: {said.replace(' µm', '')})"
+    assert p.open == left_open and diagnosis_texts.parameter_rows(finding) == [("amplitude", "50 µm", said)]
+    assert diagnosis_texts.finding_size_text(finding) == f", amplitude 50 µm (95 %: {said.replace(' µm', '')})"
     assert value_with_interval_cut_at_bounds(1.0, "", (0.5, 2.0), (-3, 3)) == Value(1.0, "", [0.5, 2.0])

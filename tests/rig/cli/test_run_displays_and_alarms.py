@@ -12,10 +12,10 @@ import pytest
 from calib.certification import measuring_limb_identification_and_agreement
 from calib.online.accepted_limbs_file import Accepted
 from calib.online.live_learner_and_run_state import Learner
-from calib.online.live_run_page import RunPage, run_verdict
 from calib.online.measuring_limb_poses_checked_by_vision import LiveLimbPoses
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run
+from calib.online.web_page_of_ongoing_run import RunPage, run_verdict
 from rig.cli.shared.run_display_and_controller_status import PlainLineDisplay, TerminalBlockDisplay, run_state_lines
 from rig.driving.cameras.camera_interface_and_user_cameras import Frame
 from rig.driving.clock import SimulatedClock

@@ -71,7 +71,7 @@ def test_an_interface_is_kept_by_every_mechanism(there):
     kind, (design, *_), context = there
     module, m = mechanisms.kinematics_of(design.mechanism), context.motion
     assert mechanisms.axis_place_texts(design.mechanism) == tuple(f"{module.AXIS} {i + 1}" for i in range(len(m.home)))
-    power = module.axis_loads(m.T, m.lengths, design.mechanism, np.zeros((60, 6)))
+    power = module.axis_forces_and_torques(m.T, m.lengths, design.mechanism, np.zeros((60, 6)))
     assert power.shape == m.lengths.shape and not power.any()
 
 

@@ -163,7 +163,7 @@ class ArmEvidence:
         return () if self.beside is None else findings_of_measured_effects(self.beside)
 
     @property
-    def measured_effects(self) -> tuple[Effect, ...]:
+    def effects_shown_by_instruments(self) -> tuple[Effect, ...]:
         return () if self.beside is None else self.beside.effects
 
     @property

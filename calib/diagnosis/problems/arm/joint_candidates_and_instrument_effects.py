@@ -276,7 +276,7 @@ def _cached_function_of_node(weights: Callable[[Node], Floats]) -> Callable[[Nod
     return answer
 
 
-def measured_effects(recording: Recording, sampled: Sampled) -> tuple[Effect, ...]:
+def effects_shown_by_instruments(recording: Recording, sampled: Sampled) -> tuple[Effect, ...]:
     """Effects that are fitted with an arm's geometry since its instruments show them.
 
     Small where the fit begins.
@@ -298,11 +298,11 @@ def measured_effects(recording: Recording, sampled: Sampled) -> tuple[Effect, ..
 
 
 def fit_of_measured_effects(recording: Recording, sampled: Sampled) -> JointFit | None:
-    """JointFit of an arm's `measured_effects` with its geometry alone.
+    """JointFit of an arm's `effects_shown_by_instruments` with its geometry alone.
 
     All else is searched for beside it; None where there are none.
     """
-    effects = measured_effects(recording, sampled)
+    effects = effects_shown_by_instruments(recording, sampled)
     if not effects or recording.commands is None:
         return None
     samples, arm = sampled.samples, require_arm(recording.design.mechanism)

@@ -27,14 +27,7 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 )
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CORNERS, LinearisedModel
-from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
-    residual_change_with_only_effects,
-)
-from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
-from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
-from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
-from calib.diagnosis.problems.platform.smooth_functions import SLOW
-from calib.diagnosis.problems.platform.tolerance_columns import (
+from calib.diagnosis.problems.platform.marker_and_thermometer_tolerances import (
     SignificantTolerance,
     model_with_tolerances,
     share_not_explained_by_tolerances,
@@ -42,6 +35,13 @@ from calib.diagnosis.problems.platform.tolerance_columns import (
     tolerance_model,
     tolerance_sigmas_from_residuals,
 )
+from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
+    residual_change_with_only_effects,
+)
+from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
+from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
+from calib.diagnosis.problems.platform.smooth_functions import SLOW
 from calib.diagnosis.problems.remainder_covariates_and_repeatability import time_cosines
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import ALL

@@ -22,7 +22,11 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     cube_seat_freedoms,
     split_rows_by_frame_bases,
 )
-from calib.models.platform.closed_loop_equations import loop_covariance, scatter_of_redundant_struts, with_reading
+from calib.models.platform.closed_loop_equations import (
+    covariance_with_length_resolution,
+    loop_covariance,
+    scatter_of_redundant_struts,
+)
 from calib.models.platform.identification import PRIOR
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.hands_places_and_tolerances import FINDER, SEAT
@@ -259,7 +263,7 @@ def _closures(k: OperatingPoint, frames: CornerFrames, scattered: Floats | None)
     if k.own is not None:
         covariance = loop_covariance(A, k.own)
     else:
-        covariance = with_reading(to_length @ np.swapaxes(to_length, 1, 2))
+        covariance = covariance_with_length_resolution(to_length @ np.swapaxes(to_length, 1, 2))
     inner = frames.inner
     rows = np.concatenate(
         [

@@ -210,7 +210,7 @@ class PlatformEvidence:
         return (*swapped, *map(_moved_face, self.moved))
 
     @property
-    def measured_effects(self) -> tuple[Effect, ...]:
+    def effects_shown_by_instruments(self) -> tuple[Effect, ...]:
         return self.swapped
 
     def parameters(

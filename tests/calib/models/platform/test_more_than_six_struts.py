@@ -85,9 +85,9 @@ def test_followers_bear_no_load_and_driven_struts_share_it_as_springs_do():
     true = sprung_platforms.drawn(8, rng)
     rows, wrench = sprung_platforms.somewhere(5, rng), rng.normal(size=(5, 6)) * [10, 10, 10, 1, 1, 1]
     lengths, stiffness, rates = true.lengths(rows), 1e6, true.by_pose(rows)
-    released = hexapod.axis_loads(poses(rows), lengths, mechanism(true), wrench)
+    released = hexapod.axis_forces_and_torques(poses(rows), lengths, mechanism(true), wrench)
     assert not released[:, [2, 7]].any()
-    loads = hexapod.axis_loads(poses(rows), lengths, mechanism(true, followers=False), wrench)
+    loads = hexapod.axis_forces_and_torques(poses(rows), lengths, mechanism(true, followers=False), wrench)
     for force in (released, loads):
         np.testing.assert_allclose(np.einsum("nij,ni->nj", rates, force), -wrench, atol=1e-6)
     moved = np.linalg.solve(
