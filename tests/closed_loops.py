@@ -16,11 +16,11 @@ def calibrated(folder, capfd, *words):
     """Calibrate a folder's rec into its calibration.json, by way of the standard output: no page is drawn."""
     capfd.readouterr()
     rig("calibrate", folder / "rec", "--out", "-", *words)
-    said = capfd.readouterr().out
-    (folder / "calibration.json").write_text(said[said.index("{\n") : said.rindex("}") + 1])
+    output = capfd.readouterr().out
+    (folder / "calibration.json").write_text(output[output.index("{\n") : output.rindex("}") + 1])
 
 
-def verified(folder, capfd, poses, drive=(), calibrate=(), taken="wanted.csv"):
+def verified(folder, capfd, poses, drive=(), calibrate=(), reached="wanted.csv"):
     """What `rig verify --json` says of wanted poses, driven and measured.
 
     folder : with rig.toml, the recording rec and its truth.json; poses : lines of wanted poses; drive : options of the
@@ -46,7 +46,7 @@ def verified(folder, capfd, poses, drive=(), calibrate=(), taken="wanted.csv"):
         folder / "drive.json",
     )
     capfd.readouterr()
-    rig("verify", folder / "calibration.json", folder / "drive", "--wanted", folder / taken, "--json")
+    rig("verify", folder / "calibration.json", folder / "drive", "--wanted", folder / reached, "--json")
     return json.loads(capfd.readouterr().out)
 
 

@@ -3,8 +3,8 @@
 from tests.coverage_by_folder import shares, table
 
 
-def file(run, there):
-    return {"summary": {"covered_lines": run, "num_statements": there}}
+def file(run, total):
+    return {"summary": {"covered_lines": run, "num_statements": total}}
 
 
 def test_folders_count_all_below_them_and_packages_their_folders():

@@ -135,10 +135,10 @@ def test_simulate_makes_what_the_command_writes(world):
 def test_load_and_save_keep_a_recording(world):
     recording = rig.load(world / "first", mask="0-3")
     rig.save(recording, world / "saved")
-    again = rig.load(world / "saved")
-    np.testing.assert_array_equal(again.exposures.times()[0], recording.exposures.times()[0])
-    np.testing.assert_array_equal(again.corners.uv, recording.corners.uv)
-    np.testing.assert_array_equal(again.commands.values, recording.commands.values)
+    loaded = rig.load(world / "saved")
+    np.testing.assert_array_equal(loaded.exposures.times()[0], recording.exposures.times()[0])
+    np.testing.assert_array_equal(loaded.corners.uv, recording.corners.uv)
+    np.testing.assert_array_equal(loaded.commands.values, recording.commands.values)
     with pytest.raises(RigError, match="the recording itself"):
         rig.save(recording, world / "first")
 

@@ -203,8 +203,8 @@ def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -
         numbers = effects[c.effect].fitted(
             next(p for p in effects[c.effect].parameters if p.name == c.name)
         )  # which of a vector are listed
-        told = np.array([value.get("value"), *ends], float)
-        middle, low, high = map(c.measured, told if c.index is None else told[:, numbers.index(c.index)])
+        estimates = np.array([value.get("value"), *ends], float)
+        middle, low, high = map(c.measured, estimates if c.index is None else estimates[:, numbers.index(c.index)])
         out.append(max(abs(low - middle), abs(high - middle)) / Z95)  # one end may be cut off at a bound
     return np.array(out)
 
@@ -247,10 +247,10 @@ def _combined(refined: Refinement, findings: Findings) -> tuple[tuple[Effect, ..
     coordinates: list[Coordinate] = refined.coordinates
     if findings.sigma is not None and refined.column is not None:
         retained = [e for e in findings.effects if not e.discrete]
-        told = len(findings.sigma)  # curves for what has no name stand behind these, and are of this recording alone
-        before = np.r_[[c.read(retained[c.effect]) for c in coordinates[:told]], refined.values[told:]]
-        weight = np.diag(np.r_[1 / np.maximum(findings.sigma, 1e-300) ** 2, np.zeros(len(coordinates) - told)])
-        loose = np.diag(np.r_[np.zeros(told), [c.loose**2 for c in coordinates[told:]]])
+        count = len(findings.sigma)  # curves for what has no name stand behind these, and are of this recording alone
+        before = np.r_[[c.read(retained[c.effect]) for c in coordinates[:count]], refined.values[count:]]
+        weight = np.diag(np.r_[1 / np.maximum(findings.sigma, 1e-300) ** 2, np.zeros(len(coordinates) - count)])
+        loose = np.diag(np.r_[np.zeros(count), [c.loose**2 for c in coordinates[count:]]])
         own = cast(Floats, np.linalg.inv(refined.model.linear.project(refined.column).gram + weight + loose))
         for c, value in zip(coordinates, refined.values + own @ (weight @ (before - refined.values))):
             effects[c.effect] = c.written(effects[c.effect], value)

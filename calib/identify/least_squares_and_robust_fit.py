@@ -53,17 +53,17 @@ def bounded_least_squares_step(
     return step, covariance
 
 
-def _solved(b: Floats, G: Floats, kept: Floats) -> tuple[Floats, Floats]:
+def _solved(b: Floats, G: Floats, sums: Floats) -> tuple[Floats, Floats]:
     """(G^-1 b, G^-1) in the directions that anything sees and that keep sums (k, c)."""
     if not len(b):
         return np.zeros(0), np.zeros((0, 0))
     scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
     scaled = G / scale[:, None] / scale
-    kept = kept[kept.any(axis=1)]
-    along = null_space(kept / scale) if len(kept) else None
+    sums = sums[sums.any(axis=1)]
+    along = null_space(sums / scale) if len(sums) else None
     values, vectors = np.linalg.eigh(scaled if along is None else along.T @ scaled @ along)
-    there = values > NULL * max(values.max(initial=0.0), 1e-300)  # none where every direction changes a sum
-    half = vectors[:, there] / np.sqrt(values[there])
+    determined = values > NULL * max(values.max(initial=0.0), 1e-300)  # none where every direction changes a sum
+    half = vectors[:, determined] / np.sqrt(values[determined])
     half = (half if along is None else along @ half) / scale[:, None]
     return half @ (half.T @ b), half @ half.T
 

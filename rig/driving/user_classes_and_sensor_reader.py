@@ -137,8 +137,8 @@ def _module(path: Path) -> UserModule:
 def _package(name: str, group: str) -> UserModule:
     found = [one for one in entry_points(group=group) if one.name == name]
     if not found:
-        there = ", ".join(sorted(one.name for one in entry_points(group=group))) or "none"
-        raise RigError(f"no installed package has {name!r} among its entry points {group}; there are {there}")
+        available = ", ".join(sorted(one.name for one in entry_points(group=group))) or "none"
+        raise RigError(f"no installed package has {name!r} among its entry points {group}; there are {available}")
     try:
         loaded = found[0].load()
     except Exception as error:

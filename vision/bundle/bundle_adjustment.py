@@ -205,10 +205,10 @@ def _finish(
     given = np.linalg.inv(blocks.local)[:, :6, :6] * POSE_SCALE**2
     cost = float((residual**2).sum() + (u.prior * away**2).sum())
     own = factor * u.scale[:, None]
-    taken = (
+    fitted_count = (
         u.basis.shape[1] - (u.prior[:, None] * factor**2).sum()
     )  # a term held by what was stated takes no observation
-    dof = float(2 * len(observations) - u.used.sum() - taken)
+    dof = float(2 * len(observations) - u.used.sum() - fitted_count)
     return Adjustment(
         estimate.state,
         observations.uv - uv,

@@ -122,7 +122,7 @@ def write_diagnosis_page(
     parts += _left_out(report)
     parts += [
         heading_html("Hypotheses tested"),
-        *_asked(report),
+        *_tested_hypotheses(report),
         heading_html("The measurement"),
         table_html(("what", "value"), _measurement(report, machine_figures)),
     ]
@@ -252,7 +252,7 @@ def _suggestions(report: Report) -> list[str]:
     return parts
 
 
-def _asked(report: Report) -> list[str]:
+def _tested_hypotheses(report: Report) -> list[str]:
     paragraphs = [
         paragraph_html(f"{report.asked} hypotheses, an effect at a place each, were tested on the recording.")
     ]

@@ -94,16 +94,16 @@ def _newton(poses: Floats, values: Floats, mechanism: FileMechanism) -> Floats:
     for _ in range(MAX_ITERATIONS):
         error = values[going] - file.inverse(poses[going], mechanism.parameters).astype(float)
         worst = np.abs(error).max(axis=1)
-        there = np.isfinite(worst)
-        keep = ~there | ((worst > TOLERANCE) & ((worst < left[going]) | (worst > GOOD)))
-        left[going[there]] = worst[there]
-        going, error, there = going[keep], error[keep], there[keep]
+        finite = np.isfinite(worst)
+        keep = ~finite | ((worst > TOLERANCE) & ((worst < left[going]) | (worst > GOOD)))
+        left[going[finite]] = worst[finite]
+        going, error, finite = going[keep], error[keep], finite[keep]
         if not len(going):
             break
-        step[going[~there]] /= 2
-        fresh = going[there]
+        step[going[~finite]] /= 2
+        fresh = going[finite]
         start[fresh] = poses[fresh]
-        step[fresh] = _step(start[fresh], error[there], mechanism)
+        step[fresh] = _step(start[fresh], error[finite], mechanism)
         poses[going] = _moved(start[going], step[going], file)
     return left
 

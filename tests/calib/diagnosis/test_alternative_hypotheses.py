@@ -229,10 +229,10 @@ def test_a_variant_that_a_scan_does_not_tell_from_the_best_is_held_against_it_fi
         score("thermal_expansion", "rig", {}, [1e-5], [("coefficient", None, 1e-6)], delta)
         for delta in (scanned, scanned - 30)
     )
-    asked = []
+    fitted_variants = []
 
     def add_term(fit, new):
-        asked.append(new)
+        fitted_variants.append(new)
         return fit - fitted
 
     problem = SimpleNamespace(
@@ -240,7 +240,7 @@ def test_a_variant_that_a_scan_does_not_tell_from_the_best_is_held_against_it_fi
     )
     elsewhere = score("thermal_expansion", "strut 1", {}, [1e-5], [("coefficient", None, 1e-6)], scanned)
     found, chosen = _exchanged(problem, 0.0, -900.0, best, [best, elsewhere, other])  # fitted, the best explains 900
-    assert asked == ([other] if tried else [])
+    assert fitted_variants == ([other] if tried else [])
     assert (found, chosen) == ((-fitted, other) if tried and fitted > 900 else (-900.0, best))
 
 

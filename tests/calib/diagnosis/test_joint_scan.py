@@ -31,9 +31,9 @@ from tests.rig.arms import UR10
 SIGMA = 2e-5  # m, per axis
 
 
-def seen(deviation, count=200, seed=3, again=0):
+def seen(deviation, count=200, seed=3, repeats=0):
     rng = np.random.default_rng(seed)
-    samples = secret_arms.tracked(secret_arms.secret(UR10, rng), UR10, count, rng, deviation=deviation, again=again)
+    samples = secret_arms.tracked(secret_arms.secret(UR10, rng), UR10, count, rng, deviation=deviation, repeats=repeats)
     return linearise_poses(samples, secret_arms.design(UR10))[0]
 
 
@@ -154,10 +154,10 @@ def test_sinusoid_is_found_with_its_order(searched):
 
 
 def test_repeats_tell_noise_from_what_comes_again():
-    quiet = pose_repeatability(fit_terms_to_poses(seen(None, again=60)))
+    quiet = pose_repeatability(fit_terms_to_poses(seen(None, repeats=60)))
     assert quiet.pairs == 60 and quiet.rms == pytest.approx(SIGMA * np.sqrt(3), rel=0.15) and quiet.p_value > 1e-3
     wavy = pose_repeatability(
-        fit_terms_to_poses(seen(only(1, lambda q: 2e-4 * np.sin(9 * q[:, 1] + 5 * q[:, 3])), again=60))
+        fit_terms_to_poses(seen(only(1, lambda q: 2e-4 * np.sin(9 * q[:, 1] + 5 * q[:, 3])), repeats=60))
     )
     assert (
         wavy.rms == pytest.approx(SIGMA * np.sqrt(3), rel=0.15) and wavy.recurring_share > 0.8 and wavy.p_value < 1e-4
@@ -166,7 +166,7 @@ def test_repeats_tell_noise_from_what_comes_again():
 
 
 def test_what_the_catalogue_lacks_is_unknown_at_its_joint():
-    arms = seen(only(2, lambda q: 2e-4 * np.sin(q[:, 0])), again=60)
+    arms = seen(only(2, lambda q: 2e-4 * np.sin(q[:, 0])), repeats=60)
     chosen = select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit
     assert chosen.terms == ()
     left = [

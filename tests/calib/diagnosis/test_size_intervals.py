@@ -101,7 +101,7 @@ def test_markers_that_are_as_stated_leave_intervals_as_they_are(tmp_path, design
         (900.0, (60, 1e5), "both", "not determined"),
     ],
 )
-def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open(sigma, ends, left_open, said):
+def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open(sigma, ends, left_open, interval):
     effect = parse_effect("warm_up:strut2:amplitude=1e-4,time_constant=1800")
     coordinates = coordinates_of_effects((effect,))
     values = np.array([c.read(effect) for c in coordinates])
@@ -111,8 +111,8 @@ def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open
     p = value_with_interval_cut_at_bounds(value, "s", (low, high), effect.parameters[1].bounds)
     assert p.open == left_open and p.ci95 == [low, high]
     finding = FindingEntry("warm_up", "strut 2", {"time_constant": p})
-    assert said in diagnosis_texts.parameter_rows(finding)[0][2] and (
-        left_open is None or f"time_constant 1800.0 s ({said})" in diagnosis_texts.finding_line(finding)
+    assert interval in diagnosis_texts.parameter_rows(finding)[0][2] and (
+        left_open is None or f"time_constant 1800.0 s ({interval})" in diagnosis_texts.finding_line(finding)
     )
     assert (diagnosis_texts.finding_size_text(finding) == ", time constant 1800.0 s (not determined)") is (
         left_open == "both"
@@ -127,9 +127,9 @@ def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open
         ((-1e-5, 6e-5), None, "-10 to 60 µm"),
     ],
 )
-def test_an_interval_that_is_cut_off_at_one_end_says_so(ends, left_open, said):
+def test_an_interval_that_is_cut_off_at_one_end_says_so(ends, left_open, interval):
     p = value_with_interval_cut_at_bounds(5e-5, "m", ends, (-2e-3, 2e-3))
     finding = FindingEntry("warm_up", "strut 2", {"amplitude": p})
-    assert p.open == left_open and diagnosis_texts.parameter_rows(finding) == [("amplitude", "50 µm", said)]
-    assert diagnosis_texts.finding_size_text(finding) == f", amplitude 50 µm (95 %: {said.replace(' µm', '')})"
+    assert p.open == left_open and diagnosis_texts.parameter_rows(finding) == [("amplitude", "50 µm", interval)]
+    assert diagnosis_texts.finding_size_text(finding) == f", amplitude 50 µm (95 %: {interval.replace(' µm', '')})"
     assert value_with_interval_cut_at_bounds(1.0, "", (0.5, 2.0), (-3, 3)) == Value(1.0, "", [0.5, 2.0])

@@ -53,9 +53,9 @@ def test_all_sides_off_by_a_part_in_two_thousand_are_a_remark_with_their_size(tm
     found = diagnosis_of(rec, only=PRINTED)
     tree = json.loads(json.dumps(diagnosis_report(found).tree()))
     assert tree["findings"] == [] and tree["unexplained"] is None
-    said = {(r["effect"], r["place"]): r for r in tree["remarks"]}["print_scale", "markers"]
-    low, high = said["parameters"]["scale"]["ci95"]
-    assert low < SIDES.limit < high and high - low < SIDES.limit and "0.05 %" in said["reason"]
+    remark = {(r["effect"], r["place"]): r for r in tree["remarks"]}["print_scale", "markers"]
+    low, high = remark["parameters"]["scale"]["ci95"]
+    assert low < SIDES.limit < high and high - low < SIDES.limit and "0.05 %" in remark["reason"]
     page_text(tmp_path / "page.html", rec, found)
     assert "print scale at markers" in (tmp_path / "page.html").read_text()
 
@@ -117,9 +117,9 @@ def test_the_share_that_is_left_beside_tolerances_is_that_of_a_search_beside_the
     model, sensitivities = linearise(point), Sensitivities(point)
     found = marker_and_thermometer_tolerances.tolerance_model(model, sensitivities)
     candidates, _ = platform_candidates(point, RequestedEffects.of(["backlash", "print_scale"], (), NO_STATED_TERMS))
-    beside = marker_and_thermometer_tolerances.model_with_tolerances(model, found)
+    with_tolerances = marker_and_thermometer_tolerances.model_with_tolerances(model, found)
     for candidate in candidates:
-        alone, both = (score_candidates(m, [candidate], sensitivities)[0] for m in (model, beside))
+        alone, both = (score_candidates(m, [candidate], sensitivities)[0] for m in (model, with_tolerances))
         if alone.node == both.node:  # else two sizes are compared
             column = candidate_column(model, candidate, alone.node, sensitivities)
             share = marker_and_thermometer_tolerances.share_not_explained_by_tolerances(

@@ -61,8 +61,8 @@ def test_a_recording_says_that_a_cube_was_put_back_and_its_faces_hold_no_pose(se
     )  # it is seen where it stands but for what putting it back does
     corners = second.corners
     moved = corners.uv + 5.0 * np.isin(corners.marker, [0, 1, 2, 3, 4])[:, None]
-    again, _ = measure_recording(replaced(second, moved))
-    assert (measured.T_base_platform.as_matrix() == again.T_base_platform.as_matrix()).all()
+    remeasured, _ = measure_recording(replaced(second, moved))
+    assert (measured.T_base_platform.as_matrix() == remeasured.T_base_platform.as_matrix()).all()
 
 
 def marker_targets(measured):
@@ -171,10 +171,10 @@ def test_a_face_is_told_from_its_cube_by_turning_it(tmp_path, capsys, effect, na
         )
         == 0
     )
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert (
-        "next: turn:P1,sobol:12" in said
-        and "before it begins: take cube P1 off its socket and put it back turned by a quarter turn" in said
+        "next: turn:P1,sobol:12" in output
+        and "before it begins: take cube P1 off its socket and put it back turned by a quarter turn" in output
     )
     notebook = (out / "notebook.md").read_text()
     assert "request to the operator: before it begins: take cube P1 off" in notebook and "settled: yes" in notebook

@@ -144,7 +144,7 @@ def test_a_loop_closes_of_an_arm_of_four_joints(tmp_path, capfd, carried, camera
         "--truth",
         tmp_path / "truth.json",
     )
-    holds(verified(tmp_path, capfd, wanted(tmp_path, 4 if images else 8), drawn, taken="commands.poses.csv"))
+    holds(verified(tmp_path, capfd, wanted(tmp_path, 4 if images else 8), drawn, reached="commands.poses.csv"))
 
 
 @pytest.mark.parametrize("name", ["scara", "gantry"])
@@ -164,8 +164,8 @@ def test_a_plan_of_an_arm_takes_what_is_seen_and_tells_most(tmp_path, capfd):
     stated = text[text.index("limits = ") : text.index("#", text.index("limits = "))]
     (tmp_path / "rig.toml").write_text(text.replace(stated, f"limits = {wide.tolist()} "))
     rig("plan", tmp_path / "rig.toml", "--for", "parameters", "--count", "12", "--out", tmp_path / "plan.csv")
-    said = capfd.readouterr().out
-    assert 5 < float(said.split("seen in ")[1].split("%")[0]) < 95
+    output = capfd.readouterr().out
+    assert 5 < float(output.split("seen in ")[1].split("%")[0]) < 95
     rig(
         "simulate",
         tmp_path / "rig.toml",
@@ -178,7 +178,7 @@ def test_a_plan_of_an_arm_takes_what_is_seen_and_tells_most(tmp_path, capfd):
     )
     corners = recording_folder.load_recording(tmp_path / "rec").corners
     assert set(corners.frame.tolist()) == set(range(12))
-    rows = [line.split() for line in said.splitlines() if " um  " in line or " urad  " in line]
+    rows = [line.split() for line in output.splitlines() if " um  " in line or " urad  " in line]
     assert len(rows) == 8 and all(float(row[0]) < float(row[1]) for row in rows[2:])
 
 

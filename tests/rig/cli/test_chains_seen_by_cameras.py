@@ -98,8 +98,8 @@ def test_stages_that_are_measured_stand_in_files_of_their_own(tmp_path, capfd):
     )
     capfd.readouterr()
     rig("measure", tmp_path / "rec", "--out", tmp_path / "measured")
-    said = capfd.readouterr().out
-    assert "stage 1: 8 of 8 frames solved, poses to" in said and "poses_stage1.csv" in said
+    output = capfd.readouterr().out
+    assert "stage 1: 8 of 8 frames solved, poses to" in output and "poses_stage1.csv" in output
     assert (
         command_line.main(["measure", str(tmp_path / "rec"), "--places", "free", "--out", str(tmp_path / "free")]) == 1
     )
@@ -160,9 +160,9 @@ def test_what_stands_on_the_carriage_is_drawn_there_and_hides_what_is_behind(tmp
     across = np.cross(heads[0] - feet[0], [0, 0, 1.0])
     across *= 0.05 / np.linalg.norm(across)
     middle, below = (feet[0] + heads[0]) / 2, stages[0][0].apply([0, 0, -0.1])
-    eyes = np.array([middle + 5 * across, middle + 5 * across, stages[0][0].apply([0, 0, 0.1])])
+    camera_positions = np.array([middle + 5 * across, middle + 5 * across, stages[0][0].apply([0, 0, 0.1])])
     points = np.array([middle - across, middle + across, below])
-    assert is_occluded(design, stages, np.zeros(3, int), eyes, points).tolist() == [
+    assert is_occluded(design, stages, np.zeros(3, int), camera_positions, points).tolist() == [
         True,
         False,
         True,

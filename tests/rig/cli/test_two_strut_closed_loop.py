@@ -14,7 +14,7 @@ from rig.planning.configuration_generators import sobol_configurations
 from tests.closed_loops import calibrated, holds, lines, rig, verified
 
 
-def recorded(folder, *words, plan="sobol:24", size="640x512", again=False):
+def recorded(folder, *words, plan="sobol:24", size="640x512", same_machine=False):
     rig(
         "design",
         "--mechanism",
@@ -29,7 +29,7 @@ def recorded(folder, *words, plan="sobol:24", size="640x512", again=False):
         size,
         "--out",
         folder / "rig.toml",
-        *(["--force"] if again else []),
+        *(["--force"] if same_machine else []),
     )
     rig(
         "simulate",
@@ -91,14 +91,14 @@ def test_configurations_are_planned(tmp_path, capfd):
         tmp_path / "rig.toml",
     )
     rig("plan", tmp_path / "rig.toml", "--for", "parameters", "--count", "10", "--out", tmp_path / "plan.csv")
-    said = capfd.readouterr().out
-    rows = [line.split() for line in said.splitlines() if " um  " in line]
+    output = capfd.readouterr().out
+    rows = [line.split() for line in output.splitlines() if " um  " in line]
     assert (
-        "10 configurations for 6 parameters" in said
+        "10 configurations for 6 parameters" in output
         and len(rows) == 6
         and all(float(row[0]) < float(row[1]) for row in rows)
     )
-    recorded(tmp_path, plan=f"commands:{tmp_path / 'plan.csv'}", again=True)
+    recorded(tmp_path, plan=f"commands:{tmp_path / 'plan.csv'}", same_machine=True)
     calibrated(tmp_path, capfd)
     assert (
         command_line.main(

@@ -144,8 +144,8 @@ def joint_candidates(arms: Arms, requested_effects: RequestedEffects) -> tuple[l
             return EffectSites(None, (), [*lacking, NotAsked(kind.name, reason)])
         return EffectSites(found, found, lacking)
 
-    found, not_asked = requested_effects.candidates(sites_of, candidates_at)
-    return found, [*not_asked, *_beyond_poses(requested, beyond, arms)]
+    found, not_tested = requested_effects.candidates(sites_of, candidates_at)
+    return found, [*not_tested, *_beyond_poses(requested, beyond, arms)]
 
 
 def _numbers(candidate: JointCandidate, node: Node) -> int:
@@ -154,12 +154,12 @@ def _numbers(candidate: JointCandidate, node: Node) -> int:
 
 
 def _beyond_poses(
-    asked: dict[str, list[JointCandidate]], beyond: dict[str, list[tuple[int, bool]]], arms: Arms
+    requested: dict[str, list[JointCandidate]], beyond: dict[str, list[tuple[int, bool]]], arms: Arms
 ) -> list[NotAsked]:
     """What is not asked for because the poses are too few for its numbers, or for an effect as it states itself."""
     out: list[NotAsked] = []
     count, k, freedoms = arms.freedoms.shape
-    for name, found in asked.items():
+    for name, found in requested.items():
         numbers, whole = max(beyond.get(name, [(0, False)]))
         if numbers:
             most = most_parameters_of_candidate(count, k, freedoms, whole)

@@ -214,7 +214,7 @@ def excess_scatter_over_stated_noise(
         return []
     depends = ("configuration",) if recurs else tuple(c.name for c in covariates if _explains(c, len(covariates)))
     used, k = fit.used, fit.left.shape[1]
-    taken = (fit.arms.freedoms.shape[2] + fit.known()) / k  # of each number measured
+    fitted = (fit.arms.freedoms.shape[2] + fit.known()) / k  # of each number measured
     found = []
     for part, unit in ((slice(0, 3), fit.arms.unit), (slice(3, 6), "rad")):
         left, own = fit.left[used, part], fit.arms.own[used, part, part]
@@ -223,7 +223,7 @@ def excess_scatter_over_stated_noise(
             noise = float(np.sqrt(np.einsum("nii->n", own).mean()))
             found.append(
                 detect_excess_scatter(
-                    Place("rig"), unit, noise, square, left.size - left.shape[1] * taken, max(k // 3, 1), depends
+                    Place("rig"), unit, noise, square, left.size - left.shape[1] * fitted, max(k // 3, 1), depends
                 )
             )
     return [u for u in found if u is not None]

@@ -81,7 +81,7 @@ def _unlogged_temperature_alternatives(problem: PlatformProblem, selection: Plat
             for place in _places(kind, f.score.candidate.place)
             if lacks_temperature_log(k, kind.follows(place, effect_context(k))) and _acts_if_warm(k, kind, place)
         ]
-        findings.append(_beside_temperatures(problem, selection, f, requested) if requested else f)
+        findings.append(_with_temperature_alternatives(problem, selection, f, requested) if requested else f)
     return replace(selection, findings=findings)
 
 
@@ -94,16 +94,16 @@ def _acts_if_warm(k: OperatingPoint, kind: type[Effect], place: str) -> bool:
     return kind(place, **{kind.parameters[0].name: STEP}).needs(known.motion(())) is None
 
 
-def _beside_temperatures(
+def _with_temperature_alternatives(
     problem: PlatformProblem,
     selection: PlatformSelection,
     finding: Finding[PlatformCandidate],
-    asked: list[tuple[type[Effect], str]],
+    requested: list[tuple[type[Effect], str]],
 ) -> Finding[PlatformCandidate]:
-    model, alternatives = problem.beside(selection.fit, finding.number), list(finding.alternatives)
+    model, alternatives = problem.model_without_term(selection.fit, finding.number), list(finding.alternatives)
     alone = problem.marginalised(model)
     own = finding.score.delta_chi2 * finding.score.dispersion
-    for kind, place in asked:
+    for kind, place in requested:
         warm = problem.marginalised(model.marginalise(_courses(model, kind, place)))
         if is_finding_significant(problem, finding, warm, selection.fit, selection.asked):
             continue

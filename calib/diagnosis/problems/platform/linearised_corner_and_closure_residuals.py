@@ -248,8 +248,8 @@ def _corner_frames(
     far = np.abs(rho / sigma)
     excess = float((2 * clip * np.maximum(far - clip, 0)).sum())
     reach = float(np.quantile(far, REACHED)) if len(far) else 0.0
-    taken, left = split_rows_by_frame_bases(np.clip(rho / sigma, -clip, clip), local, edges)
-    inner = np.concatenate([taken, rows.inner / sigma], axis=2)
+    projected, left = split_rows_by_frame_bases(np.clip(rho / sigma, -clip, clip), local, edges)
+    inner = np.concatenate([projected, rows.inner / sigma], axis=2)
     return (
         CornerFrames(rows.order, edges, rows.whiten, local, rows.to_local * sigma, inner, sigma, excess, clip, reach),
         left[:, 0],

@@ -229,7 +229,9 @@ def test_a_plan_with_tilt_sensors_states_what_a_fit_then_finds():
     found = identify_arm(replace(observed, tilts=TiltReadings(sensors, angles, down)), UR10)
     without = identify_arm(observed, UR10)
     names = error_model_and_observations.parameter_names(UR10)
-    stated = {line.split("urad  ")[1]: float(line.split()[0]) * 1e-6 for line in planned.said if "urad  " in line}
+    stated = {
+        line.split("urad  ")[1]: float(line.split()[0]) * 1e-6 for line in planned.visibility_lines if "urad  " in line
+    }
     compared = [name for name in stated if name in names]
     fitted = [np.sqrt(found.covariance[names.index(name), names.index(name)]) for name in compared]
     assert len(compared) > 2

@@ -183,8 +183,8 @@ def test_a_part_of_the_pose_calibrates_through_the_commands(tmp_path, capsys, ki
         "--truth",
         tmp_path / "truth.json",
     )
-    said = rig("calibrate", tmp_path / "rec", "--out", tmp_path / "cal.json")
-    assert "no factor is claimed" in said and "nan" not in said
+    output = rig("calibrate", tmp_path / "rec", "--out", tmp_path / "cal.json")
+    assert "no factor is claimed" in output and "nan" not in output
     rig(
         "simulate",
         tmp_path / "rig.toml",

@@ -182,10 +182,10 @@ def test_commands_calibrate_to_the_bound_and_leave_no_avoidable_force(struts, tm
         forces.append(
             [bears(true, some + scatter)[0] for some in (owner.lengths(wanted), commands, true.lengths(wanted))]
         )
-        again = sprung_platforms.measured(true, 60, POSE, STRUT, rng)
-        recording(folder / "NEW", rig_toml(owner), again)
-        said = json.loads(run("verify", folder / "c.json", folder / "NEW", "--json").stdout)["strut_conflict"]
-        np.testing.assert_allclose([said["before"], said["after"]], forces[-1][:2], rtol=0.3)
+        remeasured = sprung_platforms.measured(true, 60, POSE, STRUT, rng)
+        recording(folder / "NEW", rig_toml(owner), remeasured)
+        output = json.loads(run("verify", folder / "c.json", folder / "NEW", "--json").stdout)["strut_conflict"]
+        np.testing.assert_allclose([output["before"], output["after"]], forces[-1][:2], rtol=0.3)
     of_bound = np.sqrt(np.mean(squares, axis=0) / np.mean(least, axis=0))
     before, after, unavoidable = np.sqrt(np.mean(np.square(forces), axis=0))
     print(
