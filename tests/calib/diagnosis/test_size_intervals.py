@@ -93,7 +93,7 @@ def test_markers_that_are_as_stated_leave_intervals_as_they_are(tmp_path, design
 
 
 @pytest.mark.parametrize(
-    ("sigma", "ends", "left_open", "said"),
+    ("sigma", "ends", "left_open", "interval"),
     [
         (0.1, (1800 / np.exp(0.1 * Z95), 1800 * np.exp(0.1 * Z95)), None, "1479.6 to 2189.7 s"),
         (1.7, (64.30, 50386.6), None, "64.3 to 50386.6 s"),
@@ -120,7 +120,7 @@ def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open
 
 
 @pytest.mark.parametrize(
-    ("ends", "left_open", "said"),
+    ("ends", "left_open", "interval"),
     [
         ((4e-5, 2.1e-3), "above", "40 µm or more"),
         ((-3e-3, 6e-5), "below", "60 µm or less"),
