@@ -55,12 +55,9 @@ class OfCalibrations(NamedTuple):
 ALONE = OfCalibrations()  # of a recording from which none was made
 
 
-def calibration_verdict(calibration: Calibration, refutations: Sequence[Refutation] = ()) -> Verdict:
-    """The Verdict on a calibration.
-
-    refutations : of its file, by later recordings
-    """
-    return judge_evidence(calibration_evidence(calibration, refutations))
+def calibration_verdict(calibration: Calibration) -> Verdict:
+    """The Verdict on a calibration."""
+    return judge_evidence(calibration_evidence(calibration))
 
 
 def calibration_evidence(

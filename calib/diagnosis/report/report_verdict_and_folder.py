@@ -4,7 +4,6 @@ The report holds its data, summary, doubts and actions; the folder diagnosis.jso
 """
 
 import json
-from collections.abc import Collection
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
@@ -202,26 +201,11 @@ def diagnosis_verdict(report: Report) -> Verdict:
     )
 
 
-def unexplained_sentences(report: Report, known_physics: Collection[tuple[str, str]] = ()) -> tuple[str, ...]:
-    """Sentences on what a Report leaves unexplained by the model.
-
-    known_physics : (effect, place) already modelled
-    """
-    named = [
-        f"the model omits {diagnosis_texts.finding_title(f)}"
-        for f in report.mattering
-        if (f.effect, f.place) not in known_physics
-    ]
-    unknown = [
-        f"no catalogued effect explains the residual at {f.place}"
-        for f in report.unknown
-        if (f.effect, f.place) not in known_physics
-    ]
-    if (
-        not report.unknown
-        and report.unexplained is not None
-        and (UNKNOWN, report.unexplained.place) not in known_physics
-    ):
+def unexplained_sentences(report: Report) -> tuple[str, ...]:
+    """Sentences on what a Report leaves unexplained by the model."""
+    named = [f"the model omits {diagnosis_texts.finding_title(f)}" for f in report.mattering]
+    unknown = [f"no catalogued effect explains the residual at {f.place}" for f in report.unknown]
+    if not report.unknown and report.unexplained is not None:
         unknown = [f"no catalogued effect explains the residual at {report.unexplained.place}"]
     if report.crowd is not None:
         unknown.append("too many rows agree with no others for any to be excluded")

@@ -22,6 +22,7 @@ from rig.planning.layout import shipped_arms_and_layouts
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine_and_truth_file
 from tests.calib.diagnose_recording import diagnosis_of
+from tests.closed_loops import simulate_with_truth
 
 FRICTION, PLAY = "hysteresis:joint 2:range=0.5,weight=0.001", "backlash:joint 2:gap=2e-4"
 
@@ -146,25 +147,7 @@ def test_what_of_arms_cannot_be_investigated_is_refused(tmp_path, capsys):
 def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, name):
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
     rig.write_text(shipped_arms_and_layouts.shipped_arm_rig_toml("scara"))
-    assert (
-        main(
-            [
-                "simulate",
-                str(rig),
-                "--plan",
-                "sobol:3",
-                "--effect",
-                effect,
-                "--seed",
-                "3",
-                "--out",
-                str(tmp_path / "f"),
-                "--truth",
-                str(truth),
-            ]
-        )
-        == 0
-    )
+    simulate_with_truth(tmp_path, "sobol:3", 3, "--effect", effect)
     assert (
         main(
             [
@@ -196,23 +179,7 @@ def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, 
 def test_a_quiet_arm_is_left_in_peace(tmp_path, capsys):
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
     rig.write_text(shipped_arms_and_layouts.shipped_arm_rig_toml("scara"))
-    assert (
-        main(
-            [
-                "simulate",
-                str(rig),
-                "--plan",
-                "sobol:3",
-                "--seed",
-                "8",
-                "--out",
-                str(tmp_path / "f"),
-                "--truth",
-                str(truth),
-            ]
-        )
-        == 0
-    )
+    simulate_with_truth(tmp_path, "sobol:3", 8)
     assert main(["investigate", str(rig), "--machine", str(truth), "--out", str(out), "--budget", "1h"]) == 0
     assert "Nothing is unmodelled." in (out / "notebook.md").read_text() and not (out / "rec2").exists()
 
@@ -224,25 +191,7 @@ def test_what_a_camera_in_the_hand_leaves_alike_is_told_apart(tmp_path, capsys):
     """
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
     assert main(["design", "--arm", "ur10", "--seen", "hand", "--cameras", "1", "--out", str(rig)]) == 0
-    assert (
-        main(
-            [
-                "simulate",
-                str(rig),
-                "--plan",
-                "sobol:3",
-                "--effect",
-                "backlash:joint 2:gap=2e-4",
-                "--seed",
-                "3",
-                "--out",
-                str(tmp_path / "f"),
-                "--truth",
-                str(truth),
-            ]
-        )
-        == 0
-    )
+    simulate_with_truth(tmp_path, "sobol:3", 3, "--effect", "backlash:joint 2:gap=2e-4")
     assert (
         main(
             [

@@ -15,6 +15,7 @@ from rig.cli.command_line import main
 from rig.model.design import quarter_turns_of_cubes
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
+from tests.closed_loops import simulate_with_truth
 from vision.recording_combination_and_moved_cameras import combine_recordings
 from vision.recording_measurement import measure_recording
 
@@ -133,25 +134,7 @@ def test_a_face_is_told_from_its_cube_by_turning_it(tmp_path, capsys, effect, na
     block = re.sub(r"rotvec = \[0.0, 0.0, [\d.]+\]", "rotvec = [0.0, 0.0, 1.135]", block)
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
     rig.write_text(text[:start] + block + text[end:] + '\n[experiment]\nmay = ["turn cube 1"]\n')
-    assert (
-        main(
-            [
-                "simulate",
-                str(rig),
-                "--plan",
-                "sobol:3",
-                "--effect",
-                effect,
-                "--seed",
-                "5",
-                "--out",
-                str(tmp_path / "first"),
-                "--truth",
-                str(truth),
-            ]
-        )
-        == 0
-    )
+    simulate_with_truth(tmp_path, "sobol:3", 5, "--effect", effect)
     assert (
         main(
             [

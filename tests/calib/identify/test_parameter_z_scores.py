@@ -21,7 +21,7 @@ from calib.samples.pose_samples import sample_recording
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.model.pose import exp, log
 from rig.recording import recording_folder
-from tests.closed_loops import rig
+from tests.closed_loops import design_two_struts, rig, simulate_with_truth
 from tests.gantry_and_hexapod import written
 
 RUNS, NOISE = 200, 0.04  # px
@@ -51,21 +51,7 @@ def arm(folder, carried, cameras):
 
 
 def planar(folder):
-    rig(
-        "design",
-        "--mechanism",
-        "planar2",
-        "--radius",
-        "0.3",
-        "--cubes",
-        "1",
-        "--cameras",
-        "2",
-        "--size",
-        "640x512",
-        "--out",
-        folder / "rig.toml",
-    )
+    design_two_struts(folder, "--size", "640x512")
     return "sobol:16"
 
 
@@ -110,20 +96,7 @@ def scores(folder, make, *words):
     the owner.
     """
     plan = make(folder, *words)
-    rig(
-        "simulate",
-        folder / "rig.toml",
-        "--plan",
-        plan,
-        "--seed",
-        "4",
-        "--noise",
-        "0",
-        "--out",
-        folder / "rec",
-        "--truth",
-        folder / "truth.json",
-    )
+    simulate_with_truth(folder, plan, 4, "--noise", "0")
     clean = recording_folder.load_recording(folder / "rec")
     if clean.poses is not None:
         poses = np.array(json.loads((folder / "truth.json").read_text())["poses"]).reshape(-1, 4, 4)

@@ -25,7 +25,7 @@ from rig.model.pose import exp, log, pose, pose_difference
 from rig.planning.configuration_generators import sobol_configurations
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Commands
-from tests.closed_loops import holds, lines, rig, verified
+from tests.closed_loops import holds, lines, rig, simulate_with_truth, verified
 from tests.gantry_and_hexapod import written
 from tests.numerical_derivatives import jacobian as differences
 
@@ -94,18 +94,7 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
     information.
     """
     design = written(tmp_path)
-    rig(
-        "simulate",
-        tmp_path / "rig.toml",
-        "--plan",
-        "sobol:60",
-        "--seed",
-        "2",
-        "--out",
-        tmp_path / "rec",
-        "--truth",
-        tmp_path / "truth.json",
-    )
+    simulate_with_truth(tmp_path, "sobol:60", 2)
     true, _ = machine_geometry_and_effects_json_file.load_machine(tmp_path / "truth.json", design)
     samples = sample_recording(recording_folder.load_recording(tmp_path / "rec")).samples
     found = identify_chain(samples, design.mechanism)
@@ -169,18 +158,7 @@ def test_of_a_machine_as_stated_nothing_is_off(gantry):
 
 def test_a_loop_closes_under_an_instrument(tmp_path, capfd):
     design = written(tmp_path)
-    rig(
-        "simulate",
-        tmp_path / "rig.toml",
-        "--plan",
-        "sobol:60",
-        "--seed",
-        "2",
-        "--out",
-        tmp_path / "rec",
-        "--truth",
-        tmp_path / "truth.json",
-    )
+    simulate_with_truth(tmp_path, "sobol:60", 2)
     m = design.mechanism
     found = verified(
         tmp_path,
@@ -278,21 +256,14 @@ def test_effects_are_found_at_their_stages(tmp_path, capfd):
     both stages.
     """
     written(tmp_path)
-    rig(
-        "simulate",
-        tmp_path / "rig.toml",
-        "--plan",
+    simulate_with_truth(
+        tmp_path,
         "sobol:120,ladder:2",
-        "--seed",
-        "3",
+        3,
         "--effect",
         "backlash:stage 1 slide 2:gap=1e-4",
         "--effect",
         "cyclic_error:stage 2 strut 3:amplitude=4e-5",
-        "--out",
-        tmp_path / "rec",
-        "--truth",
-        tmp_path / "truth.json",
     )
     rig("diagnose", tmp_path / "rec", "--out", tmp_path / "found")
     assert "backlash at stage 1 slide 2: gap" in capfd.readouterr().out

@@ -109,11 +109,7 @@ def score_candidates(
 
 
 def candidate_column(
-    model: LinearisedModel,
-    candidate: PlatformCandidate,
-    node: Node,
-    sensitivities: Sensitivities,
-    motion: Motion | None = None,
+    model: LinearisedModel, candidate: PlatformCandidate, node: Node, sensitivities: Sensitivities
 ) -> Column:
     """Column of one node of a candidate.
 
@@ -125,7 +121,7 @@ def candidate_column(
             vibration_frequency.axis_elongations_by_sinusoidal_platform_motion(model, np.array([node["frequency"]]))[0]
         )
     if candidate.reach is Reach.AXES:
-        return model.lengthened(sensitivities.deviation(candidate, node, motion or k.motion(k.effects)))
+        return model.lengthened(sensitivities.deviation(candidate, node, k.motion(k.effects)))
     if candidate.reach is Reach.MOUNT:
         pixels = (
             camera_mount_pixel_derivatives(model, Place.parse(candidate.place))

@@ -10,8 +10,6 @@ from rig.model import mechanisms
 from rig.model.pose import exp, pose_difference
 from tests.conftest import SHARED
 
-MILLIMETRES = ("base_joints = [[0.2911", "base_joints = [[291.1")
-
 
 def spoiled(rig_text, tmp_path, old, new):
     assert old in rig_text
