@@ -24,7 +24,7 @@ TIMES = ("s", "ms", "us", "ns", "iso")
 ROTATIONS = ("rotvec", "quaternion", "quaternion-wxyz", "quaternion-xyzw")
 EULER = tuple(a + b + c for letters in ("xyz", "XYZ") for a in letters for b in letters for c in letters if a != b != c)
 TABLES = ("commands", "poses", "sensors", "frames")
-UNPACKED = ("folder", "said")  # of a Bag, what is found out
+UNPACKED = ("folder", "remarks")  # of a Bag, what is found out
 FROM_BAG = Path()  # in place of the file of a table that a bag holds
 NUMBERS = ("steps_per_mm", "shift", "tolerance", "period")
 
