@@ -20,7 +20,7 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 )
 from calib.diagnosis.problems.platform.lack_of_fit import find_lack_of_fit_by_place
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
-from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CORNERS, linearise
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, linearise
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
 from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from calib.samples.pose_samples import sample_recording
@@ -171,6 +171,39 @@ def test_tangents_of_what_is_seen_are_derivatives(quiet):
 
     expected = jacobian(whitened, np.array([coordinates[at].read(effect)]), 1e-4)[..., 0]
     np.testing.assert_allclose(column.parts[CORNERS][:, at], expected, atol=1e-4 * np.abs(expected).max())
+
+
+def test_tangents_of_struts_are_derivatives_of_what_all_effects_do_together(quiet):
+    """Each direction is computed by one effect alone; held against differences of all effects' commands."""
+    effects = tuple(
+        parse_effect(text)
+        for text in (
+            "transmission_error:strut2:profile=1e-5/-2e-5/3e-5/0/1e-5",
+            "compliance:rig:stiffness=8e6",
+            "backlash:strut3:gap=4e-5",
+            "servo_lag:rig:time_constant=0.03",
+            "scale_error:strut5:scale=1e-4,curvature=0.2",
+        )
+    )
+    point = quiet.with_effects(effects)
+    model = linearise(point)
+    coordinates, column = effect_parameter_directions(model, Sensitivities(point))
+    assert [c.name for c in coordinates] == [
+        *["profile"] * 5, "stiffness", "gap", "time_constant", "scale", "curvature",
+    ]  # fmt: skip
+    for at, c in enumerate(coordinates):
+
+        def lengthened(x, c=c):
+            moved = c.written(effects[c.effect], x[0])
+            return point.effective((*effects[: c.effect], moved, *effects[c.effect + 1 :])).ravel()
+
+        value = np.array([c.read(effects[c.effect])])
+        expected = jacobian(lengthened, value, c.step).reshape(model.frames, -1, 1)
+        np.testing.assert_allclose(
+            column.parts[CLOSURES][:, at],
+            model.lengthened(expected).parts[CLOSURES][:, 0],
+            atol=1e-5 * np.abs(column.parts[CLOSURES][:, at]).max(),
+        )
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ corners to effects and their parameters are the columns of the linear model.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cache
 from typing import cast
 
 import numpy as np
@@ -334,6 +335,7 @@ def effect_parameter_directions(
     """
     k, parts = model.point, []
     sensitivities, coordinates = sensitivities.at(k), coordinates_of_effects(k.effects)
+    motion = cache(lambda: k.motion(k.effects))
     for number, effect in enumerate(k.effects):
         own = [c for c in coordinates if c.effect == number]
         if (
@@ -345,14 +347,20 @@ def effect_parameter_directions(
             pixels = [sensitivities.corners(*_still(effect, c, sensitivities)) for c in own]
             parts.append(model.fold(np.concatenate(pixels, axis=2)))
             continue
+        if _is_linear_vector(effect, own):
+            parts.append(model.lengthened(_vector_directions(effect, own, motion())))
+            continue
         for c in own:
             ends = c.around(effect)
             both = [k.effects[:number] + (c.written(effect, end),) + k.effects[number + 1 :] for end in ends]
             apart = ends[0] - ends[1]
             if affects_images_only(effect):
                 parts.append(model.fold(((k.pixels(both[0]) - k.pixels(both[1])) / apart)[..., None]))
-            else:
+            elif effect.retimes():
                 parts.append(model.lengthened(((k.effective(both[0]) - k.effective(both[1])) / apart)[..., None]))
+            else:
+                high, low = (k.elongation(c.written(effect, end), motion()) for end in ends)
+                parts.append(model.lengthened(((high - low) / apart)[..., None]))
     return coordinates, join_columns(parts) if parts else None
 
 
@@ -363,3 +371,22 @@ def _still(effect: Effect, c: Coordinate, sensitivities: Sensitivities) -> tuple
         node[COUNT] = len(getattr(effect, c.name))
     rows, quads = sensitivities.derivative(type(effect), effect.place, Linear(c.name, c.index, c.step), node)
     return rows, quads[..., None]
+
+
+def _is_linear_vector(effect: Effect, own: list[Coordinate]) -> bool:
+    """Whether an effect lengthens axes alone, in proportion to each of all numbers of one vector."""
+    names = {c.name for c in own}
+    plain = not (affects_images_only(effect) or effect.retimes() or type(effect).sway is not Effect.sway)
+    return (
+        plain
+        and len(names) == 1
+        and all(c.role == "linear" and c.index is not None for c in own)
+        and len(own) == len(getattr(effect, names.pop()))
+    )
+
+
+def _vector_directions(effect: Effect, own: list[Coordinate], motion: Motion) -> Floats:
+    """(F, axes, q) m per unit of each number of such a vector."""
+    node: Node = {p.name: getattr(effect, p.name) for p in effect.parameters if p.name != own[0].name}
+    linear = [Linear(c.name, c.index, c.step) for c in own]
+    return EffectCandidate(type(effect), effect.place, [], linear).deviation({**node, COUNT: len(own)}, motion)

@@ -149,6 +149,11 @@ class OperatingPoint:
         effects = self.effects if effects is None else effects
         return motion_simulation.effective_commands(self.design, self.commanded, self.t, self.T, effects, self.sensors)
 
+    def elongation(self, effect: Effect, motion: Motion) -> Floats:
+        """(F, axes) m that an effect alone adds to commands, sway counted as struts' length, in a Motion of all."""
+        sway = effect.sway(motion)
+        return effect.deviation(motion) + (self.swayed(sway) if sway.any() else 0.0)
+
     def swayed(self, sway: Floats) -> Floats:
         """(F, axes) m by which struts seem longer where the platform is displaced by tangents (F, 6)."""
         return motion_simulation.strut_elongations_of_platform_sway(self.design, self.T, sway)

@@ -7,8 +7,7 @@ from typing import cast
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
-from scipy.fft import next_fast_len
+from scipy.fft import next_fast_len, rfft
 
 from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion
@@ -20,7 +19,7 @@ from calib.diagnosis.engine.reduced_least_squares import (
 )
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import PlatformCandidate, PlatformScore
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel
-from rig.array_and_json_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats
 
 FREQUENCIES = 8  # bins of the coarse spectrum for each cycle that the highest frequency makes
 ALIAS = 0.25  # of the spectral window's height from which a frequency mirrors a slow one
@@ -57,11 +56,11 @@ def best_vibration_frequency_score(
     length, node = np.ptp(t) + 1e-9, candidate.grid[0]
     free = len(candidate.spec.linear) - candidate.tied
     high = min(parameter.usual[1], 0.5 / _tick(t))
-    spectrum, frequency = _coarse(model, products, high)
+    spectrum, window, frequency = _coarse(model, products, high)
     inside = (
         (frequency >= max(parameter.usual[0], SLOWEST / length))
         & (frequency <= high)
-        & ~_mirrors_of_slow_changes(t, spectrum, length, high)
+        & ~_mirrors_of_slow_changes(spectrum, window, length, high)
     )
     if not inside.any():
         return Score(
@@ -76,7 +75,7 @@ def best_vibration_frequency_score(
             np.zeros(1),
         )
     spectrum, frequency = spectrum[inside], frequency[inside]
-    peaks = np.argsort(-spectrum)[:PEAKS]
+    peaks = np.argpartition(spectrum, -min(PEAKS, len(spectrum)))[-PEAKS:]
     near = np.unique(np.concatenate([frequency[p] + np.linspace(-1, 1, 21) / (OVERSAMPLED * length) for p in peaks]))
     normal = normal_equations_by_direction_weights(
         products, axis_elongations_by_sinusoidal_platform_motion(model, near)
@@ -138,9 +137,10 @@ def _bins(length: float, high: float) -> tuple[int, float]:
     return bins, length * OVERSAMPLED / bins
 
 
-def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tuple[Floats, Floats]:
-    """(delta chi-square of all directions, Hz) up to beyond `high`, nuisances and what frames weigh unevenly left
-    aside.
+def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tuple[Floats, Floats, Floats]:
+    """(delta chi-square of all directions, spectral window of the exposures, Hz) up to beyond `high`.
+
+    Nuisances and what frames weigh unevenly are left aside, in single precision: they find peaks alone.
     """
     t = model.point.t
     modes = axis_elongations_by_sinusoidal_platform_motion(model, np.zeros(1))[0, :, :, 6:]
@@ -152,28 +152,19 @@ def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tup
     half = np.linalg.cholesky(np.linalg.inv(power + SOFT * np.diag(np.maximum(own, SOFT * own.max()))))
     bins, step = _bins(np.ptp(t) + 1e-9, high)
     at = np.rint((t - t[0]) / step).astype(int)
-    spectrum = np.zeros(bins // 2 + 1)
-    for one in (beta @ half).T:
-        found = _transform(at, one, bins)
-        spectrum += 2 * (found.real**2 + found.imag**2)
-    return spectrum, cast(Floats, np.fft.rfftfreq(bins, step))
+    series = [np.bincount(at, weights=one, minlength=bins)[:bins] for one in (*(beta @ half).T, np.ones(len(t)))]
+    found = rfft(np.array(series, np.float32), overwrite_x=True)
+    square = found.real**2 + found.imag**2
+    return 2 * square[:-1].sum(axis=0), np.sqrt(square[-1]) / len(t), cast(Floats, np.fft.rfftfreq(bins, step))
 
 
-def _transform(at: Integers, weights: Floats, bins: int) -> NDArray[np.complex64]:
-    """(bins // 2 + 1,) Fourier transform of weights (F,) at bins (F,), in single precision: it finds peaks alone."""
-    series = np.bincount(at, weights=weights, minlength=bins)[:bins].astype(np.float32)
-    return cast(NDArray[np.complex64], np.fft.rfft(series))
+def _mirrors_of_slow_changes(spectrum: Floats, window: Floats, length: float, high: float) -> Booleans:
+    """(bins,) bool: frequencies of a spectrum (bins,) that may mirror a drift, or cannot be told from none.
 
-
-def _mirrors_of_slow_changes(t: Floats, spectrum: Floats, length: float, high: float) -> Booleans:
-    """(bins,) bool: frequencies of a spectrum (bins,) that may mirror a drift, or cannot be told from none, at times
-    t (F,) s.
-
-    What a slow change mirrors at a frequency is its power by the square of the spectral window between the two, where
-    that window is high.
+    What a slow change mirrors at a frequency is its power by the square of the spectral window (bins,) between the two,
+    where that window is high.
     """
-    bins, step = _bins(length, high)
-    window = np.abs(_transform(np.rint((t - t[0]) / step).astype(int), np.ones(len(t)), bins)) / len(t)
+    bins, _ = _bins(length, high)
     high_at, mirrored = np.flatnonzero(window > ALIAS), np.zeros(len(spectrum))
     for slow in range(-SLOWEST * OVERSAMPLED, SLOWEST * OVERSAMPLED + 1):
         at = np.abs(high_at + slow)
