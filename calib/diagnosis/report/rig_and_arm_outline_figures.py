@@ -233,17 +233,17 @@ def _view(title: str, ghosts: Floats, points: Floats, joints: Floats, marks: lis
         (ARM_FIGURE_HEIGHT - 2 * ARM_MARGIN) / max(high[1] - low[1], 1e-9),
     )
 
-    def placed(points: Floats) -> list[list[float]]:
+    def placed(outline: Floats) -> list[list[float]]:
         return np.stack(
             [
-                ARM_MARGIN + scale * (points[:, 0] - low[0]),
-                20 + ARM_FIGURE_HEIGHT - ARM_MARGIN - scale * (points[:, 1] - low[1]),
+                ARM_MARGIN + scale * (outline[:, 0] - low[0]),
+                20 + ARM_FIGURE_HEIGHT - ARM_MARGIN - scale * (outline[:, 1] - low[1]),
             ],
             axis=1,
         ).tolist()
 
-    def drawn(points: Floats, style: str) -> str:
-        return f'<path class="{style}" d="M' + "L".join(f"{x:.1f} {y:.1f}" for x, y in placed(points)) + '"/>'
+    def drawn(outline: Floats, style: str) -> str:
+        return f'<path class="{style}" d="M' + "L".join(f"{x:.1f} {y:.1f}" for x, y in placed(outline)) + '"/>'
 
     parts = [svg_text(4, 14, title, style="name"), *(drawn(ghost, "tick") for ghost in ghosts), drawn(points, "link")]
     for j, (mark, (x, y)) in enumerate(zip(marks, placed(joints))):
