@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from calib.api.machine_run import plan_run as plan_run
     from calib.api.measuring_limb_acceptance_and_platform_poses import AcceptLimbsOptions as AcceptLimbsOptions
     from calib.api.measuring_limb_acceptance_and_platform_poses import accept_limbs as accept_limbs
-    from calib.api.online_learning import LearnOptions as LearnOptions
-    from calib.api.online_learning import learn as learn
+    from calib.api.online_parameter_learning import LearnOptions as LearnOptions
+    from calib.api.online_parameter_learning import learn as learn
     from calib.api.plan import plan as plan
     from calib.api.plan_options_and_result import PlanOptions as PlanOptions
     from calib.api.recording_check_combination_and_view import check as check
@@ -91,7 +91,7 @@ __getattr__ = lazy_getattr(
         "verify": "calib.api.verify_and_watch",
         "watch": "calib.api.verify_and_watch",
         "certify": "calib.api.certify",
-        **dict.fromkeys(("learn", "LearnOptions"), "calib.api.online_learning"),
+        **dict.fromkeys(("learn", "LearnOptions"), "calib.api.online_parameter_learning"),
         **dict.fromkeys(
             ("accept_limbs", "AcceptLimbsOptions"), "calib.api.measuring_limb_acceptance_and_platform_poses"
         ),

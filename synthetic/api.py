@@ -38,13 +38,12 @@ if TYPE_CHECKING:
 
 LARGEST_SETTING = 1e6  # of a simulated sensor
 LARGEST = {"noise": (1000, "px"), "secret": (1000, ""), "seed": ((1 << 63) - 1, "")}
-BACKGROUNDS = ("plain", "cluttered")
 
 
 @dataclass(frozen=True, slots=True)
 class ImageOptions:
     """How pictures are drawn. sensor : (name, value) of what is otherwise than the rig's sensor, see
-    rig.model.design.Sensor; background : one of BACKGROUNDS; compression : of the PNG files, 0..9
+    rig.model.design.Sensor; background : "plain" or "cluttered"; compression : of the PNG files, 0..9
     """
 
     sensor: tuple[tuple[str, float], ...] = ()

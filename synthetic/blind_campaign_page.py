@@ -71,8 +71,8 @@ def _outcome(case: Case, hidden: Hidden) -> str:
     """What became of a hidden effect: one of OUTCOMES."""
     found = case.match(hidden)
     if found is None:
-        taken = case.seen_as(hidden)
-        return taken if taken in ("unknown", "nothing") else "taken for another"
+        outcome = case.seen_as(hidden)
+        return outcome if outcome in ("unknown", "nothing") else "taken for another"
     if found.effect != hidden.effect:
         return "allowed"
     return "named and placed" if found.place == hidden.place else "named"
@@ -152,20 +152,20 @@ def campaign_verdict(figures: list[Figure]) -> Verdict:
     few = [
         f for f in requested if f not in missed and f.low < (f.goal or 0) < 1
     ]  # of no number of cases is all surely reached
-    missing = [MissingEvidence(f"{_said(f)} falls short") for f in missed if f not in surely]
-    missing += [MissingEvidence(f"too few cases to decide: {'; '.join(map(_said, few))}", MORE)] if few else []
+    missing = [MissingEvidence(f"{_figure_text(f)} falls short") for f in missed if f not in surely]
+    missing += [MissingEvidence(f"too few cases to decide: {'; '.join(map(_figure_text, few))}", MORE)] if few else []
     reached = f"{len(requested) - len(missed)} of {len(requested)} figures reach their goals"
     return judge_evidence(
         Evidence(
             reached,
             missing=tuple(missing),
-            refuted=tuple(f"{_said(f)} falls short significantly" for f in surely),
+            refuted=tuple(f"{_figure_text(f)} falls short significantly" for f in surely),
             look=LOOK_AT,
         )
     )
 
 
-def _said(f: Figure) -> str:
+def _figure_text(f: Figure) -> str:
     return f"{f.name} {f.hits} of {f.trials} ({f.low:.0%} to {f.high:.0%}, to reach {f.goal or 0:.0%})"
 
 
@@ -182,8 +182,8 @@ def _figure(f: Figure) -> tuple[object, ...]:
 
 def _rows(groups: Sequence[tuple[str, Sequence[Figure], dict[str, int]]]) -> list[Json]:
     return [
-        {"name": name, **{f.name: [f.hits, f.trials] for f in figures}, "taken_for": taken}
-        for name, figures, taken in groups
+        {"name": name, **{f.name: [f.hits, f.trials] for f in figures}, "taken_for": cases}
+        for name, figures, cases in groups
     ]
 
 
@@ -194,18 +194,22 @@ def _grouped(groups: Sequence[tuple[str, Sequence[Figure], dict[str, int]]], hea
             figures[0].trials,
             *(f"{f.hits} of {f.trials}" if f.trials else "" for f in figures),
             ", ".join(
-                f"{other} {count}" for other, count in sorted(taken.items(), key=lambda item: -item[1]) if other != name
+                f"{other} {count}" for other, count in sorted(cases.items(), key=lambda item: -item[1]) if other != name
             ),
         )
-        for name, figures, taken in groups
+        for name, figures, cases in groups
     ]
     return table_html((heading, "times", "detected", "named", "placed", "intervals that cover", "taken for"), rows)
 
 
 def _strengths(cases: list[Case]) -> str:
     """What became of every hidden effect, by its strength: a row for each outcome."""
-    told = [(max(h.strength, 0.1), OUTCOMES.index(_outcome(c, h))) for c in cases if c.failed is None for h in c.hidden]
-    strength, became = (np.array(column, float) for column in zip(*told)) if told else (np.zeros(0), np.zeros(0))
+    strengths = [
+        (max(h.strength, 0.1), OUTCOMES.index(_outcome(c, h))) for c in cases if c.failed is None for h in c.hidden
+    ]
+    strength, became = (
+        (np.array(column, float) for column in zip(*strengths)) if strengths else (np.zeros(0), np.zeros(0))
+    )
     series = [
         Series(np.log10(strength[became == k]), np.full((became == k).sum(), len(OUTCOMES) - float(k)), name, colour=k)
         for k, name in enumerate(OUTCOMES)

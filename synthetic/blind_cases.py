@@ -228,8 +228,12 @@ def draw_case(
 def _drawn(
     kind: str, hidden: list[type[Effect]], rng: np.random.Generator, frames: int, withheld: Sequence[str], images: bool
 ) -> DrawnCase:
-    eyes = draw_image_settings(rng) if images else None
-    text = _rig(rng) if eyes is None else eyes.seen_through(_rig(rng, eyes.width, eyes.height))
+    image_settings = draw_image_settings(rng) if images else None
+    text = (
+        _rig(rng)
+        if image_settings is None
+        else image_settings.seen_through(_rig(rng, image_settings.width, image_settings.height))
+    )
     with tempfile.TemporaryDirectory() as folder:
         write_text(Path(folder) / "rig.toml", text)
         design = design_from_rig_toml.load_design(Path(folder) / "rig.toml")
@@ -241,7 +245,7 @@ def _drawn(
         raise RigError("the same effect twice at one place")
     if kind == "foreign":
         effects = [unlisted_physics.draw_unlisted_effect(design, duration, rng)]
-    slight = [] if eyes is None else [draw_typical_printing_errors(design, rng)]
+    slight = [] if image_settings is None else [draw_typical_printing_errors(design, rng)]
     secret = secret_machine_and_truth_file.draw_machine(design, rng, float(rng.uniform(0.5, 1.5)), [*effects, *slight])
     done = simulation.simulate_world(secret, route, rng)
     retained = {
@@ -250,7 +254,7 @@ def _drawn(
     disturbance = (
         unlisted_physics.DISTURBANCES[rng.integers(len(unlisted_physics.DISTURBANCES))] if kind == "noise" else None
     )
-    noise = _log(rng, *NOISE) if eyes is None else eyes.noise
+    noise = _log(rng, *NOISE) if image_settings is None else image_settings.noise
     return DrawnCase(
         kind,
         replace(done, log=Sensors(done.log.t, retained)),
@@ -260,7 +264,7 @@ def _drawn(
         plan,
         rng,
         tuple(effects),
-        eyes,
+        image_settings,
     )
 
 
@@ -279,16 +283,16 @@ def _rig(rng: np.random.Generator, width: int = 1280, height: int = 1024) -> str
     )
 
 
-def _protocol(frames: int, rng: np.random.Generator, withheld: Sequence[str], again: bool = False) -> str:
+def _protocol(frames: int, rng: np.random.Generator, withheld: Sequence[str], repeated: bool = False) -> str:
     """Text of a plan of about so many frames: configurations, ladders, loads, motion, repeats in a random order.
 
     again : whether ladders and repeats are always among them, where markers come back to the same pixels
     """
     parts = ["sobol", "sobol"]
-    parts += ["ladder"] * ((again or rng.random() < 0.85) and "reversals" not in withheld)
+    parts += ["ladder"] * ((repeated or rng.random() < 0.85) and "reversals" not in withheld)
     parts += ["payload"] * (rng.random() < 0.8 and "payload" not in withheld)
     parts += ["moving"] * (int(rng.integers(1, 4)) if not {"motion", "reversals"} & set(withheld) else 0)
-    parts += ["repeat"] * (again or rng.random() < 0.3)
+    parts += ["repeat"] * (repeated or rng.random() < 0.3)
     share = {"sobol": 3.0, "ladder": 2.5, "payload": 1.5, "moving": 1.0, "repeat": 1.0}
     weights = np.array([share[part] for part in parts]) * rng.uniform(0.7, 1.3, len(parts))
     counts = frames * weights / weights.sum()

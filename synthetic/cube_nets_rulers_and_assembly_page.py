@@ -147,8 +147,8 @@ def _packed(
         if not placed:
             return None
         sheets.append(Sheet(placed is turned, placed))
-        taken = {one.piece for one in placed}
-        left = [piece for piece in left if piece not in taken]
+        pieces = {one.piece for one in placed}
+        left = [piece for piece in left if piece not in pieces]
     return tuple(sheets)
 
 

@@ -76,7 +76,7 @@ class Case:
         return [f for f in self.found if f.effect != "unknown"]
 
     @property
-    def said(self) -> list[Found]:
+    def named_or_remarked(self) -> list[Found]:
         """The same; where there is none, remarks on effects that were hidden, at their places: an effect within
         tolerances is rightly no finding.
         """
@@ -93,7 +93,7 @@ class Case:
             lambda f: (hidden.effect, hidden.place) in f.alternatives,
             lambda f: hidden.effect in f.names(),
         ):
-            for f in self.said:
+            for f in self.named_or_remarked:
                 if fits(f):
                     return f
         return None
@@ -110,8 +110,8 @@ class Case:
         own = self.match(hidden)
         if own is not None:
             return own.effect
-        taken = [id(self.match(h)) for h in self.hidden]
-        rest = [f.effect for f in self.named if id(f) not in taken]
+        matches = [id(self.match(h)) for h in self.hidden]
+        rest = [f.effect for f in self.named if id(f) not in matches]
         return rest[0] if rest else "unknown" if self.unexplained else "nothing"
 
 
@@ -249,14 +249,22 @@ def campaign_figures(cases: list[Case]) -> list[Figure]:
     return [
         _share_figure("diagnosed without an error", [c.failed is None for c in cases], 1.0),
         _share_figure("nothing hidden: no finding", [not c.found and not c.unexplained for c in still], 148 / 150),
-        _share_figure("one effect: detected", [bool(c.found or c.said) or c.unexplained for c in one], 0.97),
         _share_figure(
-            "one effect: named first", [bool(c.said) and c.said[0].effect == c.hidden[0].effect for c in one], 0.92
+            "one effect: detected", [bool(c.found or c.named_or_remarked) or c.unexplained for c in one], 0.97
+        ),
+        _share_figure(
+            "one effect: named first",
+            [bool(c.named_or_remarked) and c.named_or_remarked[0].effect == c.hidden[0].effect for c in one],
+            0.92,
         ),
         _share_figure("one effect: truth in the set", [c.match(c.hidden[0]) is not None for c in one], 0.97),
         _share_figure(
             "one effect: at its place",
-            [any((f.effect, f.place) == (h.effect, h.place) for f in c.said) for c in one for h in c.hidden],
+            [
+                any((f.effect, f.place) == (h.effect, h.place) for f in c.named_or_remarked)
+                for c in one
+                for h in c.hidden
+            ],
             0.9,
         ),
         _share_figure("one effect: nothing else named", [not c.wrong() and len(c.named) <= 1 for c in one]),

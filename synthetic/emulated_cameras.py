@@ -39,7 +39,7 @@ SOON, LATE = (
     0.02,
     20.0,
 )  # s between looks at the history for what the struts did up to a moment, and until that is given up
-Told = Callable[[], tuple[Floats, Floats]]
+StrutHistory = Callable[[], tuple[Floats, Floats]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,12 +52,18 @@ class Temperatures:
 
 class EmulatedCameras:
     """What cameras and sensors of a world show. images : Images; seed : of temperatures and noise
-    told : the struts' history so far, (k,) s and (k, n) m, straight between; it is waited for until it reaches the
-        moment of asking."""
+    strut_history : the struts' history so far, (k,) s and (k, n) m, straight between; it is waited for until it
+        reaches the moment of asking."""
 
-    def __init__(self, world: World, images: Images, seed: int, told: Told, clock: Clock) -> None:
+    def __init__(self, world: World, images: Images, seed: int, strut_history: StrutHistory, clock: Clock) -> None:
         self._clock = clock
-        self.world, self._images, self._seed, self._told, self._count = remount_cubes(world, {}), images, seed, told, 0
+        self.world, self._images, self._seed, self._strut_history, self._count = (
+            remount_cubes(world, {}),
+            images,
+            seed,
+            strut_history,
+            0,
+        )
         self._temperatures = Temperatures(
             *worlds.draw_temperatures(LONGEST, np.random.default_rng(seed), len(world.true.mechanism.axes))
         )
@@ -100,7 +106,7 @@ class EmulatedCameras:
 
     def _now(self, t: float) -> Simulation:
         """The machine at t (s), after all that its struts have done."""
-        times, lengths = self._told()
+        times, lengths = self._strut_history()
         while times[-1] < t:  # where they stand at t is not known before
             if self._clock.now() > t + LATE:
                 raise RigError(
@@ -108,7 +114,7 @@ class EmulatedCameras:
                     f"further for {LATE:g} s"
                 )
             self._clock.sleep(SOON)
-            times, lengths = self._told()
+            times, lengths = self._strut_history()
         self._start = float(times[0]) if self._start is None else self._start
         past = times < t
         at = np.array([np.interp(t, times, column) for column in lengths.T])
@@ -164,21 +170,21 @@ class CameraServer:
     picture is being drawn; pictures are drawn one after the other in the thread that calls `serve`: OpenGL wants
     that."""
 
-    def __init__(self, eyes: EmulatedCameras, address: tuple[str, int], clock: Clock) -> None:
-        self._eyes, self._clock = eyes, clock
+    def __init__(self, cameras: EmulatedCameras, address: tuple[str, int], clock: Clock) -> None:
+        self._cameras, self._clock = cameras, clock
         try:
             self._listening = socket.create_server(address)
         except OSError as error:
             raise RigError(f"cannot listen at {address[0]}:{address[1]}: {error}") from None
         self.name = "{}:{}".format(*self._listening.getsockname()[:2])
-        self._asked: queue.Queue[tuple[socket.socket, str, float]] = queue.Queue()
+        self._requests: queue.Queue[tuple[socket.socket, str, float]] = queue.Queue()
         threading.Thread(target=self._accept, daemon=True).start()
 
     def serve(self, going: Callable[[], bool]) -> None:
         """Answer while going() says so."""
         while going():
             try:
-                caller, line, t = self._asked.get(timeout=LOOK)
+                caller, line, t = self._requests.get(timeout=LOOK)
             except queue.Empty:
                 continue
             try:
@@ -208,13 +214,13 @@ class CameraServer:
         with caller, caller.makefile("rb") as stream:
             try:
                 while (line := stream.readline(LONGEST_REQUEST)).endswith(b"\n"):
-                    self._asked.put((caller, line.decode("latin-1"), self._clock.now()))
+                    self._requests.put((caller, line.decode("latin-1"), self._clock.now()))
             except OSError:
                 return  # the line broke; there is nobody to answer
 
     def _reply(self, words: list[str], t: float) -> bytes:
         if words == ["sensors"]:
-            return (",".join(f"{value:.9g}" for value in self._eyes.sensors(t).values()) + "\n").encode()
+            return (",".join(f"{value:.9g}" for value in self._cameras.sensors(t).values()) + "\n").encode()
         if len(words) != 3 or words[0] != "expose":
             raise RigError(f"expected `expose CAMERA SECONDS` or `sensors`, got {' '.join(words)!r}")
         try:
@@ -223,7 +229,7 @@ class CameraServer:
             exposure = np.nan
         if not 0 < exposure < 100:
             raise RigError(f"an exposure of {words[2]} s is not valid")
-        image = self._eyes.image(words[1], t, exposure)
+        image = self._cameras.image(words[1], t, exposure)
         eight = image.dtype == np.uint8
         head = {
             "width": image.shape[1],

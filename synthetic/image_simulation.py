@@ -73,9 +73,9 @@ def render_images(
         (out / "images" / camera.name).mkdir(parents=True, exist_ok=True)
     # camera by camera, since a process that changes camera makes a new framebuffer
     work = [(f, i) for i in range(len(world.true.cameras)) for f in range(len(plan.t))]
-    there = None if images.processes else parallel_map_and_dask_cluster.current_cluster()
-    if there is not None:
-        there.map(partial(_draw_there, simulation, out, images, seed), work, progress)
+    cluster = None if images.processes else parallel_map_and_dask_cluster.current_cluster()
+    if cluster is not None:
+        cluster.map(partial(_draw_on_worker, simulation, out, images, seed), work, progress)
         return
     count = min(images.processes or worker_count(), len(work))
     if count <= 1:
@@ -122,7 +122,7 @@ def _start(simulation: Simulation, out: Path | None, images: Images, seed: int) 
     _state.update(simulation=simulation, out=out, images=images, seed=seed)
 
 
-def _draw_there(simulation: Simulation, out: Path, images: Images, seed: int, item: tuple[int, int]) -> None:
+def _draw_on_worker(simulation: Simulation, out: Path, images: Images, seed: int, item: tuple[int, int]) -> None:
     """`_draw` by a worker of a cluster, whatever that has drawn before. OpenGL belongs to the thread that began it, so
     that one draws all.
     """

@@ -31,7 +31,7 @@ from synthetic.rig_meshes import (
     strut_ends,
 )
 
-KEPT = 4  # of what the last cameras' optics do; a falloff is as large as a picture
+CACHED = 4  # of what the last cameras' optics do; a falloff is as large as a picture
 BLACK = 4.0  # grey level of no light, so that noise is not cut off
 
 
@@ -69,7 +69,7 @@ def expose_image(radiance: Floats, sensor: Sensor, rng: np.random.Generator, sam
     return np.clip(np.rint(grey * np.float32(top / 255)), 0, top).astype(np.uint8 if sensor.bits == 8 else np.uint16)
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHED)
 def _disc(radius: float) -> Floats:
     """A uniform disc of a radius (px), each pixel weighted by the part of it that the disc covers: one pixel alone
     where it is a point.
@@ -81,7 +81,7 @@ def _disc(radius: float) -> Floats:
     return kernel / kernel.sum()
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHED)
 def _falloff(shape: tuple[int, ...], lost: float) -> Floats:
     """(height, width) share of the light that arrives: 1 in the middle, 1 - lost in the corners, with the square of the
     radius.

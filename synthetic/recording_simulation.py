@@ -248,14 +248,14 @@ def _covered(
     matrix = T.as_matrix()[found.frame]
     on = markers.on_platform[found.marker]
     base = np.where(on[:, None, None], points @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3], points)
-    eyes = np.empty((len(found.frame), 3))
+    camera_positions = np.empty((len(found.frame), 3))
     moving = carried_camera_poses(design.cameras, stages[-1])
     for i, camera in enumerate(design.cameras):
         rows = found.camera == i
-        eyes[rows] = moving[i].translation[found.frame[rows]] if i in moving else camera.pose.translation
+        camera_positions[rows] = moving[i].translation[found.frame[rows]] if i in moving else camera.pose.translation
     count = points.shape[1]
     blocked = is_occluded(
-        design, stages, np.repeat(found.frame, count), np.repeat(eyes, count, axis=0), base.reshape(-1, 3)
+        design, stages, np.repeat(found.frame, count), np.repeat(camera_positions, count, axis=0), base.reshape(-1, 3)
     )
     return np.any(blocked.reshape(-1, count), axis=1)
 

@@ -213,11 +213,11 @@ def _struts(stands: StrutStage) -> list[Part]:
 
 def _blank_faces(target: Target) -> list[Part]:
     """The faces of a cube that carry no marker."""
-    taken = dict(target.faces)
+    marked = dict(target.faces)
     return [
         _quad(target.body, target.seat * face_pose(face, target.edge), target.edge / 2, WHITE)
         for face in FACES
-        if target.edge is not None and face not in taken
+        if target.edge is not None and face not in marked
     ]
 
 

@@ -23,8 +23,8 @@ def run(*arguments, ok=True):
         except SystemExit as end:
             status = end.code
     printed.flush(), complaint.flush()
-    out, said = (stream.buffer.getvalue().decode() for stream in (printed, complaint))
-    return _as_expected(subprocess.CompletedProcess(words, status, out, said), ok)
+    out, error_text = (stream.buffer.getvalue().decode() for stream in (printed, complaint))
+    return _as_expected(subprocess.CompletedProcess(words, status, out, error_text), ok)
 
 
 def run_process(*arguments, ok=True):

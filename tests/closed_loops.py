@@ -12,20 +12,32 @@ def rig(*words):
     assert command_line.main([str(word) for word in words]) == 0, words
 
 
+def simulate_with_truth(folder, plan, seed, *words):
+    """Simulate the rig of a folder's rig.toml into its rec, with its truth.json."""
+    files = ("--out", folder / "rec", "--truth", folder / "truth.json")
+    rig("simulate", folder / "rig.toml", "--plan", plan, "--seed", seed, *words, *files)
+
+
+def design_two_struts(folder, *words):
+    """Design a small rig of two struts into a folder's rig.toml."""
+    out = ("--cubes", "1", "--cameras", "2", "--out", folder / "rig.toml")
+    rig("design", "--mechanism", "planar2", "--radius", "0.3", *words, *out)
+
+
 def calibrated(folder, capfd, *words):
     """Calibrate a folder's rec into its calibration.json, by way of the standard output: no page is drawn."""
     capfd.readouterr()
     rig("calibrate", folder / "rec", "--out", "-", *words)
-    said = capfd.readouterr().out
-    (folder / "calibration.json").write_text(said[said.index("{\n") : said.rindex("}") + 1])
+    output = capfd.readouterr().out
+    (folder / "calibration.json").write_text(output[output.index("{\n") : output.rindex("}") + 1])
 
 
-def verified(folder, capfd, poses, drive=(), calibrate=(), taken="wanted.csv"):
+def verified(folder, capfd, poses, drive=(), calibrate=(), reached="wanted.csv"):
     """What `rig verify --json` says of wanted poses, driven and measured.
 
     folder : with rig.toml, the recording rec and its truth.json; poses : lines of wanted poses; drive : options of the
         simulated drive
-    taken : what the drive is judged against, of an arm of few joints the poses that it takes instead
+    reached : what the drive is judged against, of an arm of few joints the poses that it takes instead
     """
     (folder / "wanted.csv").write_text("frame,x,y,z,rx,ry,rz\n" + "\n".join(poses) + "\n")
     calibrated(folder, capfd, *calibrate)
@@ -46,7 +58,7 @@ def verified(folder, capfd, poses, drive=(), calibrate=(), taken="wanted.csv"):
         folder / "drive.json",
     )
     capfd.readouterr()
-    rig("verify", folder / "calibration.json", folder / "drive", "--wanted", folder / taken, "--json")
+    rig("verify", folder / "calibration.json", folder / "drive", "--wanted", folder / reached, "--json")
     return json.loads(capfd.readouterr().out)
 
 

@@ -26,14 +26,14 @@ def ways(folder: Path) -> tuple[list[list[str]], ...]:
         ["simulate", arm, "--plan", "sobol:60", "--seed", "1", "--out", on_arm],
         ["calibrate", on_arm, "--out", folder / "arm.json"],
     ]
-    return tuple([[str(word) for word in command] for command in way] for way in (images, corners))
+    return tuple([[str(word) for word in command] for command in commands] for commands in (images, corners))
 
 
-def go(way: list[list[str]]) -> None:
+def go(commands: list[list[str]]) -> None:
     """Run commands one after another. Raises CalledProcessError with what the command printed to the error output
     shown.
     """
-    for command in way:
+    for command in commands:
         subprocess.run([*RIG, *command], check=True, stdout=subprocess.DEVNULL)
 
 

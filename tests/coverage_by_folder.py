@@ -15,28 +15,28 @@ def shares(report: dict[str, Any]) -> dict[str, tuple[int, int]]:
     """{folder: (statements run, statements)} of a report of coverage.py as JSON: packages, and their folders by
     name.
     """
-    run, there = Counter[str](), Counter[str]()
+    run, total = Counter[str](), Counter[str]()
     for name, file in report["files"].items():
         folders = PurePath(name).parent.parts[:DEPTH]
         for count in range(1, len(folders) + 1):
             folder = "/".join(folders[:count])
             run[folder] += file["summary"]["covered_lines"]
-            there[folder] += file["summary"]["num_statements"]
-    return {folder: (run[folder], there[folder]) for folder in sorted(there)}
+            total[folder] += file["summary"]["num_statements"]
+    return {folder: (run[folder], total[folder]) for folder in sorted(total)}
 
 
 def table(found: dict[str, tuple[int, int]]) -> str:
     """A line a folder: its share in percent, statements run, statements; folders of a package are indented below it."""
     packages = [pair for folder, pair in found.items() if "/" not in folder]
-    rows = [*found.items(), ("all", (sum(run for run, _ in packages), sum(there for _, there in packages)))]
+    rows = [*found.items(), ("all", (sum(run for run, _ in packages), sum(total for _, total in packages)))]
     return "\n".join(
         f"{'  ' * folder.count('/') + folder:30} {_percent(*pair):>7} {pair[0]:>7} of {pair[1]:>6}"
         for folder, pair in rows
     )
 
 
-def _percent(run: int, there: int) -> str:
-    return f"{100 * run / there:.1f} %" if there else "none"
+def _percent(run: int, total: int) -> str:
+    return f"{100 * run / total:.1f} %" if total else "none"
 
 
 def main() -> None:

@@ -62,14 +62,14 @@ def _emulate(folder: str, protocol: str, pipe) -> None:
         design_from_rig_toml.load_design(Path(folder) / "rig.toml"), Faults((), np.random.default_rng(0)), clock
     )
     wire = controller_emulator_opening_and_ports.Terminal(link)
-    told = open(Path(folder) / "told.csv", "w", encoding="utf-8")  # noqa: SIM115
+    goals_file = open(Path(folder) / "told.csv", "w", encoding="utf-8")  # noqa: SIM115
     count = 0
 
     def record() -> None:
         nonlocal count
         for move in made.machine.executed[count:]:
-            told.write(",".join(f"{value:.6f}" for value in move.target) + "\n")
-            told.flush()
+            goals_file.write(",".join(f"{value:.6f}" for value in move.target) + "\n")
+            goals_file.flush()
             count += 1
 
     pipe.send(True)
@@ -89,7 +89,7 @@ class EmulatedRig:
         self._process.start()
         assert ours.poll(60) and ours.recv()
 
-    def told(self) -> list[tuple[float, ...]]:
+    def commanded_goals(self) -> list[tuple[float, ...]]:
         """Goals of the moves carried out so far, m."""
         return [tuple(map(float, line.split(","))) for line in (self.folder / "told.csv").read_text().splitlines()]
 

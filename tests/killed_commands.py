@@ -86,7 +86,7 @@ class Command:
     """
 
     def __init__(self, folder: Path, words: list[str]) -> None:
-        self._said = tempfile.TemporaryFile()  # noqa: SIM115
+        self._messages = tempfile.TemporaryFile()  # noqa: SIM115
         self.error = ""  # what it printed on the error output, once it has ended
         self.pid = os.fork()
         if not self.pid:
@@ -96,7 +96,7 @@ class Command:
                 os.chdir(folder)
                 os.environ.update(PYTHONPATH=str(ROOT), OMP_NUM_THREADS="1")
                 nothing = os.open(os.devnull, os.O_RDWR)
-                for descriptor, to in ((0, nothing), (1, nothing), (2, self._said.fileno())):
+                for descriptor, to in ((0, nothing), (1, nothing), (2, self._messages.fileno())):
                     os.dup2(to, descriptor)
                 sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
                 status = command_line.main(words)
@@ -114,9 +114,9 @@ class Command:
         while True:
             pid, status = os.waitpid(self.pid, 0 if end is None else os.WNOHANG)
             if pid:
-                with self._said as said:
-                    said.seek(0)
-                    self.error = said.read().decode()
+                with self._messages as messages:
+                    messages.seek(0)
+                    self.error = messages.read().decode()
                 return os.waitstatus_to_exitcode(status)
             if time.monotonic() > end:
                 return None
@@ -188,7 +188,7 @@ def killed(scene: Scene, work: Path, share: float, number: int = signal.SIGKILL)
         command.ended()
     if command.outlived():
         return f"{scene.name} at {share:.3f}: processes are left"
-    return _damage(scene, work) or _again(scene, work) or _done(work)
+    return _damage(scene, work) or _failure_of_repetition(scene, work) or _done(work)
 
 
 def starved(scene: Scene, disk: Path, room: int) -> str:
@@ -207,7 +207,7 @@ def starved(scene: Scene, disk: Path, room: int) -> str:
         if status and scene.name != "blind" and files(work) != scene.old or list(work.rglob(".rig-*.part")):
             return f"{scene.name} with {room} bytes: what was there is not as it was"
         subprocess.run(["mount", "-o", "remount,size=1g", str(disk)], check=True)
-        return _damage(scene, work) or _again(scene, work)
+        return _damage(scene, work) or _failure_of_repetition(scene, work)
     finally:
         subprocess.run(["umount", str(disk)], check=True)
 
@@ -221,11 +221,11 @@ def _damage(scene: Scene, work: Path) -> str:
         if content not in (scene.old.get(name), scene.new.get(name)):
             return f"{scene.name}: {name} is neither as it was nor as it was to be"
     for top in sorted({name.split("/")[0] for name in (*left, *scene.old)} - marked):
-        kept, old, new = (
+        current, old, new = (
             {name: content for name, content in tree.items() if name.split("/")[0] == top}
             for tree in (left, scene.old, scene.new)
         )
-        if kept not in (old, new):
+        if current not in (old, new):
             return f"{scene.name}: {top} is a mixture and not marked"
     return ""
 
@@ -241,7 +241,7 @@ def _marked(work: Path) -> set[str]:
     return out
 
 
-def _again(scene: Scene, work: Path) -> str:
+def _failure_of_repetition(scene: Scene, work: Path) -> str:
     command = Command(work, scene.words)
     status, error = command.ended(), command.error
     if status and not (scene.name == "online" and "count twice" in error):

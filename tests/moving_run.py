@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from rig.driving.emulators.emulated_axes_and_faults import MovingAxes
+from tests.truth.camera_sets import BETWEEN, CameraSet
 from tests.truth.case import Case, draw
-from tests.truth.eyes import BETWEEN, Eyes
 from tests.truth.sights import Rolling
 from tests.truth.written import rig_toml
 
@@ -26,7 +26,7 @@ import time
 
 import numpy as np
 
-from rig.driving.base import UserCamera
+from rig.driving.user_base_classes import UserCamera
 
 DELAYS = {delays}
 LATE = {late}
@@ -61,11 +61,11 @@ def corners_seen(
     at; t : (n, cameras) s, true middles of the exposures
     """
     rng, rows = np.random.default_rng(seed), []
-    for i, camera in enumerate(case.eyes.cameras):
+    for i, camera in enumerate(case.camera_set.cameras):
         sight = Rolling(ROW_TIME if rolling else 0.0)
-        eyes = Eyes((camera,), (camera,), case.eyes.cubes, case.eyes.sigma, sight)
+        camera_set = CameraSet((camera,), (camera,), case.camera_set.cubes, case.camera_set.sigma, sight)
         around = tuple(case.machine.forward(lengths_at(t[:, i] + late)) for late in (-BETWEEN, 0.0, BETWEEN))
-        seen = eyes.corners(t[:, i], around, case.day, rng)
+        seen = camera_set.corners(t[:, i], around, case.day, rng)
         seen[:, 1] = i
         rows.append(seen)
     return np.concatenate(rows)
@@ -75,14 +75,14 @@ def write_corners(case: Case, folder: Path, rows: np.ndarray) -> None:
     """Write corners.csv of rows as `corners_seen` gives them."""
     text = ["frame,camera,marker,corner,u,v,sigma"]
     for frame, camera, marker, corner, u, v in rows[np.lexsort(rows[:, 3::-1].T)]:
-        name = case.eyes.stated[int(camera)].name
-        text.append(f"{frame:.0f},{name},{marker:.0f},{corner:.0f},{u:.6f},{v:.6f},{case.eyes.sigma:.6g}")
+        name = case.camera_set.stated[int(camera)].name
+        text.append(f"{frame:.0f},{name},{marker:.0f},{corner:.0f},{u:.6f},{v:.6f},{case.camera_set.sigma:.6g}")
     (folder / "corners.csv").write_text("\n".join(text) + "\n")
 
 
 def write_frames(case: Case, folder: Path, t: np.ndarray) -> None:
     """Write frames.csv of logged times t (n, cameras) s."""
-    names = [camera.name for camera in case.eyes.stated]
+    names = [camera.name for camera in case.camera_set.stated]
     rows = [f"{k},{at:.6f},{name},\n" for k, row in enumerate(t) for at, name in zip(row, names)]
     (folder / "frames.csv").write_text("frame,t,camera,image\n" + "".join(rows))
 

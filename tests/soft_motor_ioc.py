@@ -19,19 +19,19 @@ HOME, HOMING_SPEED = 0.0, 20.0  # mm, mm/s
 STALLS, PROBLEM, HOMED = 1 << 6, 1 << 9, 1 << 14
 
 
-def trapezoid(t, way, speed, ramp):
+def trapezoid(t, distance, speed, ramp):
     """(mm passed, whether it is over) at t (s) of a way (mm, above 0) at a speed (mm/s), reached within ramp (s)."""
     rate = speed / ramp
-    if way < speed * ramp:  # it never comes to full speed
-        ramp = (way / rate) ** 0.5
+    if distance < speed * ramp:  # it never comes to full speed
+        ramp = (distance / rate) ** 0.5
         speed = rate * ramp
-    whole = way / speed + ramp
+    whole = distance / speed + ramp
     if t >= whole:
-        return way, True
+        return distance, True
     if t < ramp:
         return rate * t * t / 2, False
     if t > whole - ramp:
-        return way - rate * (whole - t) ** 2 / 2, False
+        return distance - rate * (whole - t) ** 2 / 2, False
     return speed * (t - ramp / 2), False
 
 
@@ -61,13 +61,13 @@ class Motor:
         ):
             await field.write(value)
         await self.record.write(self.at)
-        f.value_write_hook = self.told
+        f.value_write_hook = self.notice
         whole = AccessRights.READ | AccessRights.WRITE
         self.record.check_access = lambda host, user: (
             AccessRights.READ if self.number == self.group.locked.value else whole
         )
 
-    async def told(self, fields, value):
+    async def notice(self, fields, value):
         """VAL was written."""
         f = self.fields
         beyond = not f.user_low_limit.value <= value <= f.user_high_limit.value

@@ -40,7 +40,7 @@ def asks_kind(node: ast.AST) -> bool:
     return isinstance(node, ast.MatchValue) and bool(words(node.value) & WORDS)
 
 
-def kinds_asked(path: Path) -> list[int]:
+def kind_tests(path: Path) -> list[int]:
     """Lines of a file that ask for a kind of machine."""
     return sorted(n.lineno for n in nodes(path) if asks_kind(n))
 
@@ -51,7 +51,7 @@ def test_every_way_to_ask_is_found(tmp_path):
         'match m:\n    case Hexapod():\n        pass\nmatch m.kind:\n    case "free":\n        pass\n'
         'if place == "arm" or m.kind == other.kind or isinstance(m, int):\n    pass\n'
     )
-    assert kinds_asked(tmp_path / "a.py") == [1, 3, 5, 7, 10]
+    assert kind_tests(tmp_path / "a.py") == [1, 3, 5, 7, 10]
 
 
 def test_a_machines_kind_is_asked_in_few_places():
@@ -59,6 +59,6 @@ def test_a_machines_kind_is_asked_in_few_places():
         str(path.relative_to(ROOT)): lines
         for room in ROOMS
         for path in sorted((ROOT / room).rglob("*.py"))
-        if not any(ROOT / own in path.parents for own in OWN) and (lines := kinds_asked(path))
+        if not any(ROOT / own in path.parents for own in OWN) and (lines := kind_tests(path))
     }
     assert sum(map(len, found.values())) <= MOST, found

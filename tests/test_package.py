@@ -51,12 +51,12 @@ def licence(distribution):
     """What a distribution says of its licence: the expression, else its classifiers, else its own words, else what the
     text is.
     """
-    told = distribution.metadata
-    classified = [line for line in told.get_all("Classifier") or () if line.startswith("License ::")]
+    distribution_metadata = distribution.metadata
+    classified = [line for line in distribution_metadata.get_all("Classifier") or () if line.startswith("License ::")]
     return (
-        told.get("License-Expression")
+        distribution_metadata.get("License-Expression")
         or " / ".join(classified)
-        or (told.get("License") or "")[:200]
+        or (distribution_metadata.get("License") or "")[:200]
         or _text(distribution)
     )
 
@@ -112,9 +112,9 @@ def test_direct_needs_stand_in_the_table_of_licences():
 @pytest.fixture
 def plain(monkeypatch):
     """An installation without the extra `print`."""
-    there = importlib.util.find_spec
+    find_spec = importlib.util.find_spec
     monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name, *rest: None if name == "matplotlib" else there(name, *rest)
+        importlib.util, "find_spec", lambda name, *rest: None if name == "matplotlib" else find_spec(name, *rest)
     )
 
 

@@ -32,7 +32,7 @@ CALLS = {
     **{verb: f"calib.api.verify_and_watch:{verb}" for verb in ("verify", "watch")},
     "simulate": "synthetic.api:simulate",
     "measure": "vision.api:measure",
-    "calibrate online": "calib.api.online_learning:learn",
+    "calibrate online": "calib.api.online_parameter_learning:learn",
     "correct serve": "calib.api.pose_move_and_correction_server:CorrectionServer",
     "limbs test": "calib.api.measuring_limb_acceptance_and_platform_poses:accept_limbs",
     "limbs closures": "calib.api.loop_closure_check_of_redundant_legs:close_loops",
@@ -82,7 +82,7 @@ COMPUTING = (
 )  # of what a command imports nothing, but for names of types and of what it prints
 NOT_COMPUTING = (
     "calib.certificate",
-    "report_sentences",
+    "diagnosis_texts",
     "Options",
     "DIRECTIONS",
     "AXES",
@@ -135,10 +135,10 @@ def test_simulate_makes_what_the_command_writes(world):
 def test_load_and_save_keep_a_recording(world):
     recording = rig.load(world / "first", mask="0-3")
     rig.save(recording, world / "saved")
-    again = rig.load(world / "saved")
-    np.testing.assert_array_equal(again.exposures.times()[0], recording.exposures.times()[0])
-    np.testing.assert_array_equal(again.corners.uv, recording.corners.uv)
-    np.testing.assert_array_equal(again.commands.values, recording.commands.values)
+    loaded = rig.load(world / "saved")
+    np.testing.assert_array_equal(loaded.exposures.times()[0], recording.exposures.times()[0])
+    np.testing.assert_array_equal(loaded.corners.uv, recording.corners.uv)
+    np.testing.assert_array_equal(loaded.commands.values, recording.commands.values)
     with pytest.raises(RigError, match="the recording itself"):
         rig.save(recording, world / "first")
 

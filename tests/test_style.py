@@ -98,13 +98,13 @@ def test_functions_take_few_parameters():
 
 
 def test_public_methods_are_told_by_their_class_or_its_base():
-    told = {f.node.name for f in functions(*PACKAGES) if f.owner is not None and ast.get_docstring(f.node)}
+    documented = {f.node.name for f in functions(*PACKAGES) if f.owner is not None and ast.get_docstring(f.node)}
     public = [
         f
         for f in functions(*PACKAGES)
         if f.owner is not None and not f.owner.name.startswith("_") and not f.node.name.startswith("_")
     ]
-    silent = [f.where for f in public if f.node.name not in told]
+    silent = [f.where for f in public if f.node.name not in documented]
     assert silent == []
 
 
@@ -172,12 +172,12 @@ def raised(function: Function) -> set[str]:
 
 def test_what_a_public_function_raises_is_told():
     """Hooks are told by their base; a command's run raises what the command says."""
-    told = [
+    documented = [
         f
         for f in functions(*PACKAGES)
         if not f.node.name.startswith("_") and f.node.name != "run" and ast.get_docstring(f.node)
     ]
-    assert [f.where for f in told if raised(f) and "aise" not in ast.get_docstring(f.node)] == []
+    assert [f.where for f in documented if raised(f) and "aise" not in ast.get_docstring(f.node)] == []
 
 
 MOST_ANY = 5  # signatures that say Any, each with its reason

@@ -173,11 +173,11 @@ def whitener_of_observations(observations: Observations) -> Whitener:
     if o.correlation is None or not len(o):
         return Whitener(own, sighting, o.corner, None)
     count = sighting[-1] + 1
-    R, there = np.zeros((count, 4, 2, 8)), np.zeros((count, 4), bool)
-    R[sighting, o.corner], there[sighting, o.corner] = o.correlation, True
-    R, there = R.reshape(count, 8, 8), np.repeat(there, 2, axis=1)
+    R, present = np.zeros((count, 4, 2, 8)), np.zeros((count, 4), bool)
+    R[sighting, o.corner], present[sighting, o.corner] = o.correlation, True
+    R, present = R.reshape(count, 8, 8), np.repeat(present, 2, axis=1)
     R = np.where(
-        there[:, :, None] & there[:, None, :], (R + np.swapaxes(R, 1, 2)) / 2, np.eye(8)
+        present[:, :, None] & present[:, None, :], (R + np.swapaxes(R, 1, 2)) / 2, np.eye(8)
     )  # a corner left out shares nothing
     return Whitener(own, sighting, o.corner, cast(Floats, np.linalg.inv(np.linalg.cholesky(R))))
 

@@ -104,11 +104,11 @@ def _sightings(measured: Measurement, body: RigidTransform) -> tuple[Sightings, 
 
 
 def _covariances(
-    measured: Measurement, body: RigidTransform, sightings: Sightings, uv: Floats, kept: tuple[Integers, float]
+    measured: Measurement, body: RigidTransform, sightings: Sightings, uv: Floats, retained: tuple[Integers, float]
 ) -> tuple[Floats, Floats]:
-    """((m, 6, 6) were all that is shared known, (m, 6, s) factor of what that adds) of poses (m,). kept : ((n,) number
-    of each frame among them, share of the sightings that are there, so much less each tells)"""
-    (number, share), a, m = kept, measured.adjustment, len(body)
+    """((m, 6, 6) were all that is shared known, (m, 6, s) factor of what that adds) of poses (m,). retained : ((n,)
+    number of each frame among them, share of the sightings that are there, so much less each tells)"""
+    (number, share), a, m = retained, measured.adjustment, len(body)
     markers, u = a.state.placed, a.unknowns
     sigma2 = float(np.median(np.trace(measured.weights, axis1=1, axis2=2))) / 2 / share
     row, corner = np.repeat(sightings.marker, 4), np.tile(np.arange(len(SQUARE)), len(sightings.marker))

@@ -163,8 +163,8 @@ class ReadoutMotion:
         known = np.searchsorted(found.observations.frames, found.frames)
         moving = np.abs(self.rates.rate[known]).max(axis=1) > 0
         state = found.adjustment.state
-        told = camera_time_offsets(now, later, AFTER, found.residuals[at], state, moving)
-        return np.zeros(len(self.offsets)) if told is None else told.certain
+        offsets = camera_time_offsets(now, later, AFTER, found.residuals[at], state, moving)
+        return np.zeros(len(self.offsets)) if offsets is None else offsets.certain
 
     def _of_solved_frames(
         self, measured: Measurement, other: Rates

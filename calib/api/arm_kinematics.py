@@ -137,7 +137,7 @@ def _closed(T: RigidTransform, form: SixJointArm, steps: bool) -> tuple[str, lis
                 else {}
             ),
         }
-        for q, flags in zip(found.q[found.there], found.singular[found.there].tolist())
+        for q, flags in zip(found.q[found.exists], found.singular[found.exists].tolist())
     ]
 
 

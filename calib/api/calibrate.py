@@ -280,8 +280,8 @@ def _calibrated(
         return _extended(recording, sampled, options, options.extend, rng, progress)
     pointing = sampled.samples.measured == "direction"
     if findings is None and (options.with_findings or pointing and not options.quick):
-        beside = fit_of_measured_effects(recording, sampled)
-        searched = sampled if beside is None else replace(sampled, samples=beside.samples)
+        instrument_fit = fit_of_measured_effects(recording, sampled)
+        searched = sampled if instrument_fit is None else replace(sampled, samples=instrument_fit.samples)
         requested = DiagnosisOptions(sampled=searched, kinds=tuple(kinds.values()))
         findings = findings_of_diagnosis(diagnose(recording, requested, progress))
     findings = findings_with_missing_instrument_effects_added(findings, recording, sampled)

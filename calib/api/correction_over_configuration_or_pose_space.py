@@ -138,7 +138,7 @@ def certify_additional_pass(
         done, more = certify_interpolation_method(
             some,
             basis,
-            _pose_space_field(_again(done.correction, correction, requested_pass), requested_pass.poses),
+            _pose_space_field(_with_same_field(done.correction, correction, requested_pass), requested_pass.poses),
             requested_pass.kind,
             rng,
             report,
@@ -185,13 +185,15 @@ def _pose_space_field(
         return ExtensionBasis(
             residual_pose_tangents_of_pass(of, on),
             lambda field: correction_with_pose_space_map(on, _part(field, part)),
-            lambda field, at: _said(field, at, on),
+            lambda field, at: _mean_square_position_error(field, at, on),
         )
 
     return stand
 
 
-def _again(done: AnyCorrection, before: AnyCorrection, asked: CorrectionPass) -> Callable[[Samples], AnyCorrection]:
+def _with_same_field(
+    done: AnyCorrection, before: AnyCorrection, requested: CorrectionPass
+) -> Callable[[Samples], AnyCorrection]:
     """By some samples alone, the Correction with the map in the configuration space that all of them chose."""
     extension = done.extension
     field = extension.fields[-1] if isinstance(extension, SummedPasses) else extension
@@ -202,12 +204,12 @@ def _again(done: AnyCorrection, before: AnyCorrection, asked: CorrectionPass) ->
         before,
         _part(
             fit_correction_summand_field(residual_correction_summands_of_pass(of, before), own.kind, own),
-            asked.configurations,
+            requested.configurations,
         ),
     )
 
 
-def _said(field: Field, at: Samples, on: AnyCorrection) -> float:
+def _mean_square_position_error(field: Field, at: Samples, on: AnyCorrection) -> float:
     one = PoseMap(home_pose(on.nominal), pose_coordinate_indices(on.nominal), field)
     return float((one.error(on.predict(at.commanded))[:, :3] ** 2).sum(axis=1).mean())
 
@@ -216,14 +218,14 @@ def _part(field: Field | None, part: SpacePart | None) -> Field | None:
     return field if field is None or part is None else RestrictedMap(field, part)
 
 
-def _within(samples: Samples, correction: AnyCorrection, asked: CorrectionPass) -> Booleans:
+def _within(samples: Samples, correction: AnyCorrection, requested: CorrectionPass) -> Booleans:
     """(n,) bool, the samples in the parts asked for."""
     keep = np.ones(len(samples), bool)
-    if asked.configurations is not None:
-        keep &= asked.configurations.holds(samples.commanded)
-    if asked.poses is not None:
+    if requested.configurations is not None:
+        keep &= requested.configurations.holds(samples.commanded)
+    if requested.poses is not None:
         at = pose_coordinates(correction.predict(samples.commanded), home_pose(correction.nominal))
-        keep &= asked.poses.holds(at[:, list(pose_coordinate_indices(correction.nominal))])
+        keep &= requested.poses.holds(at[:, list(pose_coordinate_indices(correction.nominal))])
     if not keep.any():
         raise NotEnoughData(f"none of {len(samples)} samples lies in the requested part")
     return keep
@@ -231,14 +233,14 @@ def _within(samples: Samples, correction: AnyCorrection, asked: CorrectionPass) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExtendOptions:
-    """way : how, of "linear", "simplex", "delaunay", "axes", "radial", "polynomial" or, by held-out error, "auto"
+    """method : how, of "linear", "simplex", "delaunay", "axes", "radial", "polynomial" or, by held-out error, "auto"
     alone : whether to correct the nominal model itself, with no geometry fitted first; onto : Calibration on which this
     is one more pass, or None; name : of that, in words
     space : of a pass, where it maps what is left, one of SPACES, None for configurations
     within : of a pass, the part in which it holds, as "l1=0.40:0.46,z=0.41:" (m, rad), None for all of it
     """
 
-    way: str
+    method: str
     alone: bool = False
     onto: Calibration | None = None
     name: str = "the calibration"
@@ -256,7 +258,7 @@ class ExtendOptions:
         require_one_hand(design.mechanism, "corrections are extended")
         if is_redundant(design.mechanism) and self.space != POSE:
             raise RigError(
-                f"--extend {self.way} interpolates between independent commands, and the lengths of "
+                f"--extend {self.method} interpolates between independent commands, and the lengths of "
                 f"{len(design.mechanism.axes)} struts depend on each other; over the six coordinates of poses it is a "
                 "pass: --onto CALIBRATION --space pose"
             )
@@ -300,7 +302,7 @@ def certify_correction_extension(
 
     Raises RigError for a chain, and for a part that bounds nothing
     """
-    samples, ask = sampled.samples, ExtensionRequest(options.way, options.alone)
+    samples, ask = sampled.samples, ExtensionRequest(options.method, options.alone)
     base = "the nominal model alone" if options.alone else "the fitted geometry"
     if has_links(design.mechanism):
         arm = require_arm(design.mechanism)
@@ -332,14 +334,14 @@ def _certify_pass(
             f"{'x y z rx ry rz' if space == POSE else 'the axes'}; --space both accepts either"
         )
     done, tried, count = certify_additional_pass(
-        samples, before, CorrectionPass(options.way, space, configurations, poses), rng, progress
+        samples, before, CorrectionPass(options.method, space, configurations, poses), rng, progress
     )
     return (
         done,
         tried,
         {
             "number": len(before.provenance.get("passes", ())) + 2,
-            "way": options.way,
+            "way": options.method,
             "space": space,
             "within": options.within,
             "samples": count,

@@ -253,8 +253,8 @@ def _look(out: Path, rig: InvestigatedRig, number: int, so_far: Sequence[Investi
 
 def _diagnose(out: Path, rig: InvestigatedRig, number: int, so_far: Sequence[InvestigationRound]) -> None:
     """Diagnose the recordings up to a number together; the next plan is written with it. so_far : the looks before"""
-    taken = recording_minutes_spent(so_far) + duration_of_plan_in_minutes(plan_path(out, number))
-    left = max(rig.options.budget - taken, 0.1)
+    minutes = recording_minutes_spent(so_far) + duration_of_plan_in_minutes(plan_path(out, number))
+    left = max(rig.options.budget - minutes, 0.1)
     words = [
         "diagnose",
         *(str(recording_path(out, k + 1)) for k in range(number)),

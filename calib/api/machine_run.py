@@ -190,8 +190,8 @@ class PlannedRun:
             return False, status
         if (status.activity == "alarm" or status.fault) and not status.homing_required:
             raise ControllerFault(
-                f"{status.fault or status.activity} ({status.said}): a run does not home out of this by itself; see "
-                "what is wrong at the machine, then rig home, and start the run again"
+                f"{status.fault or status.activity} ({status.controller_text}): a run does not home out of this by "
+                "itself; see what is wrong at the machine, then rig home, and start the run again"
             )
         notice(f"homing: {lost}" if lost else "homing")
         return True, driver.home()

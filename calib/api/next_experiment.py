@@ -175,7 +175,7 @@ def evaluate_experiment(
         *(f"at t = {t:.0f} s: {f'load {mass:.3g} kg' if mass else 'take the load off'}" for t, mass in changes),
     )
     settles = float(
-        np.prod([0.0 if question.not_asked else one.settles for question, one in zip(open_questions, found)])
+        np.prod([0.0 if question.not_tested else one.settles for question, one in zip(open_questions, found)])
     )
     return Experiment(plan_text, seed, plan, minutes, sum(one.bits for one in found), settles, asks)
 
@@ -244,7 +244,7 @@ class NextExperiment(OneLineRepr):
             "questions": [
                 {
                     "finding": question.named[0].title,
-                    "unasked": list(question.not_asked),
+                    "unasked": list(question.not_tested),
                     "hypotheses": [{"title": h.title, "odds": h.odds} for h in question.hypotheses],
                 }
                 for question in self.questions
@@ -268,7 +268,7 @@ class NextExperiment(OneLineRepr):
 def _odds_lines(questions: Sequence[Question[object]]) -> list[str]:
     """What is alike, with odds."""
     out = ["ambiguous: " + ", ".join(f"{h.title} {h.odds:.2f}" for h in question.hypotheses) for question in questions]
-    return out + [f"cannot be predicted: {text}" for question in questions for text in question.not_asked]
+    return out + [f"cannot be predicted: {text}" for question in questions for text in question.not_tested]
 
 
 def _experiment_lines(experiments: Sequence[Experiment], seen: dict[str, float]) -> list[str]:

@@ -69,7 +69,7 @@ from vision.predict import marker_map, visible_marker_counts_over_all_cameras
 
 CANDIDATES = 1500
 FILL = 0.95  # of the travels
-TOLD = 4.0  # information, that of the prior being 1, from which a combination of parameters is told
+DETERMINED = 4.0  # information, that of the prior being 1, from which a combination of parameters is told
 FEWEST = 2  # markers of what moves that a configuration must show
 
 
@@ -97,7 +97,7 @@ def informative_configurations(
     visible_marker_count: Callable[[RigidTransform], Integers] | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
-    asked: IndependentParameters | None = None,
+    parameters: IndependentParameters | None = None,
     row_sigmas: Floats | None = None,
 ) -> InformativeConfigurations:
     """Most informative configurations for a mechanism's parameters, `count` of them.
@@ -106,8 +106,8 @@ def informative_configurations(
     visible_marker_count : how many markers of what moves are seen at poses (n,), or None where an instrument sees it
         anywhere;
         progress : called with (done, of)
-    asked : the parameters, by default those that whole poses tell; row_sigmas : of each row of its Jacobian, by default
-        sigmas of a pose's six
+    parameters : the parameters, by default those that whole poses tell; row_sigmas : of each row of its Jacobian, by
+        default sigmas of a pose's six
     Raises RigError for too few configurations to hold the parameters, or where too few candidates close on a pose or
         are seen
     """
@@ -116,20 +116,20 @@ def informative_configurations(
     index, T = indices_and_poses_of_solvable_commands(values, lambda some: kinematics.forward(some, mechanism))
     values = values[index]
     seen = np.ones(len(values), bool) if visible_marker_count is None else visible_marker_count(T) >= FEWEST
-    asked = independent_parameter_names_units_sizes_and_jacobian(mechanism) if asked is None else asked
-    size = asked.size
+    parameters = independent_parameter_names_units_sizes_and_jacobian(mechanism) if parameters is None else parameters
+    size = parameters.size
     if not seen.any():
         raise RigError(
             f"in none of {len(values)} configurations within the limits {FEWEST} markers are fully visible: "
             "turn the cameras"
         )
     noise = np.repeat(sigmas, 3) if row_sigmas is None else row_sigmas
-    rows = asked.jacobian(values[seen]) / noise[:, None] * size
-    told = int(rows.any(axis=2).any(axis=0).sum())  # numbers of a pose that the parameters move at all
-    if told * count <= len(size):
+    rows = parameters.jacobian(values[seen]) / noise[:, None] * size
+    affected_coordinates = int(rows.any(axis=2).any(axis=0).sum())  # numbers of a pose that the parameters move at all
+    if affected_coordinates * count <= len(size):
         raise RigError(
-            f"{count} configurations cannot determine {len(size)} parameters; minimum {len(size) // told + 1}, better "
-            f"{3 * len(size) // told}"
+            f"{count} configurations cannot determine {len(size)} parameters; minimum "
+            f"{len(size) // affected_coordinates + 1}, better {3 * len(size) // affected_coordinates}"
         )
     if seen.sum() < 2 * count:
         raise RigError(
@@ -137,11 +137,11 @@ def informative_configurations(
             f"whole; choosing {count} takes "
             "more: narrow the limits, or turn the cameras"
         )
-    start = np.eye(len(size)) if asked.alike else np.zeros((len(size), len(size)))
+    start = np.eye(len(size)) if parameters.alike else np.zeros((len(size), len(size)))
     picked = choose_configurations_by_exchange(rows, start, count, "determinant", progress)
     even = np.linspace(0, len(rows) - 1, count).astype(int)
-    told_by, vectors = np.linalg.eigh(np.eye(len(size)) + total_information(rows, picked))
-    sharp = vectors[:, told_by > TOLD]
+    information, vectors = np.linalg.eigh(np.eye(len(size)) + total_information(rows, picked))
+    sharp = vectors[:, information > DETERMINED]
     sigma, plain = (
         size
         * np.sqrt(
@@ -157,7 +157,7 @@ def informative_configurations(
     chosen = values[seen][picked]
     order = time_balanced_order(chosen, np.random.default_rng(seed), kinematics.travel_ranges(mechanism).mean(axis=1))
     return InformativeConfigurations(
-        chosen[order], asked.names, asked.units, sigma, plain, len(size) - sharp.shape[1], float(seen.mean())
+        chosen[order], parameters.names, parameters.units, sigma, plain, len(size) - sharp.shape[1], float(seen.mean())
     )
 
 
@@ -322,7 +322,7 @@ def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progre
     if not len(found.values):
         return found
     confounds = confounds_of_configurations(found.values, axis_strokes(design).mean(axis=1), design.mechanism)
-    return PlanResult(design, found.values, found.seen, found.why, found.said, confounds)
+    return PlanResult(design, found.values, found.seen, found.why, found.visibility_lines, confounds)
 
 
 def _keeping_promise(design: Design, promise: float, options: PlanOptions, progress: Progress) -> PlanResult:

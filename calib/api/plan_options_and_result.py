@@ -82,7 +82,8 @@ FOR_PARAMETERS = PlanOptions()
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PlanResult(OneLineRepr):
     """A plan. design; values : (n, axes) m or rad in their order; seen : whether all that is asked becomes visible; why
-    : in a line; said : lines on what it makes visible; confounds : of its configurations, None where it is in time
+    : in a line; visibility_lines : lines on what it makes visible; confounds : of its configurations, None where it is
+    in time
     t : (n,) s of a plan in time, else None
     """
 
@@ -90,7 +91,7 @@ class PlanResult(OneLineRepr):
     values: Floats
     seen: bool
     why: str
-    said: Sequence[str]
+    visibility_lines: Sequence[str]
     confounds: Confounds | None = None
     t: Floats | None = None
 
@@ -109,7 +110,7 @@ class PlanResult(OneLineRepr):
 
     def lines(self) -> list[str]:
         """What it makes visible, and what its configurations confound."""
-        return [*self.said, *([] if self.confounds is None else [self.confounds.line()])]
+        return [*self.visibility_lines, *([] if self.confounds is None else [self.confounds.line()])]
 
     def tree(self) -> Json:
         """What `rig plan --json` prints."""
@@ -118,7 +119,7 @@ class PlanResult(OneLineRepr):
             "verdict": self.verdict.tree(),
             "state": "good" if self.seen else "check",
             "why": self.why,
-            "said": [line for line in self.said if line],
+            "said": [line for line in self.visibility_lines if line],
             "axes": list(self.design.mechanism.axes),
             "values": self.values.tolist(),
             "confounds": self.confounds and self.confounds.tree(),

@@ -211,7 +211,7 @@ def recording_of_data(data: Path, options: WhyOptions, folder: Path, notice: Not
     imported, remarks = import_recording(recipe, into, data)
     if arm is not None:
         stated.unlink()
-    for line in (*imported.said, *map(str, remarks)):
+    for line in (*imported.remarks, *map(str, remarks)):
         notice(line)
     return load(into), arm is not None and options.position_sigma is None
 

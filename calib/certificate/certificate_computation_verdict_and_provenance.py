@@ -157,22 +157,22 @@ def _units(calibration: Calibration, poses: HeldPoses) -> tuple[float, float]:
     )
 
 
-def _judged(poses: HeldPoses, asked: CertifyOptions, rng: np.random.Generator) -> tuple[Conformity, ...]:
-    if not asked.tolerances:
+def _judged(poses: HeldPoses, options: CertifyOptions, rng: np.random.Generator) -> tuple[Conformity, ...]:
+    if not options.tolerances:
         return ()
-    if not poses.rotations and any(quantity == "rotation" for quantity, _ in asked.tolerances):
+    if not poses.rotations and any(quantity == "rotation" for quantity, _ in options.tolerances):
         raise NotEnoughData("no rotation was measured, so none can be compared with a tolerance")
-    units = tuple(Unit(POSITION if quantity == "position" else ROTATION, size) for quantity, size in asked.tolerances)
+    units = tuple(Unit(POSITION if quantity == "position" else ROTATION, size) for quantity, size in options.tolerances)
     enough = len(poses.first) >= noise_free_errors_and_tolerance_limits.least_sample_size(
-        asked.coverage, pose_error_promise_and_conformity.GUARD
+        options.coverage, pose_error_promise_and_conformity.GUARD
     )
     depth = (
         greatest_scaled_error_bound(
             poses,
             poses.first,
             units,
-            (asked.coverage, pose_error_promise_and_conformity.GUARD),
-            asked.scale or 0.0,
+            (options.coverage, pose_error_promise_and_conformity.GUARD),
+            options.scale or 0.0,
             rng,
         )
         if enough
@@ -180,7 +180,7 @@ def _judged(poses: HeldPoses, asked: CertifyOptions, rng: np.random.Generator) -
     )
     beyond = [int((np.linalg.norm(poses.errors[poses.first][:, unit.of], axis=1) > unit.size).sum()) for unit in units]
     return pose_error_promise_and_conformity.tolerance_conformity(
-        asked.tolerances, depth, asked.scale is not None, beyond
+        options.tolerances, depth, options.scale is not None, beyond
     )
 
 
@@ -189,7 +189,7 @@ SCALE = MissingEvidence(
     "Obtain a certified scale of the base targets and state it: `--scale-uncertainty 20e-6 --scale-source TEXT`",
 )
 TWICE = "Visit some configurations twice, `--plan sobol:40,repeat:20`: this determines the repeatability"
-AGAIN = "Check periodically whether it is still valid: `rig watch calibration.json VISIT`"
+CHECK_PERIODICALLY = "Check periodically whether it is still valid: `rig watch calibration.json VISIT`"
 
 
 def certificate_verdict(certificate: Certificate) -> Verdict:
@@ -204,7 +204,7 @@ def certificate_verdict(certificate: Certificate) -> Verdict:
     failed = tuple(
         f"{k.quantity} does not conform to its tolerance" for k in certificate.conformity if k.verdict == FAILS
     )
-    missing = [*known.missing, *([SCALE] if certificate.asked.scale is None else [])]
+    missing = [*known.missing, *([SCALE] if certificate.options.scale is None else [])]
     if verdicts - {CONFORMS, FAILS}:
         missing.append(MissingEvidence("these poses do not determine whether all tolerances are met"))
     confounds = (
@@ -212,7 +212,7 @@ def certificate_verdict(certificate: Certificate) -> Verdict:
         if certificate.known is None
         else known.confounds
     )
-    steps = (*([TWICE] if certificate.repeatability.position is None else []), AGAIN)
+    steps = (*([TWICE] if certificate.repeatability.position is None else []), CHECK_PERIODICALLY)
     return judge_evidence(
         replace(
             known,

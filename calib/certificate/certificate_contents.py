@@ -153,7 +153,7 @@ class CertifyOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contents:
-    """What is certified. machine : its kind; calibrated_from : recording, in words; asked : CertifyOptions; promise,
+    """What is certified. machine : its kind; calibrated_from : recording, in words; options : CertifyOptions; promise,
     cells : whole volume and boxes of it
     errors : (n, 6) m and rad of the poses that count, for drawing; before, after : Figures by the nominal model and
         calibrated, of those
@@ -163,7 +163,7 @@ class Contents:
     """
 
     machine: str
-    asked: CertifyOptions
+    options: CertifyOptions
     promise: Promise
     cells: tuple[Cell, ...]
     volume: Volume

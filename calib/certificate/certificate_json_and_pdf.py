@@ -45,9 +45,9 @@ def certificate_dict(certificate: Certificate) -> Json:
         "machine": certificate.machine,
         "promise": _promise_tree(certificate.promise),
         "scale": {
-            "certified": certificate.asked.scale is not None,
-            "relative_standard_uncertainty": certificate.asked.scale,
-            "source": certificate.asked.scale_source,
+            "certified": certificate.options.scale is not None,
+            "relative_standard_uncertainty": certificate.options.scale,
+            "source": certificate.options.scale_source,
         },
         "volume": {
             "position_low_m": v.low,
@@ -168,9 +168,9 @@ class _Paper:
         if self.figure is not None:
             self.pages.savefig(self.figure)
 
-    def line(self, said: str, size: float = 9.5, bold: bool = False, mono: bool = False) -> None:
+    def line(self, text: str, size: float = 9.5, bold: bool = False, mono: bool = False) -> None:
         """Write a paragraph, on the next page where it does not fit."""
-        for row in textwrap.wrap(said, int(WIDE * 9.5 / size)) if not mono else [said]:
+        for row in textwrap.wrap(text, int(WIDE * 9.5 / size)) if not mono else [text]:
             if self.y < BOTTOM:
                 self.turn()
             assert self.figure is not None  # from the first turn on
@@ -186,10 +186,10 @@ class _Paper:
         if not mono:
             self.y -= 0.004
 
-    def head(self, said: str) -> None:
+    def head(self, text: str) -> None:
         """Write a heading."""
         self.y -= 0.01
-        self.line(said, 12, bold=True)
+        self.line(text, 12, bold=True)
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
         """Write rows in columns as wide as what they hold."""

@@ -33,19 +33,19 @@ def _percentage_text(value: float) -> str:
 def length_scale_line(certificate: Contents) -> str:
     """Line on the length scale that the certificate rests on: whose it is."""
     holder = certificate.conditions.frame
-    if certificate.asked.scale is None:
+    if certificate.options.scale is None:
         return (
             f"The scale is not certified: lengths are in units of {holder}, whose error is in "
             "every figure here "
             f"({_far(certificate) * 1e-4 * 1e6:.0f} um at the volume's far end for each 0.1 mm/m)."
         )
     by = (
-        f", by {certificate.asked.scale_source}"
-        if certificate.asked.scale_source
+        f", by {certificate.options.scale_source}"
+        if certificate.options.scale_source
         else ", as stated; its source is not stated"
     )
     return (
-        f"Scale held by {holder}, standard uncertainty {certificate.asked.scale * 1e6:.3g} um/m{by}; it is part "
+        f"Scale held by {holder}, standard uncertainty {certificate.options.scale * 1e6:.3g} um/m{by}; it is part "
         "of the promise."
     )
 
@@ -178,7 +178,7 @@ def conformity_lines(certificate: Contents) -> list[str]:
         why = f"it lies between the limits {_each(certificate, 'lower')} and {_each(certificate, 'upper')}"
     both = " and ".join(f"{k.quantity} within {sizes[k.quantity](k.tolerance)}" for k in certificate.conformity)
     lines = [
-        f"{both[0].upper()}{both[1:]} for {_percentage_text(certificate.asked.coverage)} of poses: "
+        f"{both[0].upper()}{both[1:]} for {_percentage_text(certificate.options.coverage)} of poses: "
         f"{first.verdict}; {why}."
     ]
     if len(certificate.conformity) > 1:

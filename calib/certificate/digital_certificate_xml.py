@@ -140,9 +140,9 @@ def digital_certificate_xml(certificate: Certificate, issuer: Issuer) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, "unicode") + "\n"
 
 
-def _sub(parent: ET.Element, name: str, said: str | None = None) -> ET.Element:
+def _sub(parent: ET.Element, name: str, text: str | None = None) -> ET.Element:
     found = ET.SubElement(parent, f"{{{DCC}}}{name}")
-    found.text = said
+    found.text = text
     return found
 
 

@@ -10,7 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certificate.certificate_computation_verdict_and_provenance import AGAIN, TWICE, combined_held_out_poses
+from calib.certificate.certificate_computation_verdict_and_provenance import (
+    CHECK_PERIODICALLY,
+    TWICE,
+    combined_held_out_poses,
+)
 from calib.certificate.certificate_contents import CertifyOptions, Conditions, measuring_conditions
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, claim_status_text
 from calib.certification.calibration_evidence_verdict_and_claim_check import AgainstClaim
@@ -75,7 +79,7 @@ class PointingCertificate:
     repeatability : (rad RMS, visits, configurations) or None; far : (frame, rad) of directions far off all others
     """
 
-    asked: CertifyOptions
+    options: CertifyOptions
     limits: Limits
     measured: float
     n: int
@@ -95,10 +99,10 @@ class PointingCertificate:
 
     def promise_line(self) -> str:
         """What is promised, in a sentence."""
-        asked = self.asked
+        options = self.options
         return (
-            f"With {100 * asked.confidence:.4g} % confidence, {100 * asked.coverage:.4g} % of directions in this part "
-            f"of the sky lie within {angle_text(self.limits.upper)} of those wanted."
+            f"With {100 * options.confidence:.4g} % confidence, {100 * options.coverage:.4g} % of directions in this "
+            f"part of the sky lie within {angle_text(self.limits.upper)} of those wanted."
         )
 
     def lines(self) -> list[str]:
@@ -127,7 +131,7 @@ class PointingCertificate:
                 "exclude with --mask what was another star."
             )
         if self.tolerance is not None:
-            out.append(_tolerance_line(self.tolerance, self.asked.coverage))
+            out.append(_tolerance_line(self.tolerance, self.options.coverage))
         out += [
             f"The calibration's claim is {claim_status_text(one.found)} by {one.recording}."
             for one in self.claims
@@ -147,7 +151,7 @@ class PointingCertificate:
             missing.append(MissingEvidence(f"{len(self.far)} directions lie far off all others", "Look at their stars"))
         evidence = Evidence(
             self.promise_line().removesuffix("."),
-            (*([TWICE] if self.repeatability is None else []), AGAIN),
+            (*([TWICE] if self.repeatability is None else []), CHECK_PERIODICALLY),
             known.held_out,
             known.unexplained,
             known.confounds if self.known is not None else self.confounds,
@@ -164,8 +168,8 @@ class PointingCertificate:
             "promise": {
                 "direction_rad": self.limits.upper,
                 "direction": asdict(self.limits) | {"measured": self.measured},
-                "coverage": self.asked.coverage,
-                "confidence": self.asked.confidence,
+                "coverage": self.options.coverage,
+                "confidence": self.options.confidence,
                 "n": self.n,
             },
             "commands": [dict(zip(("axis", "least", "greatest", "unit"), row)) for row in self.axes],

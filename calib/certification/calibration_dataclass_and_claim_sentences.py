@@ -34,7 +34,7 @@ def claim_lines(claim: Claim) -> list[str]:
     """Lines on a claim, the first of which is its summary."""
     configurations = f"{claim.distinct} distinct configuration{'' if claim.distinct == 1 else 's'}"
     rest = claim.unknowns - claim.determined
-    told = (
+    determined = (
         (
             f"{claim.determined} of {claim.unknowns} combinations of the parameters are determined by these poses"
             + (
@@ -53,7 +53,7 @@ def claim_lines(claim: Claim) -> list[str]:
             "no held-out figure either: residuals at the recorded configurations would only show how well "
             "these are known"
         ]
-        return [f"no factor is claimed: {claim.reason}", told, *(few if claim.distinct < LEAST else [])]
+        return [f"no factor is claimed: {claim.reason}", determined, *(few if claim.distinct < LEAST else [])]
     before, after = claim.before[0], claim.after[0]
     turned = (
         f", rotation {claim.before[1][0] * 1e3:.3f} -> {claim.after[1][0] * 1e3:.4f} mrad"
@@ -65,7 +65,7 @@ def claim_lines(claim: Claim) -> list[str]:
         f"{after[0] * 1e3:.4f} mm RMS ("
         f"{after[1] * 1e3:.4f} to {after[2] * 1e3:.4f}){turned}; "
         f"from {configurations}",
-        told,
+        determined,
         f"the workspace is {claim.workspace}; measured there by a similar instrument, its own errors "
         f"included: {ratio_interval_text(claim.measured)}",
     ]
@@ -130,15 +130,15 @@ def claim_status_text(verification: Verification) -> str:
 
 def _claim_comparison_text(verification: Verification) -> str:
     """Each part of a claim against what was measured, in words."""
-    said = []
+    lines = []
     for name, part in verification.parts.items():
         unit = "mm" if name == "position" else "mrad"
-        said.append(
+        lines.append(
             f"{name} {part.rms * 1e3:.4f} {unit} where up to {part.claimed * 1e3:.4f} is claimed, "
             f"{part.of_allowed:.2f} times what claim and "
             f"noise allow, chance up to {part.limit:.2f}"
         )
-    return "; ".join(said)
+    return "; ".join(lines)
 
 
 def refutation_sentence(verification: Verification) -> str:

@@ -55,12 +55,9 @@ class OfCalibrations(NamedTuple):
 ALONE = OfCalibrations()  # of a recording from which none was made
 
 
-def calibration_verdict(calibration: Calibration, refutations: Sequence[Refutation] = ()) -> Verdict:
-    """The Verdict on a calibration.
-
-    refutations : of its file, by later recordings
-    """
-    return judge_evidence(calibration_evidence(calibration, refutations))
+def calibration_verdict(calibration: Calibration) -> Verdict:
+    """The Verdict on a calibration."""
+    return judge_evidence(calibration_evidence(calibration))
 
 
 def calibration_evidence(
@@ -112,7 +109,7 @@ def evidence_with_displaced_ends(evidence: Evidence, names: Sequence[str], recor
     return replace(evidence, missing=(*evidence.missing, *moved))
 
 
-AGAIN = (
+MEASURE_POSES_ANEW = (
     "Measure these again: if they come out as before, the machine is off there; a displaced target or reflector shows "
     "once, and --mask excludes it"
 )
@@ -138,7 +135,7 @@ def evidence_with_verification(
     if verification.far is not None and verification.far.kept:
         count = len(verification.far.frames)
         doubt = f"{count} pose{'s lie' if count > 1 else ' lies'} far off all others"
-        return replace(evidence, missing=(*evidence.missing, MissingEvidence(doubt, AGAIN)))
+        return replace(evidence, missing=(*evidence.missing, MissingEvidence(doubt, MEASURE_POSES_ANEW)))
     if verification.refutes:
         message = (
             f"the claim is NOT kept{recording_name and f' by {recording_name}'}: {refutation_sentence(verification)}"
@@ -177,7 +174,7 @@ def evidence_with_confounds(
             dict.fromkeys(
                 [
                     *evidence.confounds,
-                    *(f"{recording_names}: {said}" for one in confounds for said in confound_sentences(one)),
+                    *(f"{recording_names}: {sentence}" for one in confounds for sentence in confound_sentences(one)),
                 ]
             )
         ),

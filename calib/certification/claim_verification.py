@@ -143,9 +143,9 @@ def verify_claim(
         return found
     far = _far(errors, samples, claim)
     if far.any():
-        is_kept_without = _verified(errors[~far], samples.take(~far), label[~far], claim, rng).kept
-        found = replace(found, far=FarPoses(tuple(samples.frame[far].tolist()), is_kept_without))
-        if is_kept_without:
+        holds_without = _verified(errors[~far], samples.take(~far), label[~far], claim, rng).kept
+        found = replace(found, far=FarPoses(tuple(samples.frame[far].tolist()), holds_without))
+        if holds_without:
             return found
     return replace(found, offset=_offset(predicted, samples, label, claim, found.of_limit, rng))
 

@@ -226,15 +226,17 @@ def strut_machine_workspace_claim(
     words = "stroke, all struts" if has_struts(nominal) else "travel, all axes"
     free = "closing on a pose" if is_redundant(nominal) else "independent"
     middle = f"the middle {FILL * 100:.0f} % of every {words} {free}"
-    told = ConfigurationInformation(distinct, determined, better, len(identified.prior), _tolerance_in_words(tolerance))
+    information = ConfigurationInformation(
+        distinct, determined, better, len(identified.prior), _tolerance_in_words(tolerance)
+    )
     if distinct < LEAST:
-        return empty_claim_of_too_few_configurations(told, middle)
+        return empty_claim_of_too_few_configurations(information, middle)
     commands, T = workspace_samples(correction)
     offset = pose_difference(T, mechanisms.kinematics_of(nominal).forward(commands, nominal))
     back, J = inverse_strut_length_jacobian(T, fitted), pose_parameter_jacobian(T, fitted)
     if machines is not None:
         claim = claim_from_mean_square_errors(
-            *machines.squares(J, back, -offset, correction.rho(commands)), middle, samples, told, rng
+            *machines.squares(J, back, -offset, correction.rho(commands)), middle, samples, information, rng
         )
         corrected = tuple(part is not None for part in correction.remainder)
         axis, units = mechanisms.kinematics_of(nominal).AXIS, mechanisms.axis_units(nominal)
@@ -247,7 +249,7 @@ def strut_machine_workspace_claim(
     draws = _machines(identified, tolerance, nominal, rng) - (
         geometric_parameters(fitted) - geometric_parameters(nominal)
     )
-    return claim_from_machine_draws(Workspace(J, -offset, own, middle), draws, samples, told, rng)
+    return claim_from_machine_draws(Workspace(J, -offset, own, middle), draws, samples, information, rng)
 
 
 def workspace_samples(correction: AnyCorrection) -> tuple[Floats, RigidTransform]:

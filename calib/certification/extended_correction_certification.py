@@ -89,11 +89,11 @@ class ExtensionRequest(NamedTuple):
 class ExtensionBasis(NamedTuple):
     """known : what is to be extended, of some samples; correct : the Correction that it stands on with a Field of that
     on top, or None
-    said : mean square (m^2) by which a Field says that positions of other samples may be off."""
+    stated_square : mean square (m^2) by which a Field says that positions of other samples may be off."""
 
     known: FieldSamples
     correct: Callable[[Field | None], AnyCorrection]
-    said: Callable[[Field, Samples], float]
+    stated_square: Callable[[Field, Samples], float]
 
 
 class Tried(NamedTuple):
@@ -191,7 +191,7 @@ def certify_interpolation_method(
         None
     """
     nominal, label, found = basis
-    known, correct, said_of = basis_of_samples(samples)
+    known, correct, stated_square = basis_of_samples(samples)
     fields: dict[str, Field | None] = {NONE: None}
     refused: dict[str, str] = {}
     for name in interpolation_methods_and_correction_summand_fields.METHODS if kind == AUTO else (kind,):
@@ -222,9 +222,9 @@ def certify_interpolation_method(
     if outcome is None:
         return Certified(correct(field), found, label, None), tuple(tried)
     left = mean_square_held_out_errors_by_configuration(
-        outcome.after[kind], outcome.samples, label[outcome.rows], outcome.said[kind]
+        outcome.after[kind], outcome.samples, label[outcome.rows], outcome.stated_square[kind]
     )
-    if outcome.beside and left.stated:  # where noise explains all that is left, there is no error to scale
+    if outcome.is_as_dense and left.stated:  # where noise explains all that is left, there is no error to scale
         scale = float(np.sqrt(left.beyond()[0] / left.stated))
         if isinstance(field, WeightedField):
             field, left = replace(field, misfit=field.misfit * scale), replace(left, scale=scale)
@@ -242,21 +242,21 @@ def _without(samples: Samples, nominal: Parallel, found: Identified, field: Fiel
     """The Identified once its field is taken off: what the field corrects is no scatter of the struts and widens no
     parameter.
     """
-    taken = field.value(samples.commanded)
+    summands = field.value(samples.commanded)
     if not alone:
-        repeated = identify_platform(samples, nominal, taken, found.prior)
+        repeated = identify_platform(samples, nominal, summands, found.prior)
         found = replace(found, covariance=repeated.covariance, root=repeated.root, scatter=repeated.scatter)
-    return replace(found, residuals=found.residuals - taken)
+    return replace(found, residuals=found.residuals - summands)
 
 
 class _Outcome(NamedTuple):
-    """Of the rows (m,) held out, as Samples: before (m, 6), and after, by each way, (m, 6); beside : whether what was
-    fitted was as dense;
-    said : m^2, mean square by which the fields that each way made without these rows say that their positions may be
-        off."""
+    """Of the rows (m,) held out, as Samples: before (m, 6), and after, by each way, (m, 6); is_as_dense : whether what
+    was fitted was as dense;
+    stated_square : m^2, mean square by which the fields that each way made without these rows say that their positions
+        may be off."""
 
-    beside: bool
-    said: dict[str, float]
+    is_as_dense: bool
+    stated_square: dict[str, float]
     rows: Integers
     samples: Samples
     before: Floats
@@ -286,22 +286,22 @@ def _held_out(
     stand: Callable[[Samples], "ExtensionBasis"],
     fields: dict[str, Field | None],
     splits: list[tuple[Booleans, Booleans]],
-    said: Progress,
+    progress: Progress,
 ) -> _Outcome:
     rows, before, after = [], [], {name: list[Floats]() for name in fields}
     squares = dict.fromkeys(fields, 0.0)
-    said("cross-validating configurations", 0, len(splits))
+    progress("cross-validating configurations", 0, len(splits))
     for k, (fitted, out) in enumerate(splits):
         rest = samples.take(out)
-        known, correct, said_of = stand(samples.take(fitted))
+        known, correct, stated_square = stand(samples.take(fitted))
         rows.append(np.flatnonzero(out))
         owners = correct(None).nominal  # of an arm, as the rest of the samples place it
         before.append(pose_errors(mechanisms.kinematics_of(owners).forward(rest.commanded, owners), rest))
         for name, field in fields.items():
             own = None if field is None else fit_correction_summand_field(known, name, field)
             after[name].append(pose_errors(correct(own).predict(rest.commanded), rest))
-            squares[name] += 0.0 if own is None else len(rest) * said_of(own, rest)
-        said("cross-validating configurations", k + 1, len(splits))
+            squares[name] += 0.0 if own is None else len(rest) * stated_square(own, rest)
+        progress("cross-validating configurations", k + 1, len(splits))
     at = np.concatenate(rows)
     dense = all(fitted.sum() >= len(samples) * (1 - 1 / FOLDS) - 1 for fitted, _ in splits) or len(splits) == 1
     means = {name: total / len(at) for name, total in squares.items()}
@@ -348,16 +348,16 @@ def claim_without_geometry(samples: Samples, certified: Certified, rng: np.rando
     ways = ([] if correction.extension is None else [correction.extension.kind]) + [
         f"{one.field.kind} in pose space" for one in correction.posed
     ]
-    way = " and ".join(ways) or "nothing at all"
-    told = ConfigurationInformation(
-        len(each), 0, 0, 0, f"no parameters were fitted: the summands are extended by {way}"
+    extension = " and ".join(ways) or "nothing at all"
+    information = ConfigurationInformation(
+        len(each), 0, 0, 0, f"no parameters were fitted: the summands are extended by {extension}"
     )
     free = "closing on a pose" if is_redundant(correction.nominal) else "independent"
     middle = f"the middle {FILL * 100:.0f} % of every stroke, all axes {free}"
     if len(each) < LEAST:
-        return empty_claim_of_too_few_configurations(told, middle)
+        return empty_claim_of_too_few_configurations(information, middle)
     if certified.left is None:
-        return empty_claim_without_held_out_data(told, middle)
+        return empty_claim_without_held_out_data(information, middle)
     commands, T = solvable_commands_and_poses(evenly_spread_configurations(correction.nominal, PLACES), correction)
     offset = pose_difference(T, kinematics.forward(commands, correction.nominal))
     stated = float(
@@ -373,7 +373,7 @@ def claim_without_geometry(samples: Samples, certified: Certified, rng: np.rando
         else np.zeros((DRAWS, len(known)))
     )
     return claim_from_machine_draws(
-        Workspace(pose_parameter_jacobian(T, correction.nominal), -offset, own, middle), draws, each, told, rng
+        Workspace(pose_parameter_jacobian(T, correction.nominal), -offset, own, middle), draws, each, information, rng
     )
 
 

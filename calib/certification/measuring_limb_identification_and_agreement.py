@@ -99,12 +99,14 @@ def limb_readings(recording: Recording) -> tuple[Integers, Floats]:
     Raises RigError where sensors.csv lacks a channel, NotEnoughData where no exposure has readings within half a second
     """
     sensors, channels = recording.sensors, stated_limbs(recording.design).channels
-    told = f"{recording.folder}: measuring limbs are read from sensors.csv, columns {channels[0]}..{channels[-1]} (m); "
+    source = (
+        f"{recording.folder}: measuring limbs are read from sensors.csv, columns {channels[0]}..{channels[-1]} (m); "
+    )
     if sensors is None:
-        raise RigError(told + "there is no sensors.csv")
+        raise RigError(source + "there is no sensors.csv")
     missing = [name for name in channels if name not in sensors.channels]
     if missing:
-        raise RigError(told + f"{missing[0]!r} is missing")
+        raise RigError(source + f"{missing[0]!r} is missing")
     frames, t = recording.exposures.times()
     after = np.clip(np.searchsorted(sensors.t, t), 1, len(sensors.t) - 1)
     exact = np.isclose(sensors.t[after], t, atol=1e-6) | np.isclose(sensors.t[after - 1], t, atol=1e-6)
@@ -247,10 +249,10 @@ def detect_limb_slip(samples: Samples, limbs: Limbs, sigma: float) -> Slip | Non
     )
     if n < 2 * LEAST:
         return None
-    told, J, _ = redundant_struts.leg_lengths_and_pose_and_base_jacobians(of, samples.T_base_platform)
+    predicted, J, _ = redundant_struts.leg_lengths_and_pose_and_base_jacobians(of, samples.T_base_platform)
     spread = J @ samples.covariance @ np.swapaxes(J, 1, 2) + sigma**2 * np.eye(6)
     W = np.linalg.inv(np.linalg.cholesky(spread))
-    y = (W @ (samples.commanded - told)[..., None]).reshape(-1)
+    y = (W @ (samples.commanded - predicted)[..., None]).reshape(-1)
     geometry = redundant_struts.leg_parameter_jacobians(of, samples.T_base_platform)  # (n, 6, 42)
     known = np.concatenate([W @ geometry * PRIOR, W @ J @ samples.common], axis=2).reshape(6 * n, -1)
     known = np.vstack([known, np.eye(known.shape[1])])  # each of these is a draw of unit size

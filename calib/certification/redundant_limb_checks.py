@@ -176,16 +176,16 @@ def _leg(T: RigidTransform, read: Floats, stated: Floats, variance: Floats) -> t
         one = redundant_struts.RedundantLegs(
             ("m",), p[None, :3], p[None, 3:6], p[6:], T[0], np.ones(1), np.zeros((7, 7))
         )
-        told, A = (
+        predicted, A = (
             redundant_struts.leg_lengths_and_pose_and_base_jacobians(one, T)[0][:, 0],
             redundant_struts.leg_parameter_jacobians(one, T)[:, 0],
         )
         rows = np.concatenate([A * weight[:, None], np.eye(7) / PRIOR])
-        right = np.concatenate([(read - told) * weight, (stated - p) / PRIOR])
+        right = np.concatenate([(read - predicted) * weight, (stated - p) / PRIOR])
         step = np.linalg.lstsq(rows, right)[0]
         p = p + step
         if np.abs(step).max() < SETTLED:
-            left = (read - told - A @ step) * weight
+            left = (read - predicted - A @ step) * weight
             excess = (left**2).sum() / max(len(read) - 7, 1) - 1
             surely = excess > 3 * np.sqrt(2 / len(read))
             return p, np.linalg.inv(rows.T @ rows), float(np.sqrt(excess * variance.mean())) if surely else 0.0

@@ -44,11 +44,13 @@ def strut_load_signs(samples: Samples, nominal: Parallel) -> list[tuple[Floats, 
     middle, half = ranges.mean(axis=1), np.ptp(ranges, axis=1) / 2
 
     def seen(T: RigidTransform, commands: Floats, payload: Floats) -> Floats:
-        loads = mechanisms.kinematics_of(nominal).axis_loads(T, commands, nominal, weight.wrench(T, payload))
+        loads = mechanisms.kinematics_of(nominal).axis_forces_and_torques(
+            T, commands, nominal, weight.wrench(T, payload)
+        )
         return np.asarray(np.sign(loads) * (np.abs(loads) > NOTHING * np.abs(loads).max(initial=0.0)))
 
     @cache
-    def there(
+    def mean_signs(
         places: bytes,
     ) -> Floats:  # (m, axes), mean over the payloads, 0 of lengths that close on no pose; cached for all struts
         commands = middle + half * np.frombuffer(places).reshape(-1, len(middle))
@@ -63,13 +65,13 @@ def strut_load_signs(samples: Samples, nominal: Parallel) -> list[tuple[Floats, 
 
     def use(i: int) -> Use:
         def mean_and_variance(places: Floats) -> tuple[Floats, Floats]:
-            mean = there(np.ascontiguousarray(places, float).tobytes())[:, i]
+            mean = mean_signs(np.ascontiguousarray(places, float).tobytes())[:, i]
             return mean, np.maximum(1 - mean**2, 0.0)
 
         return mean_and_variance
 
     recorded = seen(samples.T_base_platform, samples.effective, carried)
-    anywhere = there(((evenly_spread_configurations(nominal, PLACES) - middle) / half).tobytes())
+    anywhere = mean_signs(((evenly_spread_configurations(nominal, PLACES) - middle) / half).tobytes())
     both = np.concatenate([recorded, anywhere])
     turning = recorded.any(axis=0) & (both.min(axis=0) < 1) & (both.max(axis=0) > -1)
     return [(recorded[:, i], use(i)) if turns else None for i, turns in enumerate(turning)]
@@ -119,9 +121,9 @@ class Component:
         """
         assert self.kernel is not None and self.inputs is not None
         K = self.kernel(places, self.inputs)
-        there = K @ np.linalg.pinv(self.basis).T
+        basis = K @ np.linalg.pinv(self.basis).T
         own = np.array([self.kernel(one[None], one[None])[0, 0] for one in places])
-        return there, np.maximum(own - (there**2).sum(axis=1), 0.0)
+        return basis, np.maximum(own - (basis**2).sum(axis=1), 0.0)
 
 
 def scaled_commands(commands: Floats, strokes: Floats) -> Floats:

@@ -152,22 +152,22 @@ def timed_route(pace: Pace, commands: Floats, start: Floats, approach_offsets: F
         np.abs(commands + approach_offsets - np.vstack([start, commands[:-1]])).max(axis=1),
         np.abs(approach_offsets).max(axis=1),
     )
-    way = out + back
-    begin = t[0] - SETTLE - way[0] / pace.speed if pace.begin is None or pace.begin >= t[0] else pace.begin
+    distance = out + back
+    begin = t[0] - SETTLE - distance[0] / pace.speed if pace.begin is None or pace.begin >= t[0] else pace.begin
     gap = t - np.r_[begin, t[:-1]]
     leave = t - gap + np.r_[0.0, np.minimum(HOLD, HELD * gap[1:])]
-    least = np.minimum(way / pace.speed, t - leave)
-    hurried = np.zeros(len(t), bool) if pace.fastest is None else way > pace.fastest * least * (1 + 1e-9)
+    least = np.minimum(distance / pace.speed, t - leave)
+    hurried = np.zeros(len(t), bool) if pace.fastest is None else distance > pace.fastest * least * (1 + 1e-9)
     late = np.flatnonzero((gap < 10 * BRIEF) | hurried)
     if len(late):
         lines = [
-            f"pose {i}: {way[i]:.6g} of travel in {gap[i]:.4g} s"
+            f"pose {i}: {distance[i]:.6g} of travel in {gap[i]:.4g} s"
             + (f", at most {pace.fastest:.4g} /s" if pace.fastest else "")
             for i in late.tolist()
         ]
         raise Unreachable(f"{len(late)} of {len(t)} wanted poses follow the previous one too soon:", late, lines)
     arrive = leave + np.maximum(least, BRIEF)
-    turn = leave + np.where(back > 0, out / np.maximum(way, 1e-300), 1.0) * (arrive - leave)
+    turn = leave + np.where(back > 0, out / np.maximum(distance, 1e-300), 1.0) * (arrive - leave)
     n, numbers = len(t), np.arange(len(t))
     parts = [
         (np.array([begin]), np.array([-1]), WAITING, np.ones(1, bool)),

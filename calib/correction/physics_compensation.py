@@ -118,13 +118,13 @@ class Physics:
 
         t : (n,) s, the times at which they are asked for
         """
-        there = Sensors(np.array([t[0], t[-1] + 1.0]), {}) if sensors is None else sensors
-        follows = self._follows_tilts(there)
+        recorded = Sensors(np.array([t[0], t[-1] + 1.0]), {}) if sensors is None else sensors
+        follows = self._follows_tilts(recorded)
         missing = tuple(
-            name for name in self.channels if name not in there.channels and not (follows and name in GRAVITY)
+            name for name in self.channels if name not in recorded.channels and not (follows and name in GRAVITY)
         )
-        filled = {name: np.full(len(there.t), self.channels[name][0]) for name in missing}
-        whole = replace(there, channels={**there.channels, **filled})
+        filled = {name: np.full(len(recorded.t), self.channels[name][0]) for name in missing}
+        whole = replace(recorded, channels={**recorded.channels, **filled})
         return sensors_with_gravity(self.gravity, self.tilts, whole) if follows else whole, missing
 
     def _follows_tilts(self, sensors: Sensors) -> bool:
@@ -162,8 +162,8 @@ class Physics:
         self, mechanism: Parallel | Arm | Chain, samples: Samples, commands: Commands, sensors: Sensors | None
     ) -> Samples:
         """Samples with what this physics says of their commands, which lasts; mechanism : fitted."""
-        there, _ = self.sensed(sensors, samples.t)
-        return samples_with_effects(self.machine(mechanism), samples, commands, self.compensable_effects(), there)
+        sensed, _ = self.sensed(sensors, samples.t)
+        return samples_with_effects(self.machine(mechanism), samples, commands, self.compensable_effects(), sensed)
 
 
 def samples_with_effects(
@@ -226,13 +226,13 @@ class Machine:
     missing: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        there, missing = (
+        sensors, missing = (
             (self.logged or Sensors(np.zeros(1), {}), ())
             if self.physics is None
             else self.physics.sensed(self.logged, np.zeros(1))
         )
         for name, value in (
-            ("sensors", there),
+            ("sensors", sensors),
             ("missing", missing),
             ("effects", () if self.physics is None else self.physics.compensable_effects()),
         ):

@@ -28,7 +28,7 @@ from calib.certification.error_claim_over_workspace import Claim
 from calib.certification.held_out_errors import pose_errors, predicted_poses
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
-from calib.diagnosis.report import report_sentences
+from calib.diagnosis.report import diagnosis_texts
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from calib.diagnosis.report.report_verdict_and_folder import (
     Report,
@@ -165,7 +165,7 @@ def refuted_calibrations(
         found = (
             [
                 "it omits "
-                f"{'; '.join(report_sentences.finding_title(f) + report_sentences.finding_size_text(f) for f in left)}"
+                f"{'; '.join(diagnosis_texts.finding_title(f) + diagnosis_texts.finding_size_text(f) for f in left)}"
             ]
             if left
             else []

@@ -16,7 +16,7 @@ from calib.correction.correction import AnyCorrection
 from calib.correction.physics_compensation import Physics, Unknown
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
-from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import measured_effects
+from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import effects_shown_by_instruments
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     operating_point_of_recording,
@@ -32,7 +32,7 @@ from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm_of_
 from calib.models.arm.error_model_and_observations import parameter_names, sample_observations
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import History, JointFit, Prior, fit_geometry_and_effects
 from calib.models.platform.identification import Loops
-from calib.samples.pose_samples import Sampled, Samples, samples_of_freedoms
+from calib.samples.pose_samples import Sampled, Samples, samples_of_movable_coordinates
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import MOTION_STAGES, Effect
@@ -124,12 +124,10 @@ def findings_of_diagnosis(diagnosis: Diagnosis) -> Findings:
 def findings_with_missing_instrument_effects_added(
     findings: Findings | None, recording: Recording, sampled: Sampled
 ) -> Findings | None:
-    """Findings with the effects that an arm's instruments show by themselves (`measured_effects`), where they have none
-    of that kind at that place already.
-    """
+    """Findings with the `effects_shown_by_instruments` of an arm, where none of that kind and place is known."""
     known = Findings((), None, ()) if findings is None else findings
     places = {(effect.form, effect.place) for effect in known.effects}
-    more = tuple(e for e in measured_effects(recording, sampled) if (e.form, e.place) not in places)
+    more = tuple(e for e in effects_shown_by_instruments(recording, sampled) if (e.form, e.place) not in places)
     if not more:
         return findings
     sigma = known.sigma
@@ -205,8 +203,8 @@ def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -
         numbers = effects[c.effect].fitted(
             next(p for p in effects[c.effect].parameters if p.name == c.name)
         )  # which of a vector are listed
-        told = np.array([value.get("value"), *ends], float)
-        middle, low, high = map(c.measured, told if c.index is None else told[:, numbers.index(c.index)])
+        estimates = np.array([value.get("value"), *ends], float)
+        middle, low, high = map(c.measured, estimates if c.index is None else estimates[:, numbers.index(c.index)])
         out.append(max(abs(low - middle), abs(high - middle)) / Z95)  # one end may be cut off at a bound
     return np.array(out)
 
@@ -235,7 +233,7 @@ def refit_platform_with_findings(
     report("refining physics and geometry jointly", 1, 1)
     k, samples = refined.point.with_effects(_motion(effects)), sampled.samples
     if any(e.stage not in MOTION_STAGES for e in findings.effects):  # what cameras left out moved every pose
-        samples = samples_of_freedoms(replace(samples, T_base_platform=k.T), recording.design.mechanism)
+        samples = samples_of_movable_coordinates(replace(samples, T_base_platform=k.T), recording.design.mechanism)
     known = replace(k, T=samples.T_base_platform).effective() - samples.commanded
     physics = _physics(effects, own, unknown, len(geometric_parameters(nominal)), recording, samples.t)
     return PlatformRefit(replace(samples, known=known), physics, refined)
@@ -249,10 +247,10 @@ def _combined(refined: Refinement, findings: Findings) -> tuple[tuple[Effect, ..
     coordinates: list[Coordinate] = refined.coordinates
     if findings.sigma is not None and refined.column is not None:
         retained = [e for e in findings.effects if not e.discrete]
-        told = len(findings.sigma)  # curves for what has no name stand behind these, and are of this recording alone
-        before = np.r_[[c.read(retained[c.effect]) for c in coordinates[:told]], refined.values[told:]]
-        weight = np.diag(np.r_[1 / np.maximum(findings.sigma, 1e-300) ** 2, np.zeros(len(coordinates) - told)])
-        loose = np.diag(np.r_[np.zeros(told), [c.loose**2 for c in coordinates[told:]]])
+        count = len(findings.sigma)  # curves for what has no name stand behind these, and are of this recording alone
+        before = np.r_[[c.read(retained[c.effect]) for c in coordinates[:count]], refined.values[count:]]
+        weight = np.diag(np.r_[1 / np.maximum(findings.sigma, 1e-300) ** 2, np.zeros(len(coordinates) - count)])
+        loose = np.diag(np.r_[np.zeros(count), [c.loose**2 for c in coordinates[count:]]])
         own = cast(Floats, np.linalg.inv(refined.model.linear.project(refined.column).gram + weight + loose))
         for c, value in zip(coordinates, refined.values + own @ (weight @ (before - refined.values))):
             effects[c.effect] = c.written(effects[c.effect], value)
@@ -263,7 +261,7 @@ def _motion(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
     return tuple(e for e in effects if e.stage in MOTION_STAGES)
 
 
-def sensor_medians_and_standard_deviations(recording: Recording, t: Floats) -> dict[str, tuple[float, float]]:
+def median_and_spread_of_each_sensor_channel(recording: Recording, t: Floats) -> dict[str, tuple[float, float]]:
     """Median and standard deviation of each sensor channel at times t (n,) s.
 
     Returns {channel: (median, deviation)}
@@ -289,7 +287,7 @@ def _physics(
     own : (c, c) covariance of the effects' coordinates; parameters : of the geometry; t : (n,) s of the samples
     """
     design = of.design
-    sensed = sensor_medians_and_standard_deviations(of, t)
+    sensed = median_and_spread_of_each_sensor_channel(of, t)
     return Physics(
         effects,
         own,

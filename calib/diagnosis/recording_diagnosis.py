@@ -63,8 +63,8 @@ class DiagnosisOptions:
     given : what is in from the start
     calibration : of another recording, whose joints are taken as known to its covariance: what it has not swallowed
     shows, and what has changed since; sampled : Sampled of the recording where it was measured before, or None
-    kinds : the catalogue, with what a user adds to it; own : the files that this comes from; said : the operator's
-    words, as options"""
+    kinds : the catalogue, with what a user adds to it; own : the files that this comes from; operator_statements : the
+    operator's words, as options"""
 
     only: tuple[str, ...] | None = None
     without: tuple[str, ...] = ()
@@ -73,7 +73,7 @@ class DiagnosisOptions:
     sampled: Sampled | None = None
     kinds: tuple[type[Effect], ...] = ALL
     own: tuple[Plugin, ...] = ()
-    said: tuple[str, ...] = ()
+    operator_statements: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +84,7 @@ class Diagnosis:
         regions of its travel held out in turn, none where nobody holds regions out
     misfits : of all together, by what is looked at; shown_in : in which of them the first finding shows
     held : [HeldOutPoses], fine stretches first; repeats : Repeats or None
-    left : [LackOfFit]; tolerable : Tolerable; not_asked : [NotAsked]; noise : Noise
+    left : [LackOfFit]; tolerable : Tolerable; not_tested : [NotAsked]; noise : Noise
     covariates : [Covariate] that what is left goes with, the one that explained most before first
     suggestions : formulas for what is left; outliers : rows that were left out of all this
     origin : of the owner's clock, which moments are told by; parts : (Part, ..) of several recordings together
@@ -102,7 +102,7 @@ class Diagnosis:
     repeats: Repeats | None
     left: list[LackOfFit]
     tolerable: Tolerable
-    not_asked: list[NotAsked]
+    not_tested: list[NotAsked]
     noise: Noise
     covariates: list[Covariate]
     suggestions: tuple[Suggestion, ...]
@@ -130,17 +130,17 @@ class Diagnosis:
     @property
     def machine_effects(self) -> tuple[Effect, ...]:
         """All effects that make another machine: measured before the search, and found by it."""
-        before = self.evidence.measured_effects if isinstance(self.evidence, MeasuredFindings) else ()
+        before = self.evidence.effects_shown_by_instruments if isinstance(self.evidence, MeasuredFindings) else ()
         return (*before, *self.effects)
 
 
 class Explained(NamedTuple):
-    """selection : of what explains the evidence; left : [LackOfFit]; tolerable : Tolerable; not_asked : [NotAsked]."""
+    """selection : of what explains the evidence; left : [LackOfFit]; tolerable : Tolerable; not_tested : [NotAsked]."""
 
     selection: Selection[Any, Any]
     left: list[LackOfFit]
     tolerable: Tolerable
-    not_asked: list[NotAsked]
+    not_tested: list[NotAsked]
 
 
 @threadpool_limits.wrap(limits=1)
@@ -192,7 +192,7 @@ def diagnose_evidence(evidence: Evidence[Fit, C], name: str, progress: Progress 
         if estimated is not None:
             evidence = estimated
             explained, outliers = _explained_without_outliers(evidence, progress, _sites(explained.selection))
-    selection, left, tolerable, not_asked = explained
+    selection, left, tolerable, not_tested = explained
     if isinstance(evidence, TemperatureAlternatives):
         selection = evidence.with_temperature_alternatives(selection)
     held = evidence.held_out_poses(selection, progress) if isinstance(evidence, NestedSelection) else []
@@ -219,7 +219,7 @@ def diagnose_evidence(evidence: Evidence[Fit, C], name: str, progress: Progress 
         repeats=repeats,
         left=[*left, *scatter],
         tolerable=tolerable,
-        not_asked=not_asked,
+        not_tested=not_tested,
         noise=evidence.noise(selection),
         covariates=covariates,
         suggestions=suggestions,
@@ -274,11 +274,11 @@ def _explained(
     evidence: Evidence[Fit, C], outliers: Outliers, progress: Progress | None, first: Sequence[Site]
 ) -> Explained:
     """Explained of Evidence without outliers, from terms of these names and places on."""
-    problem, not_asked = evidence.problem(outliers)
+    problem, not_tested = evidence.problem(outliers)
     selection = select_terms(problem, progress, first)
     problem = selection.problem
     selection, left = _without_insignificant_findings(problem, selection, progress)
     if not isinstance(evidence, ToleratedFindings):
-        return Explained(selection, left, Tolerable(), not_asked)
+        return Explained(selection, left, Tolerable(), not_tested)
     selection, left, tolerable = evidence.set_apart_tolerable(selection, left)
-    return Explained(selection, left, tolerable, not_asked)
+    return Explained(selection, left, tolerable, not_tested)

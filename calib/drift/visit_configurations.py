@@ -89,17 +89,19 @@ def choose_visit_configurations(
         configuration_generators.sobol_configurations(mechanism.strut_range, CANDIDATES, FILL, seed),
         lambda c: is_pose_lost(calibration.correction, c),
     )
-    told = _VisitInformation(candidates, mechanism.strut_range.mean(axis=1), *_columns(calibration, design, candidates))
+    information = _VisitInformation(
+        candidates, mechanism.strut_range.mean(axis=1), *_columns(calibration, design, candidates)
+    )
     order: list[int] = []
     for k in range(count):
-        order.append(int(np.argmax(told.worth(order, k))))
+        order.append(int(np.argmax(information.worth(order, k))))
         if progress:
             progress(k + 1, count * (1 + PASSES))
     best = -np.inf
     for turn in range(PASSES):
         before = best
         for k in range(count):
-            worth = told.worth(order, k)
+            worth = information.worth(order, k)
             order[k], best = int(np.argmax(worth)), float(worth.max())
             if progress:
                 progress(count * (1 + turn) + k + 1, count * (1 + PASSES))
@@ -107,7 +109,9 @@ def choose_visit_configurations(
             break
     if progress:
         progress(1, 1)
-    return Chosen(candidates[order], _sigma(told.information(order)), _sigma(told.information(list(range(count)))))
+    return Chosen(
+        candidates[order], _sigma(information.information(order)), _sigma(information.information(list(range(count))))
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,8 +135,8 @@ class _VisitInformation:
 
     def information(self, order: list[int]) -> Floats:
         """(20, 20) of the candidates visited in an order."""
-        from_there = np.concatenate([self.start[None], self.candidates[order[:-1]]])
-        rows = self.rows(np.array(order), from_there).reshape(-1, 20)
+        previous = np.concatenate([self.start[None], self.candidates[order[:-1]]])
+        rows = self.rows(np.array(order), previous).reshape(-1, 20)
         return np.asarray(rows.T @ rows + BEFORE)
 
     def worth(self, order: list[int], k: int) -> Floats:

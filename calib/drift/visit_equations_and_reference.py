@@ -148,11 +148,11 @@ def machine_change_columns(
         if design.platform.payload_centre_of_mass is not None and design.platform.mass is not None
         else AT_ORIGIN
     )
-    there = Design("", design.gravity, mechanism, None, design.actuator, stated, (), ())
+    machine_design = Design("", design.gravity, mechanism, None, design.actuator, stated, (), ())
     ends, goals = np.array([commands.t[0], commands.t[-1] + 1.0]), commands.at(t)
 
     def moved(**channels: Floats) -> Motion:
-        bare = motion_simulation.motion_of_commands(there, commands, t, (), Sensors(ends, channels))
+        bare = motion_simulation.motion_of_commands(machine_design, commands, t, (), Sensors(ends, channels))
         return replace(bare, T=T)
 
     def sagging(motion: Motion) -> Floats:
@@ -296,14 +296,14 @@ def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, refe
     b = N @ away + np.concatenate([blocks.own[:, :6].ravel(), blocks.common])
     own = frames + np.flatnonzero(lenses)
     N[own, own] += 1.0
-    kept_rows = np.setdiff1d(np.arange(len(b)), own)
+    other_rows = np.setdiff1d(np.arange(len(b)), own)
     N, b = _without(N, b, own)
-    scale = np.r_[np.ones(frames), POSE_SCALE / u.scale][kept_rows]
-    of_places = np.zeros((len(kept_rows), frames + 6 * len(reference.places)))
+    scale = np.r_[np.ones(frames), POSE_SCALE / u.scale][other_rows]
+    of_places = np.zeros((len(other_rows), frames + 6 * len(reference.places)))
     of_places[:frames, :frames] = np.eye(frames)
     for k, place in enumerate(reference.places):
         if place in at:
-            motion_rows = np.searchsorted(kept_rows, frames + np.arange(at[place].start, at[place].stop))
+            motion_rows = np.searchsorted(other_rows, frames + np.arange(at[place].start, at[place].stop))
             of_places[motion_rows, frames + 6 * k : frames + 6 * k + 6] = np.diag(scale[motion_rows])
     return _Seen(of_places.T @ N @ of_places, of_places.T @ b, samples)
 

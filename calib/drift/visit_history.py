@@ -33,7 +33,7 @@ from rig.recording.frame_selection_and_content_hashes import (
 )
 from rig.recording.recording_folder import Recording
 
-KEPT = 8  # latest visits that a change may have begun with; older ones are one
+LATEST = 8  # latest visits that a change may have begun with; older ones are one
 BELIEVED = 200  # numbers' worth of belief that covariances are right, against which quiet visits' scatter counts
 
 
@@ -124,8 +124,8 @@ def add_visit_and_judge_change(
 
 
 def _summed(visits: tuple[Visit, ...]) -> tuple[Visit, ...]:
-    """The visits, of which the oldest are one where there are more than KEPT."""
-    if len(visits) <= KEPT + 1:
+    """The visits, of which the oldest are one where there are more than LATEST."""
+    if len(visits) <= LATEST + 1:
         return visits
     a, b, *rest = visits
     return (

@@ -261,17 +261,17 @@ def _seen(
     if plan.turned:
         raise RigError("the effect of a remounted, turned cube is predicted for platforms only")
     first, geometry = fits[0].fit, fits[0].geometry
-    there = linearise_planned_poses(
+    linearised = linearise_planned_poses(
         first.arms, geometry, plan.commands, plan.t, predicted_sensor_log(first.arms.context.sensors, plan, warmer)
     )
-    W = np.linalg.inv(np.linalg.cholesky(there.own + np.diag(first.scatter**2)))
+    W = np.linalg.inv(np.linalg.cholesky(linearised.own + np.diag(first.scatter**2)))
     tables, shapes = [], []
     for one, number in zip(fits, numbers):
-        terms = [_on(term, there) for term in one.fit.terms]
-        X = Columns(there.joints, (Part(None, there.freedoms), *(term.part for term in terms))).whitened(W)
+        terms = [_on(term, linearised) for term in one.fit.terms]
+        X = Columns(linearised.joints, (Part(None, linearised.freedoms), *(term.part for term in terms))).whitened(W)
         tables.append(X.at(np.eye(X.count)).reshape(-1, X.count))
         shapes.append(tables[-1][:, one.fit.slices[number]] @ one.fit.theta[one.fit.slices[number]])
-    return tables, np.stack(shapes, axis=1), there.frame
+    return tables, np.stack(shapes, axis=1), linearised.frame
 
 
 def _on(term: Term, arms: Arms) -> Term:

@@ -87,7 +87,7 @@ class Question(ABC, Generic[F_co]):
     """
 
     hypotheses: tuple[Hypothesis[F_co], ...]
-    not_asked: tuple[str, ...] = ()
+    not_tested: tuple[str, ...] = ()
 
     @property
     def named(self) -> tuple[Hypothesis[F_co], ...]:
@@ -207,13 +207,13 @@ def choose_exposures(questions: Sequence[PerFrame], count: int) -> Floats:
     sums = [(0.0, np.zeros(q.onto.shape[1]), np.eye(q.onto.shape[1])) for q in questions]
     free, out = np.ones(len(questions[0].of), bool), []
     for _ in range(count):
-        told = np.zeros(len(free))
+        information = np.zeros(len(free))
         for q, (of, onto, left) in zip(questions, sums):
             b = onto + q.onto[free]
-            told[free] += (
+            information[free] += (
                 of + q.of[free] - np.einsum("fp,fp->f", b, np.linalg.solve(left + q.open[free], b[..., None])[..., 0])
             )
-        best = int(np.argmax(np.where(free, told, -np.inf)))
+        best = int(np.argmax(np.where(free, information, -np.inf)))
         sums = [
             (of + q.of[best], onto + q.onto[best], left + q.open[best]) for q, (of, onto, left) in zip(questions, sums)
         ]

@@ -106,7 +106,7 @@ class InvestigatedRig:
         elif self.by == "driver":
             self._drive(plan, out)
         elif not (out / "frames.csv").exists():
-            raise Waiting(self._asked(plan, out))
+            raise Waiting(self._request_text(plan, out))
         else:
             self._stood(plan, out)
 
@@ -140,18 +140,18 @@ class InvestigatedRig:
 
     def _stood(self, plan: Path, out: Path) -> None:
         """Raise RigError where a recording by hand does not say that cubes stood as its plan has them."""
-        wanted, told = (
+        wanted, stated = (
             dict(build_plan(self.design, f"commands:{plan}").turned),
             quarter_turns_of_cubes(design_from_rig_toml.load_design(out / "rig.toml")),
         )
-        if told != wanted:
+        if stated != wanted:
             raise RigError(
                 f"{plan} is for cubes mounted as {_cube_text(wanted) if wanted else 'rig.toml states them'}, "
                 f"and {out / 'rig.toml'} says "
-                f"{_cube_text(told) if told else 'that none was removed'}; state there how they were mounted"
+                f"{_cube_text(stated) if stated else 'that none was removed'}; state there how they were mounted"
             )
 
-    def _asked(self, plan: Path, out: Path) -> str:
+    def _request_text(self, plan: Path, out: Path) -> str:
         """What somebody is asked to do, in words."""
         todo = build_plan(self.design, f"commands:{plan}")
         cubes = [f"  before it begins: {text}" for text in turning_instructions(dict(todo.turned), {})]

@@ -53,17 +53,17 @@ def bounded_least_squares_step(
     return step, covariance
 
 
-def _solved(b: Floats, G: Floats, kept: Floats) -> tuple[Floats, Floats]:
+def _solved(b: Floats, G: Floats, sums: Floats) -> tuple[Floats, Floats]:
     """(G^-1 b, G^-1) in the directions that anything sees and that keep sums (k, c)."""
     if not len(b):
         return np.zeros(0), np.zeros((0, 0))
     scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
     scaled = G / scale[:, None] / scale
-    kept = kept[kept.any(axis=1)]
-    along = null_space(kept / scale) if len(kept) else None
+    sums = sums[sums.any(axis=1)]
+    along = null_space(sums / scale) if len(sums) else None
     values, vectors = np.linalg.eigh(scaled if along is None else along.T @ scaled @ along)
-    there = values > NULL * max(values.max(initial=0.0), 1e-300)  # none where every direction changes a sum
-    half = vectors[:, there] / np.sqrt(values[there])
+    determined = values > NULL * max(values.max(initial=0.0), 1e-300)  # none where every direction changes a sum
+    half = vectors[:, determined] / np.sqrt(values[determined])
     half = (half if along is None else along @ half) / scale[:, None]
     return half @ (half.T @ b), half @ half.T
 
@@ -116,7 +116,6 @@ def fit_least_squares(
     start: Floats,
     mean: Floats,
     sigma: Floats,
-    basis: Floats | None = None,
     inliers: Booleans | None = None,
     robust: bool = False,
 ) -> Fit:
@@ -124,20 +123,17 @@ def fit_least_squares(
 
     linearise : function of parameters (k,) -> Linear; start : (k,); mean, sigma : (k,) the prior, sigma infinite where
         there is none
-    basis : (k, j) directions in which the parameters may move from the start (constraints hold the others), or None for
-        all
     inliers : (n,) bool blocks to use, or None for all; robust : whether blocks that disagree are sorted out, in rounds
     Returns Fit. Raises NotEnoughData where the data and prior leave a direction open, RigError where the steps do not
         settle.
     """
-    p, spans = np.array(start, float), np.eye(len(start)) if basis is None else np.asarray(basis, float)
-    mean, weight = np.asarray(mean, float), 1 / np.asarray(sigma, float)
+    p, mean, weight = np.array(start, float), np.asarray(mean, float), 1 / np.asarray(sigma, float)
     linear = linearise(p)
     used, last = np.ones(len(linear.residual), bool) if inliers is None else inliers, np.inf
     for iteration in range(1, MAX_ITERATIONS + 1):
-        data = _triangle(linear, used, basis)
-        step = _step(data, linear.common.shape[2], weight, mean - p, spans)
-        p = p + spans @ step.parameters
+        data = _triangle(linear, used)
+        step = _step(data, linear.common.shape[2], weight, mean - p)
+        p = p + step.parameters
         linear = linearise(p)
         length, before = float(np.linalg.norm(step.root @ step.parameters)), last
         last = length
@@ -148,26 +144,16 @@ def fit_least_squares(
         if (retained == used).all():
             half = solve_triangular(step.root, np.eye(len(step.root)))
             c = linear.common.shape[2]
-            return Fit(
-                p,
-                spans @ half @ half.T @ spans.T,
-                step.shared,
-                data[c:-1, c:-1] @ spans.T,
-                left,
-                used,
-                step.cost,
-                iteration,
-            )
+            return Fit(p, half @ half.T, step.shared, data[c:-1, c:-1], left, used, step.cost, iteration)
         used = retained
     raise RigError(
         f"the least squares did not settle in {MAX_ITERATIONS} iterations: the last step was {last:.3g} sigma"
     )
 
 
-def _triangle(linear: Linear, inliers: Booleans, basis: Floats | None) -> Floats:
-    """(c + j + 1,) square upper triangle of [common, jacobian, residual], the shared draw's prior included."""
-    J = linear.jacobian if basis is None else linear.jacobian @ basis
-    rows = np.concatenate([linear.common, J, linear.residual[..., None]], axis=2)
+def _triangle(linear: Linear, inliers: Booleans) -> Floats:
+    """(c + k + 1,) square upper triangle of [common, jacobian, residual], the shared draw's prior included."""
+    rows = np.concatenate([linear.common, linear.jacobian, linear.residual[..., None]], axis=2)
     c, width = linear.common.shape[2], rows.shape[2]
     return _r(np.concatenate([rows[inliers].reshape(-1, width), np.eye(c, width)]), width)
 
@@ -183,7 +169,7 @@ def _r(rows: Floats, width: int) -> Floats:
 
 
 class _Step(NamedTuple):
-    """parameters : (j,); shared : (c,) draw; root : (j, j) square root of the information with the prior; cost : at the
+    """parameters : (k,); shared : (c,) draw; root : (k, k) square root of the information with the prior; cost : at the
     step's end.
     """
 
@@ -193,12 +179,10 @@ class _Step(NamedTuple):
     cost: float
 
 
-def _step(data: Floats, c: int, weight: Floats, to_mean: Floats, basis: Floats) -> _Step:
+def _step(data: Floats, c: int, weight: Floats, to_mean: Floats) -> _Step:
     """The step that the triangle of the data and the prior, of weight (k,) and to_mean (k,) away, ask for together."""
     held = np.isfinite(weight) & (weight > 0)
-    prior = np.concatenate(
-        [np.zeros((held.sum(), c)), weight[held, None] * basis[held], (weight * to_mean)[held, None]], axis=1
-    )
+    prior = np.concatenate([np.zeros((held.sum(), c)), np.diag(weight)[held], (weight * to_mean)[held, None]], axis=1)
     R = _r(np.concatenate([data, prior]), data.shape[1])
     root, right = R[c:-1, c:-1], R[c:-1, -1]
     size = np.abs(np.diag(root))

@@ -59,8 +59,8 @@ class Placement:
     @property
     def motion(self) -> RigidTransform:
         """The base's motion in the frame of poses."""
-        there = RigidTransform.from_translation(self.origin)
-        return there * self.base * there.inv()
+        to_origin = RigidTransform.from_translation(self.origin)
+        return to_origin * self.base * to_origin.inv()
 
     @property
     def moved(self) -> tuple[bool, bool]:
@@ -172,14 +172,16 @@ def _white(predicted: RigidTransform, samples: Samples, placement: Placement, sc
     left = pose_to_vector(turned)[:, :rows]
     covariance = moved.total_covariance()[:, :rows, :rows] + np.diag(scatter[:rows] ** 2)
     W = np.linalg.inv(np.linalg.cholesky(covariance))
-    columns = placement_columns(predicted, placement.origin)[:, :rows] * asked_numbers(placement.ends, samples.measured)
+    columns = placement_columns(predicted, placement.origin)[:, :rows] * requested_numbers(
+        placement.ends, samples.measured
+    )
     left = (W @ left[..., None])[..., 0]
     size = np.sqrt((left**2).mean(axis=1))
     size = size / max(1.0, float(np.median(size)))
     return _White(left, W @ columns, np.minimum(1.0, HUBER / np.maximum(size, 1e-12)), W)
 
 
-def asked_numbers(ends: tuple[bool, bool], measured: str) -> Booleans:
+def requested_numbers(ends: tuple[bool, bool], measured: str) -> Booleans:
     """Placement numbers (12,) bool that are estimated of ends.
 
     Positions tell no rotation of the tool.
@@ -197,8 +199,11 @@ def estimate_placement(
     Its covariance is that of the noise, enlarged where the poses scatter by more
     """
     none = Placement(NONE, NONE, origin, np.zeros((12, 12)), ends)
-    starts = [none, *(_aligned(predicted, samples, none, way) for way in ((True, False), (False, True), (True, True)))]
-    starts = [one for one in starts if all(asked or not used for asked, used in zip(ends, one.ends))]
+    starts = [
+        none,
+        *(_aligned(predicted, samples, none, free) for free in ((True, False), (False, True), (True, True))),
+    ]
+    starts = [one for one in starts if all(end_requested or not used for end_requested, used in zip(ends, one.ends))]
 
     def far(one: Placement) -> float:
         T = one.undone(samples.T_base_platform)
@@ -214,7 +219,7 @@ def estimate_placement(
         found = found.stepped(step)
         if np.abs(step).max() < SETTLED:
             break
-    requested = asked_numbers(ends, samples.measured)
+    requested = requested_numbers(ends, samples.measured)
     freedom = max(white.left.size - int(requested.sum()), 1)
     excess = max(1.0, float(((white.weight[:, None] * white.left) ** 2).sum()) / freedom)
     return replace(found, covariance=np.linalg.inv(H) * excess * np.outer(requested, requested))
@@ -223,8 +228,8 @@ def estimate_placement(
 def _aligned(predicted: RigidTransform, samples: Samples, none: Placement, ways: tuple[bool, bool]) -> Placement:
     """Placement by which poses, or positions, agree best, the others where they stand."""
     base, tool = align_poses(predicted, samples.T_base_platform, ways, 6 if samples.measured == "pose" else 3)
-    there = RigidTransform.from_translation(none.origin)
-    return replace(none, base=there.inv() * base * there, tool=tool, ends=ways)
+    to_origin = RigidTransform.from_translation(none.origin)
+    return replace(none, base=to_origin.inv() * base * to_origin, tool=tool, ends=ways)
 
 
 def placement_with_significant_displacements(placement: Placement, always: tuple[bool, bool], clear: bool) -> Placement:
@@ -252,7 +257,9 @@ def _chance(moved: Floats, covariance: Floats) -> float:
     return float(scipy.special.chdtrc(int(some.sum()), square))
 
 
-def is_clear(predicted: RigidTransform, samples: Samples, placement: Placement, scatter: Floats) -> bool:
+def is_placement_significant(
+    predicted: RigidTransform, samples: Samples, placement: Placement, scatter: Floats
+) -> bool:
     """Whether a placement does CLEAR times as much to the whitened poses as it leaves.
 
     predicted : (n,) poses in the reference; scatter : (6,) m, rad beyond the poses' noise
@@ -339,7 +346,9 @@ def _without_displacement(calibration: Calibration, samples: Samples, instrument
         return replace(one, covariance=one.covariance + shared)
 
     both = estimated((True, True))
-    tested = placement_with_significant_displacements(both, always, is_clear(predicted, samples, both, scatter))
+    tested = placement_with_significant_displacements(
+        both, always, is_placement_significant(predicted, samples, both, scatter)
+    )
     if not any(tested.ends):
         return PlacedSamples(samples)
     found = both
@@ -350,9 +359,9 @@ def _without_displacement(calibration: Calibration, samples: Samples, instrument
     white = _white(predicted, samples, found, scatter)
     A = white.columns * white.weight[:, None, None]
     hat = np.linalg.inv(np.einsum("nka,nkb->ab", A, white.columns) + np.eye(12) / LOOSE**2)
-    taken = np.einsum("nka,ab,nkb->nk", A, hat, white.columns)
+    explained = np.einsum("nka,ab,nkb->nk", A, hat, white.columns)
     count = white.left.shape[1]
-    share = np.repeat([taken[:, part].mean() for part in (slice(0, 3), slice(3, 6)) if part.start < count], 3)
+    share = np.repeat([explained[:, part].mean() for part in (slice(0, 3), slice(3, 6)) if part.start < count], 3)
     grown = np.ones(6)
     grown[:count] = 1 / np.sqrt(1 - np.minimum(share, 0.9))
     left = pose_to_vector(predicted.inv() * moved.T_base_platform) * grown
@@ -360,7 +369,7 @@ def _without_displacement(calibration: Calibration, samples: Samples, instrument
     if samples.measured == "position":
         T = RigidTransform.from_translation(T.translation)
     unexpected = tuple(name for name, moved_, free in zip(ENDS, found.moved, always) if moved_ and not free)
-    numbers = int(asked_numbers(found.ends, samples.measured).sum())
+    numbers = int(requested_numbers(found.ends, samples.measured).sum())
     lines = [
         *found.lines(),
         f"the errors are without this: {numbers} numbers were estimated from these {len(samples)} poses, and what they "
@@ -383,7 +392,7 @@ def _by_shared_errors(
     G = np.linalg.solve(H, np.einsum("nka,nkp->ap", white.columns, J))
     common = samples_in_reference(samples, found, predicted).common[:, : white.left.shape[1]]
     B = np.linalg.solve(H, np.einsum("nka,nkc->ac", white.columns, white.W @ common))
-    requested = asked_numbers(found.ends, samples.measured)
+    requested = requested_numbers(found.ends, samples.measured)
     return (G @ calibration.covariance @ G.T + B @ B.T) * np.outer(requested, requested)
 
 

@@ -20,12 +20,12 @@ from calib.models.base_and_tool_displacement_between_recordings import (
     LOOSE,
     NONE,
     Placement,
-    asked_numbers,
     base_origin,
     estimate_placement,
-    is_clear,
+    is_placement_significant,
     placement_columns,
     placement_with_significant_displacements,
+    requested_numbers,
     samples_in_reference,
     target_poses,
 )
@@ -52,7 +52,7 @@ def _joined_in_reference(parts: Sequence[Samples], placements: Sequence[Placemen
     for k, (part, place) in enumerate(zip(parts, (none, *placements))):
         T = target_poses(part, machine)
         one = samples_in_reference(part, place, T)
-        requested = asked_numbers(place.ends, part.measured)
+        requested = requested_numbers(place.ends, part.measured)
         columns = np.zeros((len(part), 6, count))
         below = []
         if k:
@@ -157,7 +157,7 @@ def remove_base_and_tool_displacement(recording: Recording) -> tuple[Recording, 
     free = () if design.instrument is None else (design.instrument.base == "free", design.instrument.tool == "free")
     tested = []
     for one, part in zip(found, parts[1:]):
-        clear = any(free) or is_clear(target_poses(part, fit.machine), part, one, fit.scatter)
+        clear = any(free) or is_placement_significant(target_poses(part, fit.machine), part, one, fit.scatter)
         repeated = placement_with_significant_displacements(one, (False, False), clear)
         own = one if repeated.ends == (True, True) else _placement(part, fit.machine, fit.scatter, repeated.ends)
         tested.append(replace(own, p_values=repeated.p_values))
@@ -199,7 +199,7 @@ def _placed_with_geometry(
         placements = [one.stepped(own) for one, own in zip(placements, step.reshape(-1, 12))]
         if np.abs(step).max() < PLACED:
             break
-    requested = np.concatenate([asked_numbers(one.ends, samples.measured) for one in placements])
+    requested = np.concatenate([requested_numbers(one.ends, samples.measured) for one in placements])
     covariance = covariance * np.outer(requested, requested)
     blocks = [covariance[k : k + 12, k : k + 12] for k in range(0, len(covariance), 12)]
     done = [replace(one, covariance=own) for one, own in zip(placements, blocks)]
@@ -215,8 +215,8 @@ def _recording_in_reference(
         return recording
     samples = _joined_in_reference(parts, placements, fit.machine)
     values, vectors = np.linalg.eigh(fit.covariance)
-    told = values > 1e-12 * values[-1]  # the ends that are not asked for leave rounding alone
-    factor = WIDE * vectors[:, told] * np.sqrt(values[told])
+    determined = values > 1e-12 * values[-1]  # the ends that are not asked for leave rounding alone
+    factor = WIDE * vectors[:, determined] * np.sqrt(values[determined])
     covariance = samples.covariance if samples.measured == "pose" else poses.covariance
     moved = replace(
         poses, T_base_platform=samples.T_base_platform, covariance=covariance, common=samples.common @ factor

@@ -149,12 +149,12 @@ def _approached(of: Machine, T: RigidTransform, route: Route, values: Floats, pa
 
 def _exists(of: Machine, T: RigidTransform, values: Floats) -> Booleans:
     """(n,) bool, whether the machine has a pose near T (n,) at these values (n, axes)."""
-    there = np.ones(len(values), bool)
+    exists = np.ones(len(values), bool)
     try:
         of.correction.predict(values, T)
     except NotConverged as error:
-        there[error.index] = False
-    return there
+        exists[error.index] = False
+    return exists
 
 
 def _axes(covariance: Floats, A: Floats) -> Floats:

@@ -40,7 +40,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parame
 from rig.model.pose import pose as pose_of
 from rig.model.pose import pose_to_vector
 
-AGAIN = (8, 16, 32, 64, 128)  # poses after which all up to then are linearised again
+RELINEARISED_AT = (8, 16, 32, 64, 128)  # poses after which all up to then are linearised again
 LARGER = 3.0  # times a change's size: standard deviation that what changed is opened by
 ASIDE = 2.0  # the same for the joints of a strut that changed in length
 
@@ -133,7 +133,7 @@ def state_with_pose(state: State, pose: Pose, start: Start, update_at_once: bool
     recent = (*state.recent[1 - WINDOW :], Learnt(pose, after.sums[slot].copy(), before, state.first))
     first = state.first
     if first is not None:
-        first = (*first, pose) if len(first) < AGAIN[-1] else None
+        first = (*first, pose) if len(first) < RELINEARISED_AT[-1] else None
     return State(after, state.learnt + 1, recent, first, innovation, outcome == ALARM)
 
 
@@ -279,7 +279,7 @@ def load_filter_state(path: Path | str) -> Saved:
     for key, R in (("root", root), ("S", estimate.S[:, :k])):
         if not (np.abs(np.diag(R)) > SINGULAR).all() or np.tril(R, -1).any() and key == "S":
             tree.fail(f"{key} is no triangle with an inverse", key)
-    first = None if tree.get("first") is None else _in(tree, "first", len(s), AGAIN[-1])
+    first = None if tree.get("first") is None else _in(tree, "first", len(s), RELINEARISED_AT[-1])
     recent, held = _in(tree, "recent", len(s), WINDOW), _in(tree, "held", len(s), WINDOW)
     number = tree.whole("number", 0)
     state = State(estimate, 0, (), first, np.zeros(6), False)

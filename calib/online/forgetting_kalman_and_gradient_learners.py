@@ -119,8 +119,10 @@ class Forgetting(Learner):
 
     def _followed(self, x: Floats, T_base_platform: RigidTransform, covariance: Floats) -> Floats:
         e, J = self.rows(x, T_base_platform.as_matrix(), covariance, self.p)
-        told = J @ self.memory
-        self.memory = self.memory + J.T @ J - (1 - self.setting) * told.T @ np.linalg.solve(told @ J.T, told)
+        gain_rows = J @ self.memory
+        self.memory = (
+            self.memory + J.T @ J - (1 - self.setting) * gain_rows.T @ np.linalg.solve(gain_rows @ J.T, gain_rows)
+        )
         self.p = self.p + np.linalg.solve(self.memory, J.T @ e)
         return e
 

@@ -21,7 +21,7 @@ from calib.models.platform.identification import PRIOR
 from calib.online import filter_state
 from calib.online.filter_kernels_and_change_detection import SUSPECT, WINDOW, Change, Machine, Pose, detect_changes
 from calib.online.filter_state import (
-    AGAIN,
+    RELINEARISED_AT,
     Start,
     State,
     change_evidence,
@@ -142,12 +142,12 @@ class Online:
                 f"{pose.covariance.shape} and {common.shape}"
             )
         try:
-            taken = _pose_update(self.state, self.held, pose, self.start)
+            updated = _pose_update(self.state, self.held, pose, self.start)
         except RigError:
-            taken = _unexpected(self.state, self.held, pose, self.start)
-        self.state, self.held = taken.state, taken.held
+            updated = _unexpected(self.state, self.held, pose, self.start)
+        self.state, self.held = updated.state, updated.held
         self.number += 1
-        return Update(pose.number, taken.innovation, taken.changes, bool(taken.held), taken.dropped)
+        return Update(pose.number, updated.innovation, updated.changes, bool(updated.held), updated.dropped)
 
     def save(self, path: Path | str) -> None:
         """Write the state, whole or not at all: the filter before its last poses, and those."""
@@ -194,23 +194,23 @@ def _pose_update(before: State, waiting: tuple[Pose, ...], pose: Pose, start: St
             dropped, waiting = tuple(each.number for each in waiting), ()
             state, found = _examined(alone, start)
             innovation = state.innovation
-    told: tuple[Change, ...] = ()
-    while found and len(told) < LARGEST:
+    changes: tuple[Change, ...] = ()
+    while found and len(changes) < LARGEST:
         try:
             state = state_refiltered_with_changes_freed(state, found, start)
         except RigError:  # with these changes the machine closes on no pose: they explain nothing, and the pose waits
             break
-        told += found
+        changes += found
         found, innovation = detect_changes(change_evidence(state)), state.innovation
-    if not told and (waiting or state.square > SUSPECT):
+    if not changes and (waiting or state.square > SUSPECT):
         held = (*waiting, pose)
         if len(held) == WINDOW:  # nothing explains them: the oldest is given up
             dropped, held = (*dropped, held[0].number), held[1:]
-        return _PoseUpdate(before, held, innovation, told, dropped)
-    if state.first is not None and len(state.first) in AGAIN:
+        return _PoseUpdate(before, held, innovation, changes, dropped)
+    if state.first is not None and len(state.first) in RELINEARISED_AT:
         state = relinearised_state(state, start)
         innovation = state.innovation
-    return _PoseUpdate(state, (), innovation, told, dropped)
+    return _PoseUpdate(state, (), innovation, changes, dropped)
 
 
 def _unexpected(state: State, waiting: tuple[Pose, ...], pose: Pose, start: Start) -> _PoseUpdate:

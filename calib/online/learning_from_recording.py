@@ -184,8 +184,8 @@ def _new_poses(
     return set(hashes_of_frames(marks, fresh)), replace(found, samples=samples), commands
 
 
-def _require_new_frames(recording: Recording, marks: Marks, again: Sequence[int]) -> None:
-    if len(again) == len(marks) > 0:
+def _require_new_frames(recording: Recording, marks: Marks, known: Sequence[int]) -> None:
+    if len(known) == len(marks) > 0:
         raise RigError(
             f"all {len(marks)} frames of {recording.folder} with observations have been learnt already; "
             "once more they would be counted twice"

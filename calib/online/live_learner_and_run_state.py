@@ -66,7 +66,7 @@ class Learner:
             if calibration
             else Online(nominal, shared)
         )
-        self._kept = copy(self._online)
+        self._last_saved = copy(self._online)
         self._calibrated, self._errors = calibration is not None, list[Floats]()
         self._drifting = False
 
@@ -83,13 +83,13 @@ class Learner:
 
     def save(self) -> None:
         """Remember what is known now."""
-        self._kept = copy(self._online)
+        self._last_saved = copy(self._online)
 
     def restore(self) -> None:
         """Know again what was known when it was last kept, nothing of what came since; poses to come share no
         errors.
         """
-        self._online = copy(self._kept)
+        self._online = copy(self._last_saved)
         self._online.new_session()
 
     def learn(

@@ -92,10 +92,10 @@ class RunObserver:
             None
         )  # writes that they no longer do
         self._waiting: list[Alarm] = []  # jumps that vision has not confirmed
-        self._begun, self._done, self._way = clock.now(), 0, step_distances(planned, start)
+        self._begun, self._done, self._distances = clock.now(), 0, step_distances(planned, start)
         speed = design.controller.max_speed.min() if design.controller else np.inf
         speeds = np.array([speed if step.speed is None else step.speed for step in planned])
-        self._travel, self._planned = self._way / speeds, planned
+        self._travel, self._planned = self._distances / speeds, planned
         frames = sum(step.frames for step in planned)
         self.state = RunState(
             "starting",
@@ -163,7 +163,7 @@ class RunObserver:
         here = f"{frames} frame{'s' * (frames != 1)} there" if frames else ""
         if step + 1 == len(self._planned):
             return ", ".join(filter(None, (here, "the end")))
-        return ", ".join(filter(None, (here, f"step {step + 2} ({self._way[step + 1] * 1e3:.1f} mm)")))
+        return ", ".join(filter(None, (here, f"step {step + 2} ({self._distances[step + 1] * 1e3:.1f} mm)")))
 
     def ignore_limbs(self) -> None:
         """Compare no limbs with vision: in motion they are not read at the moment of the exposure."""
@@ -221,12 +221,12 @@ class RunObserver:
         """s until the plan is done: the ways at full speed, and what the steps so far took beside theirs."""
         passed = self._clock.now() - self._begun
         done = max(self._done - 1, 0)
-        beside = (passed - self._travel[step - done : step].sum()) / done if done else 0.0
-        return float(self._travel[step:].sum() + max(beside, 0.0) * (len(self._planned) - step))
+        overhead = (passed - self._travel[step - done : step].sum()) / done if done else 0.0
+        return float(self._travel[step:].sum() + max(overhead, 0.0) * (len(self._planned) - step))
 
     def _work(self) -> None:
-        while (taken := self._queue.get()) is not None:
-            shot, lengths = taken
+        while (item := self._queue.get()) is not None:
+            shot, lengths = item
             try:
                 if self._failed is None and self.source is not None and self.source.in_force and lengths is not None:
                     self._by_limbs(shot, lengths, self.source)

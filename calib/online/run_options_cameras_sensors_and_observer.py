@@ -23,7 +23,7 @@ from rig.driving.cameras.camera_interface_and_user_cameras import SynchronisedCa
 from rig.driving.clock import Clock
 from rig.driving.driver_opening_and_settling import Settling
 from rig.driving.move_and_record_loop import RunEquipment
-from rig.driving.move_profiles_and_path_check import Way, trapezoidal_profile
+from rig.driving.move_profiles_and_path_check import TimedShares, trapezoidal_profile
 from rig.driving.run_steps_and_progress import Step
 from rig.driving.strut_driver import Driver
 from rig.driving.user_classes_and_sensor_reader import open_sensors
@@ -199,13 +199,13 @@ def open_sensors_and_assemble_equipment(
     )
 
 
-def _move_time_profile(design: Design) -> Callable[[Floats, Floats, float, float], Way]:
+def _move_time_profile(design: Design) -> Callable[[Floats, Floats, float, float], TimedShares]:
     """How a move goes in time: (start, goal (axes,) m, begun, ended s) -> Way, by the controller's stated speeds and
     accelerations.
     """
     c = design.driver()
 
-    def way(start: Floats, goal: Floats, begun: float, ended: float) -> Way:
+    def profile(start: Floats, goal: Floats, begun: float, ended: float) -> TimedShares:
         travel = np.abs(goal - start)
         cruise = float((travel / c.max_speed).max())
         if not travel.any():
@@ -213,7 +213,7 @@ def _move_time_profile(design: Design) -> Callable[[Floats, Floats, float, float
         ramp = None if c.max_acceleration is None else float((travel / c.max_acceleration).max() / cruise)
         return trapezoidal_profile(begun, ended, cruise, ramp)
 
-    return way
+    return profile
 
 
 def set_exposures(

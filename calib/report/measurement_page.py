@@ -181,18 +181,18 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
     )
 
 
-def _recommended_actions(told: MeasurementResult) -> list[str]:
+def _recommended_actions(result: MeasurementResult) -> list[str]:
     """What an owner does next with a measurement."""
     steps = (
         ["Correct the entries of the markers named below in rig.toml, or their print, and measure again"]
-        if told.suspects
+        if result.suspects
         else []
     )
-    if told.measurement.unsolved:
+    if result.measurement.unsolved:
         steps.append("See below why frames lack a pose; `rig view REC --frame N` draws the markers read in one")
-    if told.held and told.held.ratio > TWICE and abs(told.held.ratio - 1) > 2 * told.held.scatter:
+    if result.held and result.held.ratio > TWICE and abs(result.held.ratio - 1) > 2 * result.held.scatter:
         steps.append("Determine the unmodelled effects: `rig diagnose REC --out found`")
-    if told.recording.commands is None:  # nothing was commanded that a calibration could correct
+    if result.recording.commands is None:  # nothing was commanded that a calibration could correct
         return [*steps, "See the poses in three dimensions: `rig view MEASURED --page view.html`"]
     return [*steps, "Calibrate from these poses: `rig calibrate MEASURED --out calibration.json`"]
 
@@ -217,16 +217,16 @@ def _suspects(suspects: Sequence[Suspect]) -> list[str]:
     ]
 
 
-def _pictures(told: MeasurementResult) -> list[str]:
-    m = told.measurement
+def _pictures(result: MeasurementResult) -> list[str]:
+    m = result.measurement
     usual, bad = _frame_of_median_residual(m), _frame_of_greatest_residual(m)
-    shown = _frame_pictures_html(told.recording, m, usual)
+    shown = _frame_pictures_html(result.recording, m, usual)
     if not shown:
         return []
     rest = (
         [
             folding_section_html(
-                f"The frame with the greatest residuals, {bad}", *_frame_pictures_html(told.recording, m, bad)
+                f"The frame with the greatest residuals, {bad}", *_frame_pictures_html(result.recording, m, bad)
             )
         ]
         if bad != usual

@@ -34,7 +34,8 @@ ASK = "Determine the effects on the struts or the measurement: `rig diagnose REC
 class OnlineResult:
     """What poses taught. frames : (n,) their numbers; innovations : (n, 6) whitened, N(0, I) where nothing is wrong;
     source : of the poses
-    said : a line for each change; dropped : numbers of frames left out; known : m RMS of joints and zeros, or None;
+    change_lines : a line for each change; dropped : numbers of frames left out; known : m RMS of joints and zeros, or
+    None;
         moved : m RMS from rig.toml
     returning : struts that go back and forth, a sentence each; confounds : of the recording, or None
     calibrations : OfCalibrations made from it: what they leave out, these poses teach no better"""
@@ -42,7 +43,7 @@ class OnlineResult:
     frames: Integers
     innovations: Floats
     source: str
-    said: Sequence[str]
+    change_lines: Sequence[str]
     dropped: Sequence[int]
     known: float | None
     moved: float
@@ -68,7 +69,7 @@ def write_online_page(path: Path | str, name: str, result: OnlineResult, links: 
             f"{len(result.frames)} poses from {result.source}, learnt one at a time. Joints and zeros moved by "
             f"{result.moved * 1e3:.4f} mm RMS from rig.toml."
         ),
-        *section_html("What jumped", [list_html(result.said)] if result.said else []),
+        *section_html("What jumped", [list_html(result.change_lines)] if result.change_lines else []),
     ]
     if result.dropped:
         parts += [
@@ -84,14 +85,18 @@ def online_verdict(result: OnlineResult) -> Verdict:
     last = result.innovations[-max(len(result.innovations) // 4, 1) :]
     off = float(np.sqrt(np.mean(last**2)))
     known = "" if result.known is None else f"; joints and zeros are known to {result.known * 1e3:.4f} mm RMS"
-    changes = f"{len(result.said)} change{'s' * (len(result.said) != 1)}" if result.said else "nothing jumped"
+    changes = (
+        f"{len(result.change_lines)} change{'s' * (len(result.change_lines) != 1)}"
+        if result.change_lines
+        else "nothing jumped"
+    )
     why = f"{changes}, the last poses off the prediction by {off:.2f} standard deviations{known}"
     unexplained = [*result.returning, *result.calibrations.unexplained]
-    if len(result.said) > MANY:
+    if len(result.change_lines) > MANY:
         unexplained.append("these are too many steps: an effect outside the geometry is present")
     if off > AGREES:
         unexplained.append(f"the last poses are {off:.3g} times the expected deviation")
-    missing = [MissingEvidence("something jumped", _recommended_actions(result)[0])] if result.said else []
+    missing = [MissingEvidence("something jumped", _recommended_actions(result)[0])] if result.change_lines else []
     missing += [MissingEvidence("poses were excluded")] if result.dropped else []
     return judge_evidence(
         Evidence(
@@ -108,9 +113,9 @@ def online_verdict(result: OnlineResult) -> Verdict:
 
 def _recommended_actions(learnt: OnlineResult) -> list[str]:
     """What an owner does next with what was learnt."""
-    if len(learnt.said) > MANY or learnt.returning:
+    if len(learnt.change_lines) > MANY or learnt.returning:
         return [ASK]
-    if learnt.said:
+    if learnt.change_lines:
         return [
             "Check the struts named below for missed steps or a slipped joint, cameras and base for a "
             "displacement; home, and record again"
@@ -144,7 +149,7 @@ def write_measuring_limbs_page(
             axis,
             *(f"{column[i] * 1e6:.2f}" for column in columns),
             f"{agreement.moved[i] * 1e3:.1f} {'mm' if i < 3 else 'mrad'}",
-            _said(agreement, i),
+            _result_text(agreement, i),
         )
         for i, axis in enumerate(AXES)
     ]
@@ -232,7 +237,7 @@ def measuring_limbs_verdict(agreement: Agreement, withdrawal_reason: str | None)
     )
 
 
-def _said(found: Agreement, i: int) -> str:
+def _result_text(found: Agreement, i: int) -> str:
     if found.passed[i]:
         return "passes"
     return (

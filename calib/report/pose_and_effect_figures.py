@@ -91,7 +91,7 @@ def effect_with_size_scaled(effect: Effect, factor: float) -> Effect:
 def _effect_size_text(effect: Effect) -> str:
     """Its first parameter that tells its size, in words."""
     sized = [p for p in effect.parameters if p.role in ("linear", "size", "inverse")]
-    return "" if not sized else sized[0].at(effect.place).said(getattr(effect, sized[0].name))
+    return "" if not sized else sized[0].at(effect.place).value_text(getattr(effect, sized[0].name))
 
 
 def _times(value: float | tuple[float, ...], factor: float) -> float | tuple[float, ...]:
@@ -300,8 +300,8 @@ def effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     """
     if kind.stage in MOTION_STAGES:
         return sketches.draw_sketch(kind, factor)
-    way = example_run_with_effect(kind, PLACES[kind.places[-1]], factor, _sketch_targets(), _corner_displacement)
-    true, found = (_seen(effects, way.t, way.sensors) for effects in ([], [way.effect]))
+    run = example_run_with_effect(kind, PLACES[kind.places[-1]], factor, _sketch_targets(), _corner_displacement)
+    true, found = (_seen(effects, run.t, run.sensors) for effects in ([], [run.effect]))
     by = found[-1] - true[-1]
     much = enlargement_factor(float(np.linalg.norm(by, axis=-1).max()), DRAWN)
     off = np.abs(by).max(axis=(1, 2)) > CHANGES * np.abs(by).max()
@@ -318,12 +318,12 @@ def effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     )
     size = np.sqrt(np.mean(np.sum((found - true) ** 2, axis=-1), axis=(1, 2)))
     if np.ptp(size) <= CHANGES * size.max():
-        return Sketch(place_and_values_text(way.effect), (picture,))
-    scale, unit = largest_suitable_unit(way.t[-1], TIMES)
+        return Sketch(place_and_values_text(run.effect), (picture,))
+    scale, unit = largest_suitable_unit(run.t[-1], TIMES)
     through = plot_panel_svg(
-        "Through time", (f"time, {unit}", "RMS, px"), [Series(way.t / scale, size, "", "line", 1)], high=HIGH
+        "Through time", (f"time, {unit}", "RMS, px"), [Series(run.t / scale, size, "", "line", 1)], high=HIGH
     )
-    return Sketch(place_and_values_text(way.effect), (picture, through))
+    return Sketch(place_and_values_text(run.effect), (picture, through))
 
 
 def _corner_displacement(effect: Effect, camera: Camera) -> float:

@@ -123,7 +123,9 @@ def _recommended_actions(recording: Recording) -> list[str]:
 
 
 class PlanFigures(Protocol):
-    """A plan. design; values : (n, axes) m or rad in their order; verdict : on it; said : lines on what it tells"""
+    """A plan. design; values : (n, axes) m or rad in their order; verdict : on it
+    visibility_lines : on what it makes visible
+    """
 
     @property
     def design(self) -> Design:
@@ -138,7 +140,7 @@ class PlanFigures(Protocol):
         """The verdict on it."""
 
     @property
-    def said(self) -> Sequence[str]:
+    def visibility_lines(self) -> Sequence[str]:
         """Lines on what it makes visible."""
 
 
@@ -160,7 +162,11 @@ def write_plan_page(path: Path | str, file: str, plan_result: PlanFigures, links
             for i, (name, (scale, unit)) in enumerate(zip(mechanisms.axis_place_texts(mechanism), scales))
         )
     )
-    figures = [heading_html("In figures"), list_html(filter(None, plan_result.said))] if any(plan_result.said) else []
+    figures = (
+        [heading_html("In figures"), list_html(filter(None, plan_result.visibility_lines))]
+        if any(plan_result.visibility_lines)
+        else []
+    )
     parts = [
         heading_html("In three dimensions"),
         *view_3d_html(rig_scene(plan_result.design, n, T, plan_result.values)),

@@ -124,9 +124,9 @@ def confounds_of_samples(samples: Samples, mechanism: Parallel | Arm | Chain | F
 
 def confounds_of_configurations(values: Floats, start: Floats, mechanism: Parallel | Arm | Chain | Free) -> Confounds:
     """Confounds of configurations (n, axes) m or rad visited in order at even times, from start (axes,)."""
-    way = np.sign(np.diff(np.concatenate([start[None], values]), axis=0))
-    latest = np.maximum.accumulate(np.where(way != 0, np.arange(len(way))[:, None], -1), axis=0)
-    direction = np.where(latest < 0, 0.0, np.take_along_axis(way, np.maximum(latest, 0), axis=0))
+    signs = np.sign(np.diff(np.concatenate([start[None], values]), axis=0))
+    latest = np.maximum.accumulate(np.where(signs != 0, np.arange(len(signs))[:, None], -1), axis=0)
+    direction = np.where(latest < 0, 0.0, np.take_along_axis(signs, np.maximum(latest, 0), axis=0))
     return confounds_of_design(
         values, direction, cast(Floats, EVEN * np.arange(len(values))), {}, mechanisms.axis_place_texts(mechanism)
     )

@@ -208,7 +208,7 @@ def add_stage_measurements(
     return replace(samples, below=(*samples.below, Below(stage, T_base_stage[row], covariance[row], common[row], seen)))
 
 
-def samples_of_freedoms(samples: Samples, mechanism: Mechanism) -> Samples:
+def samples_of_movable_coordinates(samples: Samples, mechanism: Mechanism) -> Samples:
     """Samples of a mechanism, with what tilt sensors on its platform add to its poses; of fewer freedoms than six, only
     those of its platform's coordinates count as measured. The other coordinates are as at home and their covariance is
     0: no axis moves them, and what is seen of them says how the target sits on the platform.
@@ -285,7 +285,7 @@ def sample_recording(
     ):
         stated = poses.covariance is not None or recording.design.instrument is not None
         return Sampled(
-            samples_of_freedoms(_from_poses(recording), recording.design.mechanism),
+            samples_of_movable_coordinates(_from_poses(recording), recording.design.mechanism),
             "poses.csv",
             None,
             None,
@@ -310,7 +310,7 @@ def sample_recording(
         alone = below.covariance - below.common @ np.swapaxes(below.common, 1, 2)
         found = add_stage_measurements(found, stage, below.frames, below.T_base_platform, alone, below.common)
     return Sampled(
-        samples_of_freedoms(found, recording.design.mechanism),
+        samples_of_movable_coordinates(found, recording.design.mechanism),
         source,
         measured,
         collected,

@@ -242,11 +242,11 @@ def _corrected(w: WorkedExample) -> str:
     parts = [_path(_workspace_edge(NOMINAL), "edge", True, at)]
     for kind, reached in (("before", before), ("after", after)):
         parts += [
-            _path(np.stack([place, _enlarged(place, there)]), kind, at=at) for place, there in zip(wanted, reached)
+            _path(np.stack([place, _enlarged(place, actual)]), kind, at=at) for place, actual in zip(wanted, reached)
         ]
-    for place, there in zip(wanted, after):
+    for place, actual in zip(wanted, after):
         parts.append(
-            '<circle class="after" fill="none" cx="{:.2f}" cy="{:.2f}" r="2"/>'.format(*at(_enlarged(place, there)))
+            '<circle class="after" fill="none" cx="{:.2f}" cy="{:.2f}" r="2"/>'.format(*at(_enlarged(place, actual)))
         )
     rms = [np.sqrt(((reached - wanted) ** 2).sum(axis=1).mean()) * 1e3 for reached in (before, after)]
     parts += [

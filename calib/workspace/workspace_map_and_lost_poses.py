@@ -91,8 +91,8 @@ def _reached(needed: Floats, T: RigidTransform, machine: AnyCorrection) -> Boole
         index, given = indices_and_poses_of_solvable_commands(needed[inside], machine.predict)
     except NotConverged:
         return reached
-    there = inside[index]
-    reached[there] = np.abs(pose_difference(given, T[there])).max(axis=1) < SAME
+    solvable = inside[index]
+    reached[solvable] = np.abs(pose_difference(given, T[solvable])).max(axis=1) < SAME
     return reached
 
 

@@ -191,13 +191,13 @@ def cell_views(workspace: Workspace, quantity: Quantity) -> tuple[str, str]:
         for (i, j), value in zip(columns.tolist(), found.tolist()):
             box = (LEFT + scale * i, base - scale * (j + 1), scale, scale)
             opacity = 0.0 if value != value else 0.75 * max(value, 0.0) / top
-            told = _cell_number_text(value / per) if value == value else ""
+            cell_text = _cell_number_text(value / per) if value == value else ""
             parts.append(
                 f'<rect class="cell {quantity.style}" fill-opacity="{opacity:.2f}" x="{box[0]:.1f}" '
                 f'y="{box[1]:.1f}" width="{scale:.1f}" '
-                f'height="{scale:.1f}">{svg_tooltip(f"{told} {unit}") if told else ""}</rect>'
+                f'height="{scale:.1f}">{svg_tooltip(f"{cell_text} {unit}") if cell_text else ""}</rect>'
             )
-            parts.append(svg_text_or_empty_if_too_large(box, told, "small"))
+            parts.append(svg_text_or_empty_if_too_large(box, cell_text, "small"))
         corner = [
             (workspace.origin[axis] * 1e3, (workspace.origin[axis] + span[axis] * workspace.size) * 1e3)
             for axis in (across, up)

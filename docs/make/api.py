@@ -7,7 +7,7 @@ import importlib
 import inspect
 from pathlib import Path
 
-from docs.make.told import in_cell
+from docs.make.field_texts import in_cell
 
 ROOT = Path(__file__).parents[2]
 ENTRIES = ("rig", "synthetic", "vision", "calib")

@@ -78,7 +78,7 @@ def drawn(counts: Counts, shown: Counts, title: str, top: str = "") -> str:
         _arrow([at[node] for node in routes[a, b]], n, f"{a} imports {b}, upward", "against")
         for (a, b), n in against.items()
     ]
-    boxes = [_box(at[(name,)], width[(name,)], label[name], _told(name, counts)) for name in names(counts)]
+    boxes = [_box(at[(name,)], width[(name,)], label[name], _imports_text(name, counts)) for name in names(counts)]
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" role="img" viewBox="0 0 {WIDTH} {high}" width="{WIDTH}" '
         f'height="{high}"><title>{escape(title)}'
@@ -147,23 +147,23 @@ def _label(name: str, top: str) -> str:
     return f"files of {name}/" if name == top else f"{name.removeprefix(f'{top}/')}/"
 
 
-def _told(name: str, counts: Counts) -> str:
+def _imports_text(name: str, counts: Counts) -> str:
     """All that a folder imports and is imported by, in words."""
     out = ", ".join(f"{b} ({n})" for (a, b), n in counts.items() if a == name)
     into = ", ".join(f"{a} ({n})" for (a, b), n in counts.items() if b == name)
     return f"{name} imports {out or 'none of these'}; it is imported by {into or 'none of these'}"
 
 
-def _box(at: Place, wide: float, label: str, told: str) -> str:
+def _box(at: Place, wide: float, label: str, tooltip: str) -> str:
     x, y = at
     return (
-        f'<g><title>{escape(told)}</title><rect x="{x - wide / 2:.1f}" y="{y - BOX / 2:.1f}" '
+        f'<g><title>{escape(tooltip)}</title><rect x="{x - wide / 2:.1f}" y="{y - BOX / 2:.1f}" '
         f'width="{wide:.1f}" height="{BOX}" rx="5"/>'
         f'<text x="{x:.1f}" y="{y + 4.5:.1f}">{escape(label)}</text></g>'
     )
 
 
-def _arrow(places: list[Place], count: int, told: str, kind: str = "") -> tuple[str, str]:
+def _arrow(places: list[Place], count: int, tooltip: str, kind: str = "") -> tuple[str, str]:
     """The curve through some places with its head, and its number."""
     down = 1 if places[-1][1] >= places[0][1] else -1
     shift = 12 if kind and len(places) == 2 else 0  # beside an arrow that runs down between the same boxes
@@ -179,7 +179,7 @@ def _arrow(places: list[Place], count: int, told: str, kind: str = "") -> tuple[
     head = f"M{u:.1f},{v + down * 6:.1f} l-4,{-down * 8} h8 z"
     (x, y), (u, v) = points[0], points[1]
     line = (
-        f'<g><title>{escape(told)} ({count})</title><path class="{kind}" d="{curve}"/><path class="head {kind}" '
+        f'<g><title>{escape(tooltip)} ({count})</title><path class="{kind}" d="{curve}"/><path class="head {kind}" '
         f'd="{head}"/></g>'
     )
     return line, f'<text class="count {kind}" x="{(x + u) / 2:.1f}" y="{(y + v) / 2 + 4:.1f}">{count}</text>'

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from docs.make.told import in_cell
+from docs.make.field_texts import in_cell
 from tests.calib.checks.matrix import CASES
 
 ROOT = Path(__file__).parents[2]
@@ -64,7 +64,7 @@ class Message:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class MistakeText:
     """A mistake that is recognised, as it is said: what it is, and what to do."""
 
     what: str
@@ -75,20 +75,20 @@ def page() -> str:
     """The page in Markdown."""
     parts = [HEAD, "\n## Mistakes that are recognised\n\n| message | what to do |\n|---|---|\n"]
     named = sorted(
-        {told for told in mistakes() if told.do != ".."},
-        key=lambda told: (told.what.startswith(".."), told.what, told.do),
+        {mistake for mistake in mistakes() if mistake.do != ".."},
+        key=lambda mistake: (mistake.what.startswith(".."), mistake.what, mistake.do),
     )
-    parts += [f"| {_cell(told.what)} | {_cell(told.do)} |\n" for told in named]
+    parts += [f"| {_cell(mistake.what)} | {_cell(mistake.do)} |\n" for mistake in named]
     parts.append(
         "\nAmong what people did to sound recordings and what is named so (the tests do each): "
         f"{'; '.join(case.name for case in CASES)}.\n"
     )
-    said, kinds = (
+    sorted_messages, kinds = (
         sorted(set(messages()), key=lambda m: (m.words.lstrip(". ").lower(), m.words, m.module)),
         error_kinds(),
     )
     for kind, words in kinds.items():
-        mine = [m for m in said if m.kind == kind]
+        mine = [m for m in sorted_messages if m.kind == kind]
         if mine:
             parts.append(f"\n## {kind}\n\n{words}\n\n{ADVICE[kind]}\n\n| message | said by |\n|---|---|\n")
             parts += [f"| {_cell(m.words)} | {m.module} |\n" for m in mine]
@@ -120,12 +120,12 @@ def messages() -> Iterator[Message]:
             yield Message(words, name, path)
 
 
-def mistakes() -> Iterator[Told]:
+def mistakes() -> Iterator[MistakeText]:
     """Every Mistake that the code can name."""
     for _, call in _calls():
         if ast.unparse(call.func).split(".")[-1] == "Mistake" and len(call.args) >= 2:
             for what in fixed(call.args[0]):
-                yield Told(what, next(fixed(call.args[1]), ".."))
+                yield MistakeText(what, next(fixed(call.args[1]), ".."))
 
 
 @cache

@@ -33,11 +33,11 @@ def main(folder: Path) -> None:
     PICTURES.mkdir(exist_ok=True)
     with browser() as opened:
         for kind, page in pages.items():
-            seen = [_taken(opened, page.as_uri(), WIDE, "light")]
-            seen += [_taken(opened, page.as_uri(), NARROW, "dark")] if kind in ON_PHONES else []
-            _beside(seen).save(PICTURES / f"{kind}.webp", quality=QUALITY, method=6)
+            seen = [_screenshot(opened, page.as_uri(), WIDE, "light")]
+            seen += [_screenshot(opened, page.as_uri(), NARROW, "dark")] if kind in ON_PHONES else []
+            _side_by_side(seen).save(PICTURES / f"{kind}.webp", quality=QUALITY, method=6)
         with project.running(folder) as address:
-            _beside([_taken(opened, address, WIDE, "light", SHOWN)]).save(
+            _side_by_side([_screenshot(opened, address, WIDE, "light", SHOWN)]).save(
                 PICTURES / "run.webp", quality=QUALITY, method=6
             )
 
@@ -61,7 +61,7 @@ def browser() -> Iterator[Any]:
         opened.close()
 
 
-def _taken(opened: Any, address: str, width: int, scheme: str, frames: int = 0) -> Image.Image:
+def _screenshot(opened: Any, address: str, width: int, scheme: str, frames: int = 0) -> Image.Image:
     """A picture of a page's beginning. frames : of a run, for which it is waited"""
     context = opened.new_context(viewport={"width": width, "height": HIGH}, color_scheme=scheme)
     seen = context.new_page()
@@ -77,7 +77,7 @@ def _taken(opened: Any, address: str, width: int, scheme: str, frames: int = 0) 
     return Image.open(io.BytesIO(picture)).convert("RGB")
 
 
-def _beside(pictures: list[Image.Image]) -> Image.Image:
+def _side_by_side(pictures: list[Image.Image]) -> Image.Image:
     """Pictures from left to right, on white."""
     out = Image.new(
         "RGB",

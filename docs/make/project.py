@@ -184,7 +184,7 @@ def running(at: Path) -> Iterator[str]:
     ]
     with subprocess.Popen(emulate, stdout=log.open("w"), stderr=subprocess.STDOUT) as emulator:
         try:
-            cameras = _said(log, r"^cameras (\S+)")
+            cameras = _figure_in_log(log, r"^cameras (\S+)")
             (at / "driven.toml").write_text(
                 re.sub(r"^shutter = .*$", rf'\g<0>\nsource = "emulator:{cameras}"', text, flags=re.MULTILINE),
                 encoding="utf-8",
@@ -203,14 +203,14 @@ def running(at: Path) -> Iterator[str]:
             ]
             with subprocess.Popen(run, stdout=(at / "run.log").open("w"), stderr=subprocess.STDOUT) as runner:
                 try:
-                    yield _said(at / "run.log", r"(http://\S+)")
+                    yield _figure_in_log(at / "run.log", r"(http://\S+)")
                 finally:
                     runner.terminate()
         finally:
             emulator.terminate()
 
 
-def _said(log: Path, pattern: str) -> str:
+def _figure_in_log(log: Path, pattern: str) -> str:
     """What a process says in its log. Raises RuntimeError where it does not in time"""
     until = time.monotonic() + STARTED
     while time.monotonic() < until:

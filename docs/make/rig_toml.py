@@ -11,7 +11,7 @@ from typing import Any
 
 import tomlkit
 
-from docs.make.told import fields_told, headline
+from docs.make.field_texts import headline, texts_of_fields
 from rig.formats.checked_entries import REQUIRED, Entries, Key
 from rig.formats.json_toml_and_yaml_loading import toml_value_positions
 from rig.formats.numbers_and_units import UnitNames
@@ -132,7 +132,7 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
 
 
 @dataclass
-class Asked:
+class RequestedEntry:
     """What is asked of one key. takes : in words; default : None where it is required; unit : SI, of the reader"""
 
     takes: str
@@ -145,12 +145,12 @@ class Asked:
 class Log(Entries):
     """Entries that write down what they are asked, by table and key."""
 
-    found: dict[tuple[str, Key], Asked] = field(default_factory=dict)
+    found: dict[tuple[str, Key], RequestedEntry] = field(default_factory=dict)
 
     def _note(self, key: Key, takes: str, default: Any, limits: str = "", unit: UnitNames = "") -> None:
         at = (self._heading(), key)
         if at not in self.found:
-            self.found[at] = Asked(takes, None if default is REQUIRED else _shown(default), limits, unit)
+            self.found[at] = RequestedEntry(takes, None if default is REQUIRED else _shown(default), limits, unit)
 
     def _heading(self) -> str:
         names = [str(part) for part in self.path if not isinstance(part, int)]
@@ -228,7 +228,7 @@ HANGS_ON_ANOTHER = {
 }
 FIRST = "identity of a board's first marker"
 LEGACY = "whether a charuco's first square holds a marker where its rows are even"
-KEYS_TOLD = {  # of keys that are not fields, or not those alone
+KEY_TEXTS = {  # of keys that are not fields, or not those alone
     ("[[mechanism.branch]]", "joint"): "its number: 4 is q4",
     ("[[mechanism.branch]]", "parent"): "number of the joint whose link carries it, 0 for the base",
     ("[[mechanism.hand]]", "joint"): "number of the joint whose link holds it",
@@ -315,9 +315,9 @@ def samples() -> list[dict[str, Any]]:
     return [whole, listed, *arms, hands, {**whole, "mechanism": {"kind": "free"}, "controller": None}]
 
 
-def asked() -> dict[tuple[str, Key], Asked]:
+def requested_entries() -> dict[tuple[str, Key], RequestedEntry]:
     """What the reader asks of each key of each table, in the order in which it asks."""
-    found: dict[tuple[str, Key], Asked] = {}
+    found: dict[tuple[str, Key], RequestedEntry] = {}
     for tree in samples():
         text = tomlkit.dumps({key: value for key, value in tree.items() if value is not None})
         root = Log(tomllib.loads(text), (), Path("rig.toml"), toml_value_positions(text), found=found)
@@ -364,15 +364,15 @@ TABLE_KEYS = (
 
 def page() -> str:
     """The page in Markdown."""
-    found = asked()
+    found = requested_entries()
     parts = [HEAD]
     for heading, (kind, words) in TABLES.items():
         about = "" if kind is None else headline(kind)
         parts.append(
             f"\n## {heading}\n\n" + " ".join(filter(None, [about if kind is not Design else "", words])) + "\n"
         )
-        told = {} if kind is None else fields_told(kind)
-        rows = [_row(at, what, told) for at, what in found.items() if at[0] == heading]
+        field_texts = {} if kind is None else texts_of_fields(kind)
+        rows = [_row(at, what, field_texts) for at, what in found.items() if at[0] == heading]
         if rows:
             parts.append("\n| key | takes | if left out | what |\n|---|---|---|---|\n" + "\n".join(rows) + "\n")
     whole = _indented(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=1, cubes=1))
@@ -382,10 +382,10 @@ def page() -> str:
     )
 
 
-def _row(at: tuple[str, Key], what: Asked, told: dict[str, str]) -> str:
+def _row(at: tuple[str, Key], what: RequestedEntry, field_texts: dict[str, str]) -> str:
     limits = f" ({what.limits})" if what.limits else ""
     default = HANGS_ON_ANOTHER.get((at[0], str(at[1])), "**required**" if what.default is None else f"`{what.default}`")
-    words = KEYS_TOLD.get((at[0], str(at[1])), told.get(str(at[1]), ""))
+    words = KEY_TEXTS.get((at[0], str(at[1])), field_texts.get(str(at[1]), ""))
     return f"| `{at[1]}` | {what.takes}{limits} | {default} | {words} |"
 
 

@@ -72,7 +72,7 @@ WORDS = {
 RIG = {"cameras": 1, "cubes": 1}
 
 
-def asked() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
+def requested_columns() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
     """{file: (columns that must be there, columns that may be)} as the reader asks for them."""
     found: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {}
     read = csv_and_parquet_tables_and_time_origin.read_csv_table
@@ -106,10 +106,10 @@ def _sample(folder: Path) -> Path:
 def page() -> str:
     """The page in Markdown."""
     parts = [HEAD]
-    for file, (required, optional) in asked().items():
+    for file, (required, optional) in requested_columns().items():
         rows = [
-            f"| {name} | {there} | {words} |"
-            for there, names in (("must be there", required), ("may be there", optional))
+            f"| {name} | {heading} | {words} |"
+            for heading, names in (("must be there", required), ("may be there", optional))
             for name, words in _folded(names)
         ]
         if file == "sensors.csv":

@@ -346,8 +346,10 @@ def _frames(moves: CommandsAndPoses) -> Iterator[Candidate]:
     yield from _shuffled(moves)
 
 
-def _only(moves: CommandsAndPoses, kept: Booleans) -> CommandsAndPoses:
-    return replace(moves, frame=moves.frame[kept], index=moves.index[kept], q=moves.q[kept], T=moves.T[kept])
+def _only(moves: CommandsAndPoses, selected: Booleans) -> CommandsAndPoses:
+    return replace(
+        moves, frame=moves.frame[selected], index=moves.index[selected], q=moves.q[selected], T=moves.T[selected]
+    )
 
 
 def _shuffled(moves: CommandsAndPoses) -> Iterator[Candidate]:

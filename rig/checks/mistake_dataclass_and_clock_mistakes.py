@@ -153,13 +153,13 @@ def speed_mistakes(t: Floats, values: Floats, frames: Floats, unit: str, max_spe
     if len(gaps):
         rate = 1 / float(np.median(gaps))
         if not RATE[0] <= rate <= RATE[1]:
-            unit_said = (
+            unit_question = (
                 "too far apart: are times in milliseconds?"
                 if rate < RATE[0]
                 else "too close together: are times in minutes or hours?"
             )
             yield Mistake(
-                f"frames.csv: {rate:.3g} frames per second is implausible, they are {unit_said}",
+                f"frames.csv: {rate:.3g} frames per second is implausible, they are {unit_question}",
                 "State t in seconds",
                 False,
                 0.5,
@@ -245,9 +245,9 @@ def dwell_clock_offset_mistake(frames: Floats, t: Floats, values: Floats) -> Ite
     found = dwell_clock_shift(frames, t, values)
     if found is None or abs(found.shift) <= LAG:
         return
-    way = "behind" if found.shift > 0 else "ahead of"
+    side = "behind" if found.shift > 0 else "ahead of"
     yield Mistake(
-        f"frames.csv: the frames' clock is {abs(found.shift):.4g} s {way} the commands' (+-{found.room:.2g} "
+        f"frames.csv: the frames' clock is {abs(found.shift):.4g} s {side} the commands' (+-{found.room:.2g} "
         f"s): {found.frames} of "
         f"{len(frames)} frames were then taken while the commands are at rest, currently {now}",
         f"{'Add' if found.shift > 0 else 'Subtract'} {abs(found.shift):.4g} s to t of frames.csv (rig import --set "

@@ -21,9 +21,9 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "arm", metavar="ARM", help="a rig.toml with an arm, an arm's calibration.json, or the name of a shipped one"
     )
-    way = parser.add_mutually_exclusive_group(required=True)
-    way.add_argument("--forward", metavar="FILE", type=Path, help="frame,q1..qn (rad, of slides m) -> poses")
-    way.add_argument("--inverse", metavar="FILE", type=Path, help="frame,x,y,z,rx,ry,rz -> all joint solutions")
+    direction = parser.add_mutually_exclusive_group(required=True)
+    direction.add_argument("--forward", metavar="FILE", type=Path, help="frame,q1..qn (rad, of slides m) -> poses")
+    direction.add_argument("--inverse", metavar="FILE", type=Path, help="frame,x,y,z,rx,ry,rz -> all joint solutions")
     parser.add_argument(
         "--steps",
         action="store_true",
@@ -85,7 +85,7 @@ def _inverse_text(tree: Json) -> list[str]:
         + ("; found numerically from many starts" if numeric else ", all branches in closed form")
     ]
     start = "the hand of the pose" if numeric else "A at the crossing of axes 5 and 6"
-    way = (
+    methods = (
         ("found numerically, turned back about", "found numerically, moved back along")
         if numeric
         else ("read and returned about",) * 2
@@ -98,7 +98,7 @@ def _inverse_text(tree: Json) -> list[str]:
             if "corrected" in one:
                 finished = "none near it" if one["corrected"] is None else _joints(one["corrected"], tree["units"])
                 lines.append(f"     as calibrated, finished numerically: {finished}")
-            lines += _steps_text(one.get("steps", []), tree["units"], start, way)
+            lines += _steps_text(one.get("steps", []), tree["units"], start, methods)
     return lines
 
 

@@ -74,8 +74,8 @@ GROUPS = {
 COMMANDS = {name: text for group in GROUPS.values() for name, text in group.items()}
 FAMILIES = {name.split()[0] for name in COMMANDS if " " in name}  # first words of commands of two words
 SHARED_FILES = {
-    "limbs test": "limbs",
-    "limbs closures": "limbs",
+    "limbs test": "limbs_test_and_closures",
+    "limbs closures": "limbs_test_and_closures",
     "doctor completion": "doctor",
     "doctor kernels": "doctor",
     "effects document": "effects",

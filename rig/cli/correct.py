@@ -152,10 +152,10 @@ def run(arguments: Namespace) -> None:
     result.write(out, form)
     arguments.result = result.tree()
     poses = result.poses
-    beside = None if poses is None else arguments.outputs.stage_file(out, ".poses.csv")
-    if poses is not None and beside is not None:
-        write_poses(beside, poses)
-    _print_result(arguments, result, None if beside is None else beside.name)
+    pose_file = None if poses is None else arguments.outputs.stage_file(out, ".poses.csv")
+    if poses is not None and pose_file is not None:
+        write_poses(pose_file, poses)
+    _print_result(arguments, result, None if pose_file is None else pose_file.name)
 
 
 def _format(arguments: Namespace) -> TableFormat:

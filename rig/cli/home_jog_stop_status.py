@@ -181,7 +181,7 @@ def run_status(arguments: Namespace) -> None:
         "activity": status.activity,
         "known": status.known,
         "fault": status.fault,
-        "said": status.said,
+        "said": status.controller_text,
         "lengths": status.lengths.tolist(),
         "warnings": warnings,
     }

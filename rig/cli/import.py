@@ -194,7 +194,7 @@ def _result(imported: "ImportedRecording", remarks: list[str], recipe: Path) -> 
         "commands": 0 if c is None else len(c.values),
         "poses": 0 if p is None else len(p.T),
         "sensors": [] if s is None else [name for name, _ in s.channels],
-        "assumed": list(imported.said),
+        "assumed": list(imported.remarks),
         "remarks": remarks,
         "recipe": str(recipe),
     }
@@ -242,11 +242,11 @@ def _say(imported: "ImportedRecording") -> None:
     if e.t:
         parts[-1] += f", over {float(max(e.t) - min(e.t)):.6g} s"
     print(f"imported: {', '.join(parts)}")
-    _say_assumed(imported.said)
+    _say_assumed(imported.remarks)
 
 
-def _say_assumed(said: tuple[str, ...]) -> None:
-    if said:
-        print("assumed, as nothing states otherwise:" if len(said) > 1 else "assumed:")
-    for line in said:
+def _say_assumed(assumptions: tuple[str, ...]) -> None:
+    if assumptions:
+        print("assumed, as nothing states otherwise:" if len(assumptions) > 1 else "assumed:")
+    for line in assumptions:
         print(f"  {line}")

@@ -59,8 +59,8 @@ def run(arguments: Namespace) -> None:
     from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, new_rig_toml, shipped_arm_names
 
     out = arguments.out / "rig.toml"
-    there = arguments.out.is_dir()
-    place = arguments.outputs.file(out) if there else None  # refused before anything is asked
+    is_folder = arguments.out.is_dir()
+    place = arguments.outputs.file(out) if is_folder else None  # refused before anything is asked
     if place is None and not arguments.out.absolute().parent.is_dir():
         raise RigError(f"{arguments.out.parent} is no folder; create it first")
     if arguments.arm is not None and arguments.mechanism is None:

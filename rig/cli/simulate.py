@@ -110,7 +110,7 @@ def run(arguments: Namespace) -> None:
     Simulate a recording and write it, its truth apart.
     """
     if arguments.source is not None:
-        return _again(arguments)
+        return _draw_anew(arguments)
     if arguments.design is None:
         raise RigError("simulating requires a RIG.toml, or --from with the folder of a diagnosis")
     from synthetic.api import simulate
@@ -157,7 +157,7 @@ def _protect_inputs(arguments: Namespace) -> None:
     outputs.arguments = (str(arguments.design), "--plan", arguments.plan)
 
 
-def _again(arguments: Namespace) -> None:
+def _draw_anew(arguments: Namespace) -> None:
     """Draw a diagnosed recording anew, with and without what was found."""
     if arguments.design is not None or arguments.machine or arguments.effect or arguments.sensors:
         raise RigError(

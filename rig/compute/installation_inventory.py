@@ -122,8 +122,8 @@ def list_cameras(folder: Path = Path("/sys/class/video4linux")) -> InventoryItem
 
     None is opened.
     """
-    there = sorted(folder.iterdir()) if folder.is_dir() else []
-    names = [f"/dev/{one.name} ({(one / 'name').read_text().strip()})" for one in there]
+    entries = sorted(folder.iterdir()) if folder.is_dir() else []
+    names = [f"/dev/{one.name} ({(one / 'name').read_text().strip()})" for one in entries]
     return InventoryItem(
         "cameras",
         "ok" if names else "absent",

@@ -59,10 +59,10 @@ def set_kernel_cache_folder() -> None:
 @cache
 def kernel_cache_folder() -> Path | None:
     """The cache folder for compiled kernels, None where numba writes next to the sources."""
-    beside_sources = HERE / "__pycache__"
+    source_cache = HERE / "__pycache__"
     return (
         None
-        if os.access(beside_sources if beside_sources.is_dir() else HERE, os.W_OK)
+        if os.access(source_cache if source_cache.is_dir() else HERE, os.W_OK)
         else user_cache_folder(f"{HERE.parent} cannot be written")
     )
 
@@ -84,9 +84,9 @@ def is_private_folder(folder: Path) -> bool:
     found = Path(os.path.realpath(folder))
     if not hasattr(os, "getuid"):  # Windows, where modes say nothing and the user's own profile is closed to others
         return found.is_relative_to(os.path.realpath(Path.home()))
-    there = [place.stat() for place in (found, *found.parents) if place.exists()]
-    own = there[0].st_uid in (0, os.getuid()) and not there[0].st_mode & 0o022
-    return own and not any(above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX for above in there[1:])
+    states = [place.stat() for place in (found, *found.parents) if place.exists()]
+    own = states[0].st_uid in (0, os.getuid()) and not states[0].st_mode & 0o022
+    return own and not any(above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX for above in states[1:])
 
 
 @cache
@@ -115,8 +115,8 @@ def user_cache_folder(reason: str) -> Path:
         folder.mkdir(mode=0o700)
         _print_note(f"compiled code is kept in {folder}: {reason}, and {home} {why}")
     except FileExistsError:
-        there = folder.lstat()
-        if not stat.S_ISDIR(there.st_mode) or there.st_uid != os.getuid() or there.st_mode & 0o077:
+        status = folder.lstat()
+        if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o077:
             return _folder_for_this_run()
     return folder
 
@@ -155,14 +155,14 @@ def _listen() -> None:
     from numba.core import event
 
     class Heard(event.Listener):
-        """said : whether something was compiled already"""
+        """reported : whether something was compiled already"""
 
-        said = False
+        reported = False
 
         def on_start(self, event: object) -> None:
             """Say it, the first time."""
-            if _say is not None and not self.said:
-                self.said = True
+            if _say is not None and not self.reported:
+                self.reported = True
                 _say()
 
         def on_end(self, event: object) -> None:
@@ -211,9 +211,9 @@ class Kernel:
         with _FOLDERS:
             before = settings.CACHE_DIR
             try:
-                beside = Path(inspect.getfile(self._function)).parent / "__pycache__"
-                folder = private_folder_or_user_cache(Path(settings.CACHE_DIR or beside))
-                if folder != beside:
+                source_cache = Path(inspect.getfile(self._function)).parent / "__pycache__"
+                folder = private_folder_or_user_cache(Path(settings.CACHE_DIR or source_cache))
+                if folder != source_cache:
                     settings.CACHE_DIR = str(folder)
                 compiled: Any = numba.njit(**self._options)(self._function)
             finally:

@@ -49,7 +49,7 @@ class Cluster:
         import cloudpickle
 
         data = cloudpickle.dumps(function)
-        with self._said():
+        with self._errors_in_one_line():
             carried = self._client.submit(
                 bytes, data, pure=False
             )  # a call and no mere data: it is done again where who held it is gone
@@ -68,7 +68,7 @@ class Cluster:
                     if progress:
                         progress(len(out), len(things))
         finally:
-            with self._said():
+            with self._errors_in_one_line():
                 self._client.cancel([future for future in futures if not future.done()])
         return out
 
@@ -76,7 +76,7 @@ class Cluster:
         """Result of a part. What the work raises is raised unchanged, not attributed to the cluster."""
         from dask.distributed import KilledWorker
 
-        with self._said():
+        with self._errors_in_one_line():
             try:
                 return self._waited_for(future)
             except Exception:
@@ -105,7 +105,7 @@ class Cluster:
         return sum(self._client.nthreads().values())
 
     @contextmanager
-    def _said(self) -> Iterator[None]:
+    def _errors_in_one_line(self) -> Iterator[None]:
         """Context in which errors of Dask about the cluster are reported in one line."""
         from dask import config
         from dask.distributed import CancelledError, KilledWorker
@@ -216,9 +216,9 @@ def parallel_map(
     """
     global _inherited
     nested = _inherited is not None or is_cluster_worker()
-    there = current_cluster() if on_cluster and not nested and len(items) >= items_per_process else None
-    if there is not None:
-        return there.map(function, items, progress)
+    cluster = current_cluster() if on_cluster and not nested and len(items) >= items_per_process else None
+    if cluster is not None:
+        return cluster.map(function, items, progress)
     count = min(worker_count(), len(items) // items_per_process)
     if count < 2 or nested or not hasattr(os, "fork"):
         out = []

@@ -40,7 +40,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _waited_for: set[subprocess.Popen[str]] = set()  # children of `run_child_process`
-_asked: int | None = None  # workers that the user asked for
+_requested: int | None = None  # workers that the user asked for
 
 
 class WorkerEnded(RigError):
@@ -53,12 +53,12 @@ def temporary_worker_limit(count: int | None) -> Iterator[None]:
 
     None sets no limit.
     """
-    global _asked
-    before, _asked = _asked, _asked if count is None else count
+    global _requested
+    before, _requested = _requested, _requested if count is None else count
     try:
         yield
     finally:
-        _asked = before
+        _requested = before
 
 
 def worker_count() -> int:
@@ -66,8 +66,8 @@ def worker_count() -> int:
 
     The limit that is set, else the CPU cores, OMP_NUM_THREADS at most.
     """
-    if _asked is not None:
-        return _asked
+    if _requested is not None:
+        return _requested
     limit = os.environ.get("OMP_NUM_THREADS", "")
     here = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(here, int(limit)) if limit.isdigit() and int(limit) else here
@@ -142,14 +142,18 @@ def process_map(
         shares = split_into_decreasing_parts(left, count)
         ends = list(accumulate(map(len, shares), initial=len(out)))
 
-        def told(done: int, _: int, ends: list[int] = ends) -> None:
+        def report_done(done: int, _: int, ends: list[int] = ends) -> None:
             if progress:
                 progress(ends[done], total)
 
         try:
             with process_pool(count, start_method, initializer, initializer_arguments) as pool:
                 executor_map(
-                    pool, partial(_each, function), [[thing for _, thing in share] for share in shares], told, futures
+                    pool,
+                    partial(_each, function),
+                    [[thing for _, thing in share] for share in shares],
+                    report_done,
+                    futures,
                 )
         except WorkerEnded:
             futile += 1

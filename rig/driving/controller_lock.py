@@ -329,11 +329,11 @@ def _device(path: str) -> set[str]:
     """Words for a device: its real path, and its number where it is there."""
     words = {f"path {os.path.normcase(os.path.realpath(path))}"}  # COM3 and com3 are one
     try:
-        there = os.stat(path)
+        status = os.stat(path)
     except (OSError, ValueError):
         return words
-    if stat.S_ISCHR(there.st_mode) and hasattr(os, "major"):  # on Windows a port has one name and no number
-        words.add(f"device {os.major(there.st_rdev)}:{os.minor(there.st_rdev)}")
+    if stat.S_ISCHR(status.st_mode) and hasattr(os, "major"):  # on Windows a port has one name and no number
+        words.add(f"device {os.major(status.st_rdev)}:{os.minor(status.st_rdev)}")
     return words
 
 

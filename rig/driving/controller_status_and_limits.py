@@ -149,13 +149,13 @@ def limits_of_linuxcnc_ini(path: Path, count: int) -> ControllerLimits:
 @dataclass(frozen=True, slots=True, eq=False)
 class ControllerStatus:
     """activity : as rig.driving.protocols.protocol_bases.State; lengths : (n,) m; known : whether the lengths can
-    be believed; fault, said : text; homing_required : as of a State"""
+    be believed; fault, controller_text : text; homing_required : as of a State"""
 
     activity: str
     lengths: Floats
     known: bool
     fault: str
-    said: str
+    controller_text: str
     homing_required: bool = False
 
 

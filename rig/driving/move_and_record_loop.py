@@ -18,7 +18,7 @@ from rig.driving.clock import Clock
 from rig.driving.controller_status_and_limits import PositionReport
 from rig.driving.driver_opening_and_settling import Settling
 from rig.driving.exposures_in_motion import FramesDuringMove, lengths_reported_at, row_of_reports
-from rig.driving.move_profiles_and_path_check import Way, profile_of_reports
+from rig.driving.move_profiles_and_path_check import TimedShares, profile_of_reports
 from rig.driving.recording_from_run_journal import GrowingRecording
 from rig.driving.run_journal import (
     Arrival,
@@ -105,7 +105,7 @@ class RunEquipment:
     clock: Clock
     settling: Settling
     tolerance: float
-    time_profile: Callable[[Floats, Floats, float, float], Way]
+    time_profile: Callable[[Floats, Floats, float, float], TimedShares]
     save: Callable[[Path, Pixels], None]
     readings: Callable[[], dict[str, float]] | None = None
     limbs: Callable[[], Floats] | None = None
@@ -162,13 +162,13 @@ class RunOperator:
         state = progress_from_journal(self._journal.rows, self.planned)
         position = self._read()
         if homed:
-            found, there = f"the struts had to be homed; step {state.step + 1} is approached from there", False
+            found, reached = f"the struts had to be homed; step {state.step + 1} is approached from there", False
         else:
-            found, there = interrupted_move_result(state, self.planned, np.array(position), self.bench.tolerance)
+            found, reached = interrupted_move_result(state, self.planned, np.array(position), self.bench.tolerance)
         goal = tuple(self.planned[state.step].goal.tolist())
-        self.write(Resumed(self.now(), goal if there else position, found))
+        self.write(Resumed(self.now(), goal if reached else position, found))
         if state.pending is not None:
-            self.write(Arrival(self.now(), state.step, goal if there else position, there))
+            self.write(Arrival(self.now(), state.step, goal if reached else position, reached))
         return found
 
     def remark(self, text: str) -> None:
@@ -266,9 +266,9 @@ class RunOperator:
         finally:
             self._write_reports(exposing.unwritten())
         found = profile_of_reports(start, goal, exposing.reports, speed)
-        way = tuple((t - self._origin, share) for t, share in found.way)
-        self.write(Arrival(max(ended, way[-1][0] if way else ended), index, tuple(goal.tolist()), True, way))
-        if found.rms is not None and not way:
+        travel = tuple((t - self._origin, share) for t, share in found.travel)
+        self.write(Arrival(max(ended, travel[-1][0] if travel else ended), index, tuple(goal.tolist()), True, travel))
+        if found.rms is not None and not travel:
             self.remark(f"step {index + 1}: the reported positions follow no trapezoid; they stand for the way")
         self._look()
 

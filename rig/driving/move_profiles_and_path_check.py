@@ -19,11 +19,11 @@ from rig.model import mechanisms
 from rig.model.design import Controller
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
 
-Way = tuple[tuple[float, float], ...]
+TimedShares = tuple[tuple[float, float], ...]
 PIECES = 8  # straight pieces to a ramp: they leave the curve by less than a five hundredth of what is travelled in it
 
 
-def trapezoidal_profile(start_time: float, end_time: float, cruise_time: float, ramp_time: float | None) -> Way:
+def trapezoidal_profile(start_time: float, end_time: float, cruise_time: float, ramp_time: float | None) -> TimedShares:
     """Trapezoidal speed profile of a move.
 
     cruise_time : s that the way would take at full speed alone; ramp_time : s from standing to full speed, or None
@@ -62,13 +62,13 @@ def straight_move_segment(
 
     start, target : (n,) m, lengths; speed_share : of the greatest speeds, above 0 and at most 1
     """
-    way = np.abs(target - start)
-    duration = max(float((way / (speed_share * controller.max_speed)).max()), 1e-6)
+    travel = np.abs(target - start)
+    duration = max(float((travel / (speed_share * controller.max_speed)).max()), 1e-6)
     acceleration = None
-    if controller.max_acceleration is not None and way.any():
-        acceleration = way * (controller.max_acceleration[way > 0] / way[way > 0]).min()
+    if controller.max_acceleration is not None and travel.any():
+        acceleration = travel * (controller.max_acceleration[travel > 0] / travel[travel > 0]).min()
     pose = mechanisms.kinematics_of(mechanism).forward(target, mechanism) if controller.kinematics == "world" else None
-    return Segment(start - controller.zero, target - controller.zero, duration, way / duration, acceleration, pose)
+    return Segment(start - controller.zero, target - controller.zero, duration, travel / duration, acceleration, pose)
 
 
 def speed_share_of_move(start: Floats, target: Floats, speed: float, controller: Controller) -> float:
@@ -77,10 +77,10 @@ def speed_share_of_move(start: Floats, target: Floats, speed: float, controller:
     start, target : (n,) m, lengths
     Raises ValueError where a strut would exceed its greatest speed.
     """
-    way = np.abs(target - start)
-    if not way.any():
+    travel = np.abs(target - start)
+    if not travel.any():
         return 1.0
-    share = float((way / controller.max_speed).max()) * speed / float(way.max())
+    share = float((travel / controller.max_speed).max()) * speed / float(travel.max())
     if not 0 < share <= 1 + 1e-9:
         raise ValueError(f"{speed:g} m/s exceeds the struts' max_speed {controller.max_speed.tolist()} m/s")
     return min(share, 1.0)
@@ -128,25 +128,25 @@ def require_safe_path(
         )
     count = int(np.clip(np.ceil(step / SPACING), FEWEST, MOST))
     share = np.linspace(0.0, 1.0, count + 1)
-    way = start + share[:, None] * (target - start)
+    path = start + share[:, None] * (target - start)
     module = mechanisms.kinematics_of(mechanism)
     home = mechanism.home_pose
     if home is None:
         home = module.forward(module.home_values(mechanism), mechanism)
     try:
-        poses = module.forward(way, mechanism)
+        poses = module.forward(path, mechanism)
     except NotConverged as error:
         k = int(np.min(error.index))
         where = [f"{share[k]:.0%} along: {error}", *([OUT_OF_RANGE] if k == 0 else [])]
         raise Unreachable("not moved: the path leaves the workspace", [k], where) from None
-    least = _dexterity(poses, way, mechanism) / _dexterity(home, module.home_values(mechanism), mechanism)
+    least = _dexterity(poses, path, mechanism) / _dexterity(home, module.home_values(mechanism), mechanism)
     if least.min() < singularity_margin:
         k = int(np.argmin(least))
         raise Unreachable(
             "not moved: the path comes too near a singularity",
             [k],
             [
-                f"{share[k]:.0%} along, at lengths {way[k].round(6).tolist()} m: {least[k]:.3f} of the "
+                f"{share[k]:.0%} along, at lengths {path[k].round(6).tolist()} m: {least[k]:.3f} of the "
                 "Jacobian's least singular "
                 f"value at home is left, [controller] margin requires {singularity_margin:g}"
             ],
@@ -170,11 +170,11 @@ UNIFORM = np.sqrt(12.0)  # width of an even spread over its standard deviation
 
 @dataclass(frozen=True, slots=True)
 class FittedProfile:
-    """way : as of an Arrival, () where reports are too few or follow no trapezoid; rms : m, of the busiest axis at the
-    reports about it, or None where none was fitted
+    """travel : as of an Arrival, () where reports are too few or follow no trapezoid; rms : m, of the busiest axis at
+    the reports about it, or None where none was fitted
     """
 
-    way: Way
+    travel: TimedShares
     rms: float | None
 
 
@@ -183,12 +183,12 @@ def profile_of_reports(start: Floats, goal: Floats, reports: Sequence[PositionRe
 
     start, goal : (n,) m; speed : m/s of the axis that moves most, from which the fit starts
     """
-    way = goal - start
-    busiest = float(np.abs(way).max())
+    travel = goal - start
+    busiest = float(np.abs(travel).max())
     if busiest == 0 or len(reports) < FEWEST_REPORTS:
         return FittedProfile((), None)
     t, width = np.array([r.t for r in reports]), np.array([r.answered - r.requested for r in reports])
-    share = np.array([r.lengths - start for r in reports]) @ way / float(way @ way)
+    share = np.array([r.lengths - start for r in reports]) @ travel / float(travel @ travel)
     passing = (share > 1e-3) & (share < 1 - 1e-3)
     if passing.sum() < FEWEST_REPORTS:
         return FittedProfile((), None)

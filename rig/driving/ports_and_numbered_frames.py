@@ -46,7 +46,7 @@ def _reason(error: Exception) -> str:
     return str(error) if number is None else os.strerror(number)
 
 
-def _there(url: str) -> str:
+def _present_ports(url: str) -> str:
     """What ports there are, for somebody who named another device."""
     found = sorted(port.device for port in list_ports.comports())
     return "" if "://" in url else f"; serial ports here: {', '.join(found) or 'none'} (`rig doctor` lists them)"
@@ -68,7 +68,7 @@ class SerialPort:
         try:
             self._serial = serial.serial_for_url(url, baudrate=baudrate, timeout=0, write_timeout=WRITE_TIME, **alone)
         except (serial.SerialException, OSError, ValueError) as error:
-            raise LinkLost(f"cannot open {url}: {_reason(error)}{_there(url)}") from None
+            raise LinkLost(f"cannot open {url}: {_reason(error)}{_present_ports(url)}") from None
         try:
             self._waitable: int | None = self._serial.fileno()
         except (io.UnsupportedOperation, AttributeError):  # rfc2217:// and loop:// have none

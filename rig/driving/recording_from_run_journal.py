@@ -88,7 +88,7 @@ class GrowingRecording:
             return self._stand(row.t, row.start)
         if isinstance(row, Arrival):
             self._arrived = row.t
-            return self._way(row)
+            return self._lines_of_move(row)
         if isinstance(row, PositionReports):
             return self._reports(row)
         if isinstance(row, Exposed) and not row.cameras:
@@ -106,7 +106,7 @@ class GrowingRecording:
         self._at = position
         return self._command(t, position)
 
-    def _way(self, row: Arrival) -> list[tuple[str, str]]:
+    def _lines_of_move(self, row: Arrival) -> list[tuple[str, str]]:
         """Where a move went. row.position : m, the goal where it was reached"""
         if row.way:
             self._reported.clear()

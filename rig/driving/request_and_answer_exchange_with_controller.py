@@ -159,7 +159,7 @@ class Link:
             self._traced(">", data)
             self._port.write(data)
 
-    def _traced(self, way: str, data: bytes) -> None:
+    def _traced(self, sign: str, data: bytes) -> None:
         if self._trace is not None:
-            self._trace.write(f"{self.clock.now():.6f} {way} {data!r}\n")
+            self._trace.write(f"{self.clock.now():.6f} {sign} {data!r}\n")
             self._trace.flush()

@@ -95,7 +95,7 @@ class Driver:
         """
         self.link.connect(0.0)
         if stopping:
-            self._told_to_stop(self.link.run(self._protocol.stop(), stoppable=False))
+            self._require_stop_accepted(self.link.run(self._protocol.stop(), stoppable=False))
         self._say(self.link.greeting())
         state = self._state()
         self._left, self._homed = self._lengths(state), state.homed
@@ -131,7 +131,7 @@ class Driver:
         """Limits that the controller itself has, None where nobody says. Raises LinkLost, NoAnswer, FileError."""
         if self.controller.ini:
             return limits_of_linuxcnc_ini(Path(self.controller.ini), len(self.mechanism.axes))
-        return self._asked(self._protocol.limits)
+        return self._query(self._protocol.limits)
 
     def limit_warnings(self) -> list[str]:
         """Lines where the controller's own limits are tighter than the rig.toml's; raises what `limits` does."""
@@ -142,7 +142,7 @@ class Driver:
         """The operator confirms that lengths read back are true, after a start without homing or PositionLost. Raises
         Unreachable beyond ranges.
         """
-        self._asked(self._protocol.hello)
+        self._query(self._protocol.hello)
         try:
             self._left = move_profiles_and_path_check.require_lengths_in_range(self.lengths(), self.mechanism)
         except Unreachable as error:
@@ -154,7 +154,7 @@ class Driver:
 
     def unlock(self) -> ControllerStatus:
         """Clear the controller's alarm, because the operator says so."""
-        self._asked(self._protocol.hello)
+        self._query(self._protocol.hello)
         self._accepted(self.link.run(self._protocol.unlock()), "unlocking")
         return self.status()
 
@@ -165,12 +165,14 @@ class Driver:
         if not self.controller.homing:
             raise ControllerFault(CANNOT_HOME)
         with self._busy, self._guarded():
-            self._asked(self._protocol.hello)
+            self._query(self._protocol.hello)
             self._known = False
             self._accepted(self.link.run(self._protocol.home(self.controller.home_timeout)), "homing")
             state = self._state()
             if state.activity != "idle" or state.fault or state.homed is False:
-                raise ControllerFault(f"not at home: {state.said}" + (f": {state.fault}" if state.fault else ""))
+                raise ControllerFault(
+                    f"not at home: {state.controller_text}" + (f": {state.fault}" if state.fault else "")
+                )
             lengths, home = self._lengths(state), self.controller.home
             if home is not None and np.abs(lengths - home).max() > self.controller.tolerance:
                 raise PositionLost(
@@ -235,7 +237,7 @@ class Driver:
 
     def _ready(self) -> Floats:
         """(n,) m from which a move may start. Raises PositionLost, ControllerFault."""
-        same, state = self._asked(self._protocol.fence), self._state()
+        same, state = self._query(self._protocol.fence), self._state()
         self._known = self._known and same and not (self._homed and state.homed is False)
         if (
             state.activity != "idle" or state.fault
@@ -313,17 +315,17 @@ class Driver:
                 raise Stalled(
                     f"the struts stand at {lengths.round(6).tolist()} m, {1e3 * off:.3f} mm from where they "
                     "were commanded to go "
-                    f"({state.said}){self._lately(begun)}"
+                    f"({state.controller_text}){self._lately(begun)}"
                 )
             self.clock.sleep(POLL)
 
     def _same(self) -> None:
         """Have all that was sent dealt with. Raises PositionLost where the controller has started anew."""
-        if not self._asked(self._protocol.fence):
+        if not self._query(self._protocol.fence):
             self._known = False
             raise PositionLost(ANEW)
 
-    def _asked(self, question: Callable[[], Dialogue[T]], stoppable: bool = True, patience: float = PATIENCE) -> T:
+    def _query(self, question: Callable[[], Dialogue[T]], stoppable: bool = True, patience: float = PATIENCE) -> T:
         """Result of a dialogue that moves nothing, reconnecting where the connection is lost."""
         try:
             return self.link.run(question(), stoppable)
@@ -353,13 +355,13 @@ class Driver:
 
     def _halt(self) -> None:
         """Stop the struts, and record their position."""
-        self._told_to_stop(self._asked(self._protocol.stop, stoppable=False, patience=SHORT_PATIENCE))
+        self._require_stop_accepted(self._query(self._protocol.stop, stoppable=False, patience=SHORT_PATIENCE))
         state = self._state(stoppable=False)
         self._left = self._lengths(state)
         if state.activity == "alarm":
             self._known = False
 
-    def _told_to_stop(self, verdict: Verdict) -> None:
+    def _require_stop_accepted(self, verdict: Verdict) -> None:
         if verdict.accepted is None:
             raise ControllerFault(f"the struts may still move: {verdict.reason}")
 
@@ -368,19 +370,19 @@ class Driver:
             raise ControllerFault(f"{what} failed: {verdict.reason}")
 
     def _state(self, stoppable: bool = True) -> State:
-        return self._asked(self._protocol.state, stoppable)
+        return self._query(self._protocol.state, stoppable)
 
     def _lengths(self, state: State) -> Floats:
         return cast(Floats, state.positions) + self.controller.zero
 
     def _status(self, state: State) -> ControllerStatus:
         return ControllerStatus(
-            state.activity, self._lengths(state), self._known, state.fault, state.said, state.homing_required
+            state.activity, self._lengths(state), self._known, state.fault, state.controller_text, state.homing_required
         )
 
     def _trouble(self, state: State) -> str:
         advice = operator_advice(state.activity, self.controller.homing, state.homing_required)
-        return f"{state.fault or state.activity} ({state.said}){advice}"
+        return f"{state.fault or state.activity} ({state.controller_text}){advice}"
 
     def _lately(self, since: float) -> str:
         return "".join(f"; {text}" for t, text in self.link.events if t >= since)

@@ -70,7 +70,7 @@ def load_user_class(stated: str, base: type[T], group: str, what: str) -> tuple[
     found = module.classes(base)
     if len(found) != 1:
         names = ", ".join(one.__name__ for one in found)
-        expected = f"class Mine({base.__name__}), from rig.driving.base"
+        expected = f"class Mine({base.__name__}), from rig.driving.user_base_classes"
         raise FileError(
             module.path,
             f"defines {f'several: {names}; expected one' if found else 'no'} {what}: {expected}",
@@ -137,8 +137,8 @@ def _module(path: Path) -> UserModule:
 def _package(name: str, group: str) -> UserModule:
     found = [one for one in entry_points(group=group) if one.name == name]
     if not found:
-        there = ", ".join(sorted(one.name for one in entry_points(group=group))) or "none"
-        raise RigError(f"no installed package has {name!r} among its entry points {group}; there are {there}")
+        available = ", ".join(sorted(one.name for one in entry_points(group=group))) or "none"
+        raise RigError(f"no installed package has {name!r} among its entry points {group}; there are {available}")
     try:
         loaded = found[0].load()
     except Exception as error:

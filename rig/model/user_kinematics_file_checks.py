@@ -169,7 +169,9 @@ def _with_forward(file: KinematicsFile) -> KinematicsFile:
             or (np.linalg.det(R) < 0).any()
         ):
             raise file.error("forward returns matrices that are no poses (rotation, position, 0 0 0 1)", "forward")
-        off = np.abs(file.inverse(locked_poses(file, poses[whole]), p) - values[whole]).max(axis=1)
+        off = np.abs(file.inverse(poses_with_locked_coordinates_at_home(file, poses[whole]), p) - values[whole]).max(
+            axis=1
+        )
         if not off.max() < ROUND_TRIP:
             k = int(np.argmax(np.nan_to_num(off, nan=np.inf)))
             raise file.error(
@@ -177,7 +179,7 @@ def _with_forward(file: KinematicsFile) -> KinematicsFile:
                 "are no round trip",
                 "forward",
             )
-    left = locked_poses(file, file.forward(home[None], file.nominal))[0] - file.home
+    left = poses_with_locked_coordinates_at_home(file, file.forward(home[None], file.nominal))[0] - file.home
     if not np.abs(left).max() < ROUND_TRIP:
         raise file.error(
             f"forward(inverse(home)) is {np.abs(left).max():.3g} off home: it gives another assembly", "forward"
@@ -185,7 +187,7 @@ def _with_forward(file: KinematicsFile) -> KinematicsFile:
     return file
 
 
-def locked_poses(file: KinematicsFile, poses: Floats) -> Floats:
+def poses_with_locked_coordinates_at_home(file: KinematicsFile, poses: Floats) -> Floats:
     """Poses (n, 4, 4) with the locked coordinates as at home.
 
     Those that are no freedoms.

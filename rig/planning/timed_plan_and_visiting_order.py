@@ -34,7 +34,7 @@ ROOM = 0.95  # of what is left to the stroke's end, that a last move takes at mo
 WORST = 6.0  # weight of the axis whose direction goes with place the most
 ROUNDS = 600  # of exchanges, and of turned sides, at most
 MIDDLE = 3.0  # weight of as many sides above as below, beside correlations
-BESIDE = 0.5  # weight of time, load and the sides of other axes, beside place
+SECONDARY = 0.5  # weight of time, load and the sides of other axes, beside place
 RIDGE = 0.05  # variance added to each, so that few configurations are balanced as far as they go
 SMALL = 1e-9  # of a sum of squared correlations, below which an exchange gains nothing
 
@@ -112,7 +112,7 @@ def _balanced_sides(
     for i in range(axes):
         fixed = 1 * (values[:, i] + reach[i] > strokes[i, 1]) - 1 * (values[:, i] - reach[i] < strokes[i, 0])
         causes = np.column_stack([_standard(np.column_stack([time, time**2, *others])), sides[:, :i]])
-        columns = np.column_stack([np.full(n, MIDDLE), _apart(place[:, own[i] > 0]), BESIDE * causes])
+        columns = np.column_stack([np.full(n, MIDDLE), _apart(place[:, own[i] > 0]), SECONDARY * causes])
         side = np.where(fixed, fixed, rng.permutation(np.where(np.arange(n) % 2, 1.0, -1.0)))
         sides[:, i] = _turned(side, columns, fixed == 0)
     return sides
@@ -187,16 +187,16 @@ def _directions(visited: Floats, place: Floats, start: Floats, a: Floats, b: Flo
     visited : (n, axes) configurations in their order; no a is next to its b
     """
     before = np.concatenate([start[None], visited[:-1]])
-    way = np.sign(visited - before)
+    direction = np.sign(visited - before)
     change = np.zeros((len(a), visited.shape[1], place.shape[1]))
     for at, other in ((a, b), (b, a)):
         new = np.sign(visited[other] - before[at])
-        change += np.einsum("ka,kp->kap", new, place[other]) - np.einsum("ka,kp->kap", way[at], place[at])
+        change += np.einsum("ka,kp->kap", new, place[other]) - np.einsum("ka,kp->kap", direction[at], place[at])
         behind = at + 1 < len(visited)
         after = np.minimum(at + 1, len(visited) - 1)
-        moved = (np.sign(visited[after] - visited[other]) - way[after]) * behind[:, None]
+        moved = (np.sign(visited[after] - visited[other]) - direction[after]) * behind[:, None]
         change += np.einsum("ka,kp->kap", moved, place[after])
-    return way.T @ place, change
+    return direction.T @ place, change
 
 
 DWELL = 2.0  # s at a configuration before its exposure

@@ -90,7 +90,7 @@ class ExertionObjective:
         has a corner.
         """
         steps = DIFFERENCE * np.eye(np.shape(q)[-1])
-        ahead, behind = (self.value(np.asarray(q)[..., None, :] + way * steps, arm) for way in (1, -1))
+        ahead, behind = (self.value(np.asarray(q)[..., None, :] + sign * steps, arm) for sign in (1, -1))
         return (ahead - behind) / (2 * DIFFERENCE)
 
 

@@ -24,7 +24,7 @@ from rig.posture.null_space_search import FIXED_ROWS
 from rig.recording.recording_folder import Recording
 
 STEPS = 200  # of a motion on the way
-THERE = 1e-9  # rad; end of a motion
+REACHED = 1e-9  # rad; end of a motion
 
 
 def motion_with_hand_still(q: Floats, goal: Floats, arm: Arm, fixed_hand_part: str = "pose") -> Floats:
@@ -32,7 +32,7 @@ def motion_with_hand_still(q: Floats, goal: Floats, arm: Arm, fixed_hand_part: s
 
     Raises RigError where none exists.
     """
-    if np.abs(goal - q).max() < THERE:
+    if np.abs(goal - q).max() < REACHED:
         return np.array([q])
     if null_space_search.redundant_joint_count(arm, fixed_hand_part) != 1:
         return _within(q, goal, arm, fixed_hand_part)
@@ -169,16 +169,22 @@ def best_visited_posture_and_motion_to_it(
         raise RigError(f"{recording.folder} commands {q.shape[1]} axes; the arm has {len(arm.axes)} joints")
     T = mechanism.forward(q, arm)
     apart = np.abs(pose_difference(T[0] if wanted_hand_pose is None else wanted_hand_pose, T))
-    there = (apart <= SAME)[:, FIXED_ROWS[fixed_hand_part]].all(axis=1)
-    if there.sum() < 2:
+    matching = (apart <= SAME)[:, FIXED_ROWS[fixed_hand_part]].all(axis=1)
+    if matching.sum() < 2:
         raise RigError(
-            f"{recording.folder}: {there.sum()} of {len(q)} postures have the hand's {fixed_hand_part} where it is "
+            f"{recording.folder}: {matching.sum()} of {len(q)} postures have the hand's {fixed_hand_part} where it is "
             "wanted; a comparison requires two"
         )
-    value = arm_force_transmission_and_exertable_wrench.transmission_measure(q[there], arm, objective)
+    value = arm_force_transmission_and_exertable_wrench.transmission_measure(q[matching], arm, objective)
     best = int(value.argmax())
     return VisitedPostures(
-        frames[there], t[there], q[there], value, best, int((~there).sum()), _back(recording, float(t[there][best]))
+        frames[matching],
+        t[matching],
+        q[matching],
+        value,
+        best,
+        int((~matching).sum()),
+        _back(recording, float(t[matching][best])),
     )
 
 

@@ -39,8 +39,8 @@ class PostureOptions:
     """T_base_hand : where the hand is (None: where it was at a recording's first exposure); objective : what to
     maximise; exertion : a wrench to exert, which is maximised where the objective names no direction, or None
     above : measure from which a posture will do, or None; fixed : fixed part of the hand, "pose", "position" or
-    "orientation"; start : (n,) rad and m of the joints now, None for a solution of the pose; on_the_way : whether the
-    posture is taken while the hand moves, not once it has arrived; speed : rad/s of the fastest joint
+    "orientation"; start : (n,) rad and m of the joints now, None for a solution of the pose; during_hand_motion :
+    whether the posture is taken while the hand moves, not once it has arrived; speed : rad/s of the fastest joint
     recording : whose postures are compared in place of a search, or None
     """
 
@@ -50,7 +50,7 @@ class PostureOptions:
     above: float | None = None
     fixed: str = "pose"
     start: Floats | None = None
-    on_the_way: bool = False
+    during_hand_motion: bool = False
     speed: float = 0.5
     recording: Recording | None = None
 
@@ -59,7 +59,7 @@ class PostureOptions:
             raise RigError(f"--above must be at least 0, not {self.above:g}")
         if not self.speed > 0:
             raise RigError(f"--speed must be positive rad/s, not {self.speed:g}")
-        if self.recording is not None and (self.start is not None or self.above is not None or self.on_the_way):
+        if self.recording is not None and (self.start is not None or self.above is not None or self.during_hand_motion):
             raise RigError(
                 "--among returns to a posture from the end of the recording; --from, --above and --motion are "
                 "for searches"
@@ -154,18 +154,18 @@ def _best_searched(arm: Arm, options: PostureOptions) -> PostureResult:
     wanted, now, objective = options.T_base_hand, options.start, options.maximised
     assert wanted is not None
     arrived = now is not None and np.abs(pose_difference(mechanism.forward(now, arm), wanted)).max() < 1e-6
-    if now is not None and not arrived and not options.on_the_way:
+    if now is not None and not arrived and not options.during_hand_motion:
         raise RigError(
             "--from has another hand pose than --pose: bring it there first, or take the posture on the way "
             "(--motion way)"
         )
     first = now if now is not None and arrived else mechanism.inverse(wanted, arm, now)
-    starts = first[None] if arrived and not options.on_the_way else _joint_solutions(first, wanted, arm)
+    starts = first[None] if arrived and not options.during_hand_motion else _joint_solutions(first, wanted, arm)
     found, name, k = _best_of_searches(arm, options, first, starts)
     best = found[name]
     motion = (
         arm_motion_between_postures.motion_with_straight_hand(now if now is not None else first, best.q[k], arm)
-        if options.on_the_way
+        if options.during_hand_motion
         else arm_motion_between_postures.motion_with_hand_still(starts[k], best.q[k], arm, options.fixed)
     )
     figures = _figures(arm, objective, best.q[k], starts[k], (float(best.value[k]), float(best.start[k])))

@@ -88,9 +88,9 @@ def gradient_search(
     while steps < ITERATIONS and not done.all():
         steps += 1
         todo = np.flatnonzero(~done)
-        way = _uphill(q[todo], arm, objective, fixed_hand_part)
-        size = np.linalg.norm(way, axis=1)
-        trial = q[todo] + way / np.maximum(size, 1e-300)[:, None] * step[todo, None]
+        ascent = _uphill(q[todo], arm, objective, fixed_hand_part)
+        size = np.linalg.norm(ascent, axis=1)
+        trial = q[todo] + ascent / np.maximum(size, 1e-300)[:, None] * step[todo, None]
         trial = return_hand_to_target(np.clip(trial, low, high), target[todo], arm, fixed_hand_part)
         ok = (mechanism.signed_limit_excess(trial, arm) == 0).all(axis=1) & (
             hand_deviation(trial, target[todo], arm, fixed_hand_part) < STILL
@@ -130,9 +130,9 @@ def sampled_search(
     first, walker, best, now = q.copy(), q.copy(), q.copy(), start.copy()
     for _ in range(count):
         N = null_space_projectors(walker, arm, fixed_hand_part)
-        way = np.einsum("mij,mj->mi", N, rng.normal(size=q.shape))
-        trial = walker + spread * rng.uniform(size=(len(q), 1)) * way / np.maximum(
-            np.linalg.norm(way, axis=1, keepdims=True), 1e-300
+        step = np.einsum("mij,mj->mi", N, rng.normal(size=q.shape))
+        trial = walker + spread * rng.uniform(size=(len(q), 1)) * step / np.maximum(
+            np.linalg.norm(step, axis=1, keepdims=True), 1e-300
         )
         trial = return_hand_to_target(trial, target, arm, fixed_hand_part)
         ok = (mechanism.signed_limit_excess(trial, arm) == 0).all(axis=1) & (
@@ -185,13 +185,13 @@ def _walk(q: Floats, arm: Arm, fixed_hand_part: str, side: float) -> Iterator[tu
     target, index, walker = mechanism.link_frames(q, arm)[:, -1], np.arange(len(q)), q.copy()
     size, before = np.full(len(q), TRACE), None
     for count in range(LAPS):
-        way = _tangent(walker, arm, fixed_hand_part)
-        way *= (
-            side * np.sign(way[np.arange(len(way)), np.abs(way).argmax(axis=1)])
+        tangent = _tangent(walker, arm, fixed_hand_part)
+        tangent *= (
+            side * np.sign(tangent[np.arange(len(tangent)), np.abs(tangent).argmax(axis=1)])
             if before is None
-            else np.where(np.einsum("mi,mi->m", way, before) < 0, -1.0, 1.0)
+            else np.where(np.einsum("mi,mi->m", tangent, before) < 0, -1.0, 1.0)
         )[:, None]
-        trial = return_hand_to_target(walker + size[:, None] * way, target[index], arm, fixed_hand_part)
+        trial = return_hand_to_target(walker + size[:, None] * tangent, target[index], arm, fixed_hand_part)
         ok = (mechanism.signed_limit_excess(trial, arm) == 0).all(axis=1) & (
             hand_deviation(trial, target[index], arm, fixed_hand_part) < STILL
         )
@@ -205,7 +205,7 @@ def _walk(q: Floats, arm: Arm, fixed_hand_part: str, side: float) -> Iterator[tu
             going &= np.linalg.norm(apart, axis=1) > 0.6 * TRACE
         if ok.any():
             yield index[ok], walker[ok]
-        index, walker, size, before = index[going], walker[going], size[going], way[going]
+        index, walker, size, before = index[going], walker[going], size[going], tangent[going]
         if not len(index):
             return
 
@@ -265,13 +265,13 @@ def _uphill(q: Floats, arm: Arm, wish: TransmissionObjective | ExertionObjective
     low, high = arm.limits.T
     fixed = np.zeros(q.shape, bool)
     for _ in range(q.shape[1]):
-        way = np.einsum("mij,mj->mi", null_space_projectors(q, arm, fixed_hand_part, fixed), slope)
-        beyond = ((q >= high - 1e-9) & (way > 0)) | ((q <= low + 1e-9) & (way < 0))
-        beyond &= np.abs(way) > 1e-9 * np.abs(way).max(axis=1, keepdims=True)
+        ascent = np.einsum("mij,mj->mi", null_space_projectors(q, arm, fixed_hand_part, fixed), slope)
+        beyond = ((q >= high - 1e-9) & (ascent > 0)) | ((q <= low + 1e-9) & (ascent < 0))
+        beyond &= np.abs(ascent) > 1e-9 * np.abs(ascent).max(axis=1, keepdims=True)
         if not (beyond & ~fixed).any():
             break
         fixed |= beyond
-    return np.where(fixed, 0.0, way)
+    return np.where(fixed, 0.0, ascent)
 
 
 def return_hand_to_target(q: Floats, target: Floats, arm: Arm, fixed_hand_part: str) -> Floats:

@@ -120,8 +120,8 @@ def observe_wrench(model: ObserverModel, rates: Floats) -> ObservedWrench:
     for k in range(count):
         if k:
             state, P = _moved(model, k, state, P, np.square(rates))
-        state, P, (told, square) = _corrected(model, k, state, P)
-        likelihood, squares = likelihood + told * (k > 0), squares + square
+        state, P, (log_likelihood, square) = _corrected(model, k, state, P)
+        likelihood, squares = likelihood + log_likelihood * (k > 0), squares + square
         value[:, k], covariance[:, k] = state[:, 3 * n :], P[:, 3 * n :, 3 * n :]
     readings = records * count * (2 * n if model.motion.measured else n)
     return ObservedWrench(value, covariance, likelihood, float(np.sqrt(squares / readings)))
@@ -167,8 +167,8 @@ def _corrected(m: ObserverModel, k: int, state: Floats, P: Floats) -> tuple[Floa
     keep = np.eye(state.shape[1]) - gain @ H
     P = keep @ P @ np.swapaxes(keep, 1, 2) + (gain * R) @ np.swapaxes(gain, 1, 2)
     squares = float(np.einsum("mi,mi->", left, np.linalg.solve(S, left[..., None])[..., 0]))
-    told = -0.5 * (squares + float(np.linalg.slogdet(S)[1].sum()) + left.size * log(2 * pi))
-    return state, P, (told, squares)
+    log_likelihood = -0.5 * (squares + float(np.linalg.slogdet(S)[1].sum()) + left.size * log(2 * pi))
+    return state, P, (log_likelihood, squares)
 
 
 def most_likely_random_walk_rates(model: ObserverModel) -> Floats:

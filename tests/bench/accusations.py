@@ -77,8 +77,8 @@ def setup(number: int, folder: Path, frames: int | None = None) -> Setup:
 
 def _real(camera: Camera, rng: np.random.Generator, lensless: bool, size: float) -> Camera:
     """The camera as it is: elsewhere, by MOVED at most, and where lensless with a lens of its own."""
-    way, turn = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
-    pose = camera.pose * exp(np.r_[rng.uniform(0, MOVED[0] * size) * way, rng.uniform(0, MOVED[1]) * turn])
+    direction, turn = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+    pose = camera.pose * exp(np.r_[rng.uniform(0, MOVED[0] * size) * direction, rng.uniform(0, MOVED[1]) * turn])
     if not lensless:
         return replace(camera, pose=pose)
     matrix = camera.matrix.copy()

@@ -115,22 +115,22 @@ def _recorded(folder: Path, text: str, seed: int, effects: tuple[Effect, ...]) -
 def _driven(rec: Recording, secret: World, physics: bool) -> tuple[np.ndarray, np.ndarray]:
     """((2,) RMS error of driven poses, (2,) its stated standard uncertainty, NaN without physics), m and rad."""
     sampled, rng = sample_recording(rec), np.random.default_rng(0)
-    taken = refit_arm_with_findings(rec, sampled, findings_of_diagnosis(diagnosis_of(rec))) if physics else None
+    physics_fit = refit_arm_with_findings(rec, sampled, findings_of_diagnosis(diagnosis_of(rec))) if physics else None
     done = certify_arm(
         sampled.samples,
         rec.design.mechanism,
         sampled.instrument,
         rng,
-        physics=None if taken is None else taken.together,
+        physics=None if physics_fit is None else physics_fit.together,
     )
-    samples = sampled.samples if taken is None else taken.together.samples
+    samples = sampled.samples if physics_fit is None else physics_fit.together.samples
     calibration = calibration_with_provenance(
         rec,
         sampled,
         done,
         arm_workspace_claim(samples, done, rng),
         (),
-        None if taken is None else taken.with_geometry(done),
+        None if physics_fit is None else physics_fit.with_geometry(done),
     )
     seen = np.stack([sampled.samples.commanded.min(axis=0), sampled.samples.commanded.max(axis=0)], axis=1)
     q = sobol_configurations(seen, 2 * POSES, REACH, 17)

@@ -64,7 +64,7 @@ def _closed_forms():
         )
         yield (
             f"{name}: poses by number of branches",
-            ", ".join(f"{n}: {k}" for n, k in enumerate(np.bincount(found.there.sum(1))) if k),
+            ", ".join(f"{n}: {k}" for n, k in enumerate(np.bincount(found.exists.sum(1))) if k),
             "",
         )
         T = mechanism.forward(q, arm)

@@ -12,7 +12,7 @@ import numpy as np
 from calib.certification.pose_error_promise_and_conformity import CONFORMS, FAILS
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
-from tests.calib.certificate.trials import share_kept, trial, wrong_decisions
+from tests.calib.certificate.trials import share_of_claims_that_hold, trial, wrong_decisions
 
 RIGS = 500
 SIZES = (59, 93, 120)  # held out
@@ -37,7 +37,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
         seconds = (time.process_time() - start) / RIGS
         yield (
             f"{name}: promise kept by {RIGS} rigs",
-            f"{share_kept(trials):.1%}",
+            f"{share_of_claims_that_hold(trials):.1%}",
             f"{level[1]:.0%} +- 2 %; above where measuring is the greater part",
         )
         for k, what in enumerate(("position", "rotation")):

@@ -58,13 +58,16 @@ def _timed(design, port):
         bare = SerialPort(port, 115200, clock)
         line = b"G53G1X0.0010Y0.0010Z0.0010A0.0010B0.0010C0.0010F1469.7\n"
 
-        def told():
+        def exchange_line():
             bare.write(line)
             while not bare.read(clock.now() + 1).endswith(b"ok\r\n"):
                 pass
 
         plain, ours = np.transpose(
-            [(_time(told), _time(lambda: driver.link.run(driver._protocol.move(segment)))) for _ in range(COUNT)]
+            [
+                (_time(exchange_line), _time(lambda: driver.link.run(driver._protocol.move(segment))))
+                for _ in range(COUNT)
+            ]
         )
         bare.close()
         whole = [_time(lambda k=k: driver.move(home + (k % 2) * 1e-6)) for k in range(COUNT // 3)]

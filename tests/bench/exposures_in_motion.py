@@ -107,7 +107,7 @@ def outcome(folder: Path, plan: str) -> Outcome:
 
 def run(case: Case, folder: Path, plan: str) -> None:
     """Run a plan in motion, at an emulated controller, into folder/REC; folder/history.csv is what the struts did."""
-    names = [camera.name for camera in case.eyes.stated]
+    names = [camera.name for camera in case.camera_set.stated]
     (folder / "late.py").write_text(
         CAMERA.format(delays=dict(zip(names, DELAYS)), late=LATE, log=str(folder / "exposed.csv"))
     )
@@ -168,7 +168,7 @@ def true_times(case: Case, folder: Path, logged: np.ndarray, wall: float) -> np.
         name, stamp, true = line.split(",")
         noted.setdefault(name, []).append((float(stamp) - wall, float(true) - wall))
     out = np.empty(logged.shape)
-    for i, camera in enumerate(case.eyes.stated):
+    for i, camera in enumerate(case.camera_set.stated):
         stamps, true = np.array(noted[camera.name]).T
         nearest = np.abs(stamps[:, None] - logged[:, i]).argmin(axis=0)
         assert np.abs(stamps[nearest] - logged[:, i]).max() < 1e-5

@@ -117,6 +117,6 @@ def main(words: list[str]) -> None:
     parser.add_argument("--recordings", type=int, default=RECORDINGS)
     parser.add_argument("--seed", type=int, default=31000)
     parser.add_argument("--only", help="diagnose only those of this kind, for example 'noise stated by half'")
-    asked = parser.parse_args(words)
-    for figure, reached, wanted in rows(asked.recordings, asked.seed, True, asked.only):
+    arguments = parser.parse_args(words)
+    for figure, reached, wanted in rows(arguments.recordings, arguments.seed, True, arguments.only):
         print(f"{figure:78} {reached:>34}   {wanted}", flush=True)

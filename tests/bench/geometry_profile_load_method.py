@@ -24,7 +24,7 @@ from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib.diagnose_recording import diagnosis_of
-from tests.calib.rigs_with_unmodelled_physics import ASKED, driven, learnt, write
+from tests.calib.rigs_with_unmodelled_physics import REQUESTED, driven, learnt, write
 
 EFFECTS = ("transmission_error:strut2:profile=0/2e-5/-2e-5/3e-5/0/2e-5/-3e-5/1e-5", "compliance:rig:stiffness=3e6")
 ROUTE, GRID = "sobol:60,ladder:2,payload:10,moving:8,warmup:16", "grid:3"
@@ -59,7 +59,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
         floor = float(np.sqrt(np.trace(own[:, :3, :3], axis1=1, axis2=2).mean()))
         ways = {
             "physics": learnt(
-                recording, sampled, findings_of_diagnosis(diagnosis_of(recording, only=ASKED, sampled=sampled))
+                recording, sampled, findings_of_diagnosis(diagnosis_of(recording, only=REQUESTED, sampled=sampled))
             ),
             "parameters alone": learnt(recording, sampled, None, "none"),
             "grid alone, 729 poses, n-linear": by_field(on_grid, design, "linear"),

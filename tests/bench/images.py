@@ -35,17 +35,17 @@ NEAR = 1e-4  # m and rad; poses as near to an earlier one are visited again
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class ImageFigures:
     """How true a Measurement's poses and corners are. chi2 : of all poses together; poses : how many;
-    alone : normalised error squared / 6 of a pose by itself, mean; inside, again : shares of corners in their 95 %
-        ellipse, all
+    alone : normalised error squared / 6 of a pose by itself, mean; inside, revisited_share : shares of corners in
+        their 95 % ellipse, all
     and at poses visited again; ratio : of the corners' noise to the Cramer-Rao bound"""
 
     chi2: float
     poses: int
     alone: float
     inside: float
-    again: float
+    revisited_share: float
     ratio: float
 
 
@@ -55,46 +55,60 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """
     with tempfile.TemporaryDirectory() as folder:
         keep = Path(os.environ.get("IMAGES", folder))
-        found, told = [], []
+        found, figures = [], []
         for kind, wanted in RECORDINGS.items():
             for index in cases(kind, wanted):
                 case, recorded, truth = drawn(keep, kind, index)
                 sampled = sample_recording(recorded)
                 if kind == "nothing":
-                    told.append(true(case, sampled))
+                    figures.append(true(case, sampled))
                 found.append(
                     diagnosis_score.score_case(
                         index, truth, diagnosis_of(recorded, sampled, Path(folder) / f"{kind}{index}")
                     )
                 )
                 print(line(kind, found[-1]), file=sys.stderr, flush=True)
-    yield from _measured(told)
+    yield from _measured(figures)
     yield from _named([one for one in found if one.kind == "nothing"], [one for one in found if one.kind == "one"])
     for one in found:
         if one.found or one.unexplained if one.kind == "nothing" else not right(one):
             yield line(one.kind, one), "", ""
 
 
-def _measured(told):
-    figure = f"{len(told)} recordings of some {sum(t.poses for t in told) // len(told)} poses, nothing hidden: "
+def _measured(figures):
+    figure = (
+        f"{len(figures)} recordings of some {sum(t.poses for t in figures) // len(figures)} poses, nothing hidden: "
+    )
     yield (
         figure + "normalised error squared / 6 of poses, jointly",
-        f"{sum(t.chi2 for t in told) / sum(t.poses for t in told) / 6:.3f}",
+        f"{sum(t.chi2 for t in figures) / sum(t.poses for t in figures) / 6:.3f}",
         "0.93-1.07",
     )
     yield (
         figure + "the same, a recording each, least to most",
-        " ".join(f"{t.chi2 / t.poses / 6:.2f}" for t in sorted(told, key=_joint)),
+        " ".join(f"{t.chi2 / t.poses / 6:.2f}" for t in sorted(figures, key=_joint)),
         "",
     )
     yield (
         figure + "the same pose by pose, median; worst recording",
-        f"{np.median([t.alone for t in told]):.2f}; {max(t.alone for t in told):.2f}",
+        f"{np.median([t.alone for t in figures]):.2f}; {max(t.alone for t in figures):.2f}",
         "",
     )
-    yield figure + "corners in their stated 95 % ellipse", f"{100 * np.mean([t.inside for t in told]):.1f} %", "93-97 %"
-    yield figure + "the same at poses visited again", f"{100 * np.nanmean([t.again for t in told]):.1f} %", "93-97 %"
-    yield figure + "corners' noise over the Cramer-Rao bound, median", f"{np.median([t.ratio for t in told]):.2f}", ""
+    yield (
+        figure + "corners in their stated 95 % ellipse",
+        f"{100 * np.mean([t.inside for t in figures]):.1f} %",
+        "93-97 %",
+    )
+    yield (
+        figure + "the same at poses visited again",
+        f"{100 * np.nanmean([t.revisited_share for t in figures]):.1f} %",
+        "93-97 %",
+    )
+    yield (
+        figure + "corners' noise over the Cramer-Rao bound, median",
+        f"{np.median([t.ratio for t in figures]):.2f}",
+        "",
+    )
 
 
 def _named(still, one):
@@ -180,8 +194,8 @@ def right(case: diagnosis_score.Case) -> bool:
     """Whether the one hidden effect is named first, at its place, and nothing else."""
     hidden = case.hidden[0]
     return (
-        bool(case.said)
-        and (case.said[0].effect, case.said[0].place) == (hidden.effect, hidden.place)
+        bool(case.named_or_remarked)
+        and (case.named_or_remarked[0].effect, case.named_or_remarked[0].place) == (hidden.effect, hidden.place)
         and len(case.named) <= 1
     )
 
@@ -196,19 +210,19 @@ def line(kind: str, case: diagnosis_score.Case) -> str:
     return f"{kind} {case.index}: hidden {hidden}; found {found}" + (f"; remarks {remarks}" if remarks else "")
 
 
-def true(case: blind_cases.DrawnCase, sampled: Sampled) -> Told:
+def true(case: blind_cases.DrawnCase, sampled: Sampled) -> ImageFigures:
     """Told of a case's measurement."""
     m, T = sampled.measurement, case.simulation.run.T_base_platform
     errors = pose_difference(m.T_base_platform, T[m.frames])
-    kept = m.observations.take(m.inliers)
-    square = nees(kept.uv - true_corners(case, kept), kept.covariance)
-    again = square[np.isin(kept.frame, np.flatnonzero(revisited(T)[kept.frames]))]
-    return Told(
+    retained = m.observations.take(m.inliers)
+    square = nees(retained.uv - true_corners(case, retained), retained.covariance)
+    revisited_square = square[np.isin(retained.frame, np.flatnonzero(revisited(T)[retained.frames]))]
+    return ImageFigures(
         joint_chi2(m, errors),
         len(errors),
         float(np.mean(nees(errors, m.covariance)) / 6),
         float(np.mean(square < INSIDE)),
-        float(np.mean(again < INSIDE)) if len(again) else np.nan,
+        float(np.mean(revisited_square < INSIDE)) if len(revisited_square) else np.nan,
         m.noise / case.noise,
     )
 

@@ -125,8 +125,8 @@ def settle(case, first, found, pick, looks=LOOKS) -> tuple[Diagnosis, int, float
     """
     parts, poses, minutes, stated = [first], 0, 0.0, []
     for number in range(1, looks):
-        asked = questions(found)
-        chosen = pick(asked, number, BUDGET - minutes) if asked else None
+        open_questions = questions(found)
+        chosen = pick(open_questions, number, BUDGET - minutes) if open_questions else None
         if chosen is None:
             break
         parts.append(case.recorded(f"{pick.__name__}{number}", chosen.plan))
@@ -137,9 +137,9 @@ def settle(case, first, found, pick, looks=LOOKS) -> tuple[Diagnosis, int, float
 
 
 def best(design) -> Callable[..., Experiment | None]:
-    def chosen(asked, number, left):
+    def chosen(open_questions, number, left):
         found, _ = ranked_experiments_and_excluded_plans(
-            asked, design, available_plans(("payload", "wait"), False), number, left
+            open_questions, design, available_plans(("payload", "wait"), False), number, left
         )
         return found[0] if found and found[0].bits > 0.01 else None
 
@@ -147,12 +147,12 @@ def best(design) -> Callable[..., Experiment | None]:
 
 
 def at_random(design, rng) -> Callable[..., Experiment | None]:
-    def random(asked, number, left):
+    def random(open_questions, number, left):
         for text in rng.permutation(
             [text for text in available_plans(("payload", "wait"), False) if not text.startswith(NAME)]
         ):
             try:
-                found = evaluate_experiment(asked, design, str(text), number)
+                found = evaluate_experiment(open_questions, design, str(text), number)
             except RigError:
                 continue
             if found.minutes <= left:
@@ -176,27 +176,27 @@ def rows(rigs=40, quiet=20, draws=4) -> Iterator[tuple[str, str, str]]:
             found = Case(base / f"q{k}", *rooms["poses"], None, 90_000 + k).first(SOON)[1]
             still += not names(found)
             print(f"  nothing hidden {k + 1}: {names(found) or 'nothing'}", file=sys.stderr, flush=True)
-    asked = [one for one in done if one.alike]
+    alike = [one for one in done if one.alike]
     yield f"{rigs} rigs: right name alone", f"{sum(one.right for one in done)}", ">= 90 %"
     yield (
-        f"of them {len(asked)} left alike by the first recording ({sum(one.skipped for one in done)} more "
+        f"of them {len(alike)} left alike by the first recording ({sum(one.skipped for one in done)} more "
         "drawn that were not): right name alone",
-        (f"{sum(one.right for one in asked)}"),
+        (f"{sum(one.right for one in alike)}"),
         ">= 90 %",
     )
     yield (
         "extra poses over those of random plans of the same kinds, median",
-        f"{np.median([one.ratio for one in asked]):.2f}",
+        f"{np.median([one.ratio for one in alike]):.2f}",
         "<= 0.5",
     )
-    for who, told in (
-        ("chosen", [t for one in asked for t in one.chosen]),
-        ("random", [t for one in asked for t in one.random]),
+    for who, predictions in (
+        ("chosen", [t for one in alike for t in one.chosen]),
+        ("random", [t for one in alike for t in one.random]),
     ):
-        said, happened = np.mean(told, axis=0) if told else (np.nan, np.nan)
+        predicted, happened = np.mean(predictions, axis=0) if predictions else (np.nan, np.nan)
         yield (
-            f"chance to settle, of {len(told)} {who} experiments: as stated, as it happened",
-            f"{said:.0%}, {happened:.0%}",
+            f"chance to settle, of {len(predictions)} {who} experiments: as stated, as it happened",
+            f"{predicted:.0%}, {happened:.0%}",
             "within 15 %",
         )
     yield f"{quiet} rigs that hide nothing: nothing found, and no experiment", f"{still}", ">= 95 %"
@@ -234,18 +234,18 @@ def tried(base, rooms, number, draws) -> Tried:
     else:
         right = names(found) == [case.title]
         return Tried(f"{case.truth}: {names(found)} {'alone' if right else 'NOT right'} at once", False, right, draw)
-    done, poses, minutes, told = settle(case, first, found, best(design))
+    done, poses, minutes, predictions = settle(case, first, found, best(design))
     _, others, _, random = settle(case, first, found, at_random(design, rng), AT_RANDOM)
     alone = names(done) == [case.title] and not questions(done)
-    said = f"{[(round(s, 2), h) for s, h in told]} random {[(round(s, 2), h) for s, h in random]}"
+    both_texts = f"{[(round(s, 2), h) for s, h in predictions]} random {[(round(s, 2), h) for s, h in random]}"
     return Tried(
         f"{case.truth}: {names(done)} {'alone' if alone else 'NOT alone'}, {poses} poses in {minutes:.1f} "
-        f"min, at random {others}; {said}",
+        f"min, at random {others}; {both_texts}",
         True,
         alone,
         draw,
         poses / max(others, 1),
-        tuple(told),
+        tuple(predictions),
         tuple(random),
     )
 

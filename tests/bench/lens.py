@@ -64,17 +64,17 @@ def _chessboard():
     height, width = images[0].shape
     K = [[1.2 * width, 0, width / 2], [0, 1.2 * width, height / 2], [0, 0, 1]]
     camera = Camera("cam0", width, height, K, np.zeros(5), RigidTransform.identity())
-    ours, opencv, found, there = [], [], 0, 0
+    ours, opencv, found, total = [], [], 0, 0
     for image in images:
         view = boards.find_board_corners(image, board, camera)
         corners, ids, _, _ = theirs.detectBoard(image)
         ids, corners = ids.ravel(), corners.reshape(-1, 2).astype(float)
         both = np.intersect1d(ids, view.corner)
-        found, there = found + len(view.corner), there + len(ids)
+        found, total = found + len(view.corner), total + len(ids)
         even = np.tile(0.01 * np.eye(2), (len(both), 1, 1))  # all corners weigh alike, theirs as ours
         ours.append(boards.BoardView(both, view.uv[np.searchsorted(view.corner, both)], even, ()))
         opencv.append(boards.BoardView(both, np.array([corners[ids == k][0] for k in both]).reshape(-1, 2), even, ()))
-    yield f"photos/charuco, {len(images)} photographs: corners found, ours / OpenCV's", f"{found} / {there}", ""
+    yield f"photos/charuco, {len(images)} photographs: corners found, ours / OpenCV's", f"{found} / {total}", ""
     seen = [observations_from_board_views(views, board) for views in (ours, opencv)]
     for terms in (4, 5):
         fits = [calibrate_lens(o, width, height, terms) for o in seen]

@@ -14,9 +14,9 @@ from types import SimpleNamespace
 import numpy as np
 
 from calib.online.live_learner_and_run_state import Learner
-from calib.online.live_run_page import RunPage
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run
+from calib.online.web_page_of_ongoing_run import RunPage
 from rig.driving.cameras.camera_interface_and_user_cameras import Frame, SynchronisedCameras
 from rig.driving.clock import SystemClock
 from rig.driving.driver_opening_and_settling import parse_settling
@@ -45,13 +45,13 @@ class _Source:
 
     can_set_exposure = False
 
-    def __init__(self, name, waiting, clock, taken):
-        self.name, self._waiting, self._clock, self._taken = name, iter(waiting), clock, taken
+    def __init__(self, name, waiting, clock, times):
+        self.name, self._waiting, self._clock, self._times = name, iter(waiting), clock, times
 
     def grab(self) -> Frame:
         image = next(self._waiting)
         now = self._clock.now()
-        self._taken[self.name].append(now)
+        self._times[self.name].append(now)
         return Frame(image, now, 1e-4)
 
     def close(self) -> None:
@@ -91,13 +91,13 @@ def _run(folder):
         done, folder / "drawn", text, rng, images=Images(Sensor(blur=0.5, read_noise=1.0))
     )
     read, clock = recording_folder.load_recording(folder / "drawn"), SystemClock()
-    e, taken = read.exposures, {camera.name: [] for camera in design.cameras}
+    e, times = read.exposures, {camera.name: [] for camera in design.cameras}
     images = {
         c.name: [read_image(read.folder / n) for n, name in zip(e.image, e.camera) if name == c.name]
         for c in design.cameras
     }
     compile_kernels_for_run(design)  # as while homing
-    shutter = SynchronisedCameras(tuple(_Source(name, own, clock, taken) for name, own in images.items()), clock)
+    shutter = SynchronisedCameras(tuple(_Source(name, own, clock, times) for name, own in images.items()), clock)
     planned = steps_of_plan(build_plan(design, plan))
     start = planned[0].goal
     machine = SimpleNamespace(lengths=lambda: start, move=lambda goal, permit: None, stop=lambda: None)
@@ -118,7 +118,7 @@ def _run(folder):
         time.sleep(0.5)
     shutter.close()
     epoch = clock.now() - time.monotonic()
-    return {frame: t + epoch - max(own[frame] for own in taken.values()) for frame, t in came.items()}
+    return {frame: t + epoch - max(own[frame] for own in times.values()) for frame, t in came.items()}
 
 
 def _listen(url, came):

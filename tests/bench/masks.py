@@ -130,14 +130,14 @@ def counted(found: dict[str, Any]) -> tuple[int, int]:
 def _diagnosed(rec: recording_folder.Recording) -> dict[str, Any]:
     """What a diagnosis says: names with places, what has no name, frames that were left out, or why there is none."""
     try:
-        told: Report = diagnose(rec).report
+        diagnosis: Report = diagnose(rec).report
     except RigError as refusal:
         return {"names": ["refused"], "left_out": [], "refused": str(refusal)}
     return {
-        "names": sorted(f"{f.effect} {f.place}" for f in told.findings),
-        "unexplained": told.unexplained.place if told.unexplained else None,
-        "left_out": sorted({one.frame for one in told.left_out}),
-        "crowd": told.crowd.count if told.crowd else 0,
+        "names": sorted(f"{f.effect} {f.place}" for f in diagnosis.findings),
+        "unexplained": diagnosis.unexplained.place if diagnosis.unexplained else None,
+        "left_out": sorted({one.frame for one in diagnosis.left_out}),
+        "crowd": diagnosis.crowd.count if diagnosis.crowd else 0,
     }
 
 
@@ -217,22 +217,22 @@ def _with(path: Path, line: dict[str, Any], seed: int) -> list[dict[str, Any]]:
             "figures": [dict(zip(("figure", "reached", "wanted"), row)) for row in figures(lines)],
         }
         text = json.dumps(record, indent=1, ensure_ascii=False)[:-2]
-        beside = path.with_suffix(".part")
-        beside.write_text(
+        partial_file = path.with_suffix(".part")
+        partial_file.write_text(
             text + ',\n "recordings": [\n' + ",\n".join(json.dumps(one) for one in lines) + "]}\n", encoding="utf-8"
         )
-        beside.replace(path)
+        partial_file.replace(path)
     return lines
 
 
 def _in_words(line: dict[str, Any]) -> str:
-    clean, said = line["diagnoses"]["clean"]["names"], []
+    clean, lines = line["diagnoses"]["clean"]["names"], []
     for name in MASKS:
         one = line["diagnoses"][name]
         missed = sorted(
             {int(f) for f in line["wild"]} - set(one["left_out"]) - {int(f) for f in one["mask"].split(",") if f}
         )
-        said += (
+        lines += (
             []
             if one["names"] == clean
             else [f"\n    {name}: {', '.join(one['names']) or 'nothing'}; wild rows that stay: {missed}"]
@@ -240,7 +240,7 @@ def _in_words(line: dict[str, Any]) -> str:
     return (
         f"{line['recording']:55} {line['same']} same, {line['as_clean']} as without wild rows "
         f"({', '.join(clean) or 'nothing'}), "
-        f"{line['seconds']:.0f} s{''.join(said)}"
+        f"{line['seconds']:.0f} s{''.join(lines)}"
     )
 
 

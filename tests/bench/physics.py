@@ -63,7 +63,7 @@ def measured(name, rigs=RIGS, route=ROUTE, text=None) -> np.ndarray:
             ways = three_ways(
                 Path(folder) / str(k), design, text, seed, effect_of(name, np.random.default_rng([seed, 7])), route
             )
-            out.append([way.error for way in ways])
+            out.append([method.error for method in ways])
             print(
                 f"  {name} {k}: {np.round(np.array(out[-1]) * 1e6, 2).tolist()} um, urad, found "
                 f"{[f'{e.name} {e.place}' for e in ways[0].found]}, "

@@ -12,7 +12,7 @@ from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.cli import RIG
 from tests.conftest import SHARED
 
-THERE = {"tumbling-block": "real images", "arm-1": "real poses", "first-light": "images by a ray caster"}
+SOURCES = {"tumbling-block": "real images", "arm-1": "real poses", "first-light": "images by a ray caster"}
 OWN = {
     "nothing": [],
     "backlash at strut 2, 40 um": ["--effect", "backlash:strut2:gap=40e-6"],
@@ -29,9 +29,9 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for recording, kind in THERE.items():
+        for recording, kind in SOURCES.items():
             if (SHARED / "recordings" / recording).is_dir():
-                yield f"{recording} ({kind})", _told(SHARED / "recordings" / recording, folder / recording), ""
+                yield f"{recording} ({kind})", _result_text(SHARED / "recordings" / recording, folder / recording), ""
             else:
                 yield f"{recording} ({kind})", "skipped", "the shared recordings are not beside the project"
         (folder / "rig.toml").write_text(
@@ -41,11 +41,15 @@ def rows() -> Iterator[tuple[str, str, str]]:
             drawn = folder / f"own{number}"
             how = ["--plan", PLAN, "--seed", str(SEED), "--images", *SENSOR, *options, "--out", drawn]
             made = subprocess.run([*RIG, "simulate", folder / "rig.toml", *how], capture_output=True, text=True)
-            reached = made.stderr.strip().splitlines()[-1] if made.returncode else _told(drawn, folder / f"out{number}")
+            reached = (
+                made.stderr.strip().splitlines()[-1]
+                if made.returncode
+                else _result_text(drawn, folder / f"out{number}")
+            )
             yield f"own render (hides {hidden})", reached, ""
 
 
-def _told(recording, out):
+def _result_text(recording, out):
     done = subprocess.run([*RIG, "diagnose", recording, "--out", out], capture_output=True, text=True)
     if done.returncode:
         return done.stderr.strip().splitlines()[-1]

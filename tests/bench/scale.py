@@ -61,28 +61,28 @@ def _measured(recording, few, out):
     with two_workers() as (address, peaks):
         ways["cluster"] = ["--workers", "2", "--scheduler", address]
         small = {
-            way: rig("measure", few, "--out", out / f"few-{way}", "--force", *words) for way, words in ways.items()
+            mode: rig("measure", few, "--out", out / f"few-{mode}", "--force", *words) for mode, words in ways.items()
         }  # which also warms
         before = peaks()
-        ran = {way: [] for way in ways}
+        ran = {mode: [] for mode in ways}
         for _ in range(REPEATS):
-            for way, words in ways.items():
-                ran[way].append(rig("measure", recording, "--out", out / way, "--force", *words))
+            for mode, words in ways.items():
+                ran[mode].append(rig("measure", recording, "--out", out / mode, "--force", *words))
         after = peaks()
-    best = {way: min(tried, key=lambda one: one.seconds) for way, tried in ran.items()}
-    for way, name in (
+    best = {mode: min(tried, key=lambda one: one.seconds) for mode, tried in ran.items()}
+    for mode, name in (
         ("one", "one process"),
         ("two", "two processes"),
         ("cluster", "a cluster of two workers on loopback"),
     ):
         yield (
             f"{COUNT} images measured by {name}",
-            f"{best[way].seconds:.1f} s, {COUNT / best[way].seconds:.1f} a second",
+            f"{best[mode].seconds:.1f} s, {COUNT / best[mode].seconds:.1f} a second",
             "",
         )
-    for way, wanted in (("two", ">= 1.8"), ("cluster", ">= 1.7")):
-        yield f"the same: one process's time over {way}'s", f"{best['one'].seconds / best[way].seconds:.2f}", wanted
-    same = [name for name in FILES if len({(out / way / name).read_bytes() for way in ways}) == 1]
+    for mode, wanted in (("two", ">= 1.8"), ("cluster", ">= 1.7")):
+        yield f"the same: one process's time over {mode}'s", f"{best['one'].seconds / best[mode].seconds:.2f}", wanted
+    same = [name for name in FILES if len({(out / mode / name).read_bytes() for mode in ways}) == 1]
     yield f"files that are the same to the last byte by all three, of {len(FILES)}", str(len(same)), str(len(FILES))
     counts, wanted = f"{COUNT // FEW} and {COUNT} images", "<= 1024 MiB, flat"
     yield f"memory of a process at work, {counts}", f"{small['two'].worker:.0f}, {best['two'].worker:.0f} MiB", wanted

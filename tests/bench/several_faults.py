@@ -23,7 +23,7 @@ from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.recording import recording_folder
 from tests.truth import FAULTS, Case, draw, errors, record, rms
 from tests.truth.case import _seen
-from tests.truth.draw_faults import HURRIED, LOADED, SLOW, Asked, fits
+from tests.truth.draw_faults import HURRIED, LOADED, SLOW, FaultRequest, fits
 from tests.truth.laws import Law, passed, stood
 
 RECORDINGS = 12
@@ -95,7 +95,7 @@ def _law(case: Case, name: str, axis: int | None, rng: np.random.Generator) -> L
 
     Raises ValueError where none of many does.
     """
-    count, plain = case.owner.width, stood(case.machine, case.way, case.day, ())
+    count, plain = case.owner.width, stood(case.machine, case.journey, case.day, ())
     scale = np.repeat(case.sigma, 3)
     offsets = _errors_by_constant_offsets(case, plain) / np.tile(scale, len(plain))[:, None]
     for _ in range(TRIES):
@@ -106,14 +106,14 @@ def _law(case: Case, name: str, axis: int | None, rng: np.random.Generator) -> L
             axes = rng.uniform(0.3, 1.2, count)
         axes *= np.where(np.ptp(case.owner.ranges, axis=1) > 0.5, 2.0, 1.0)  # angles, at half a metre
         size = float(np.exp(rng.uniform(np.log(4), np.log(20)))) * case.sigma[0]
-        asked = Asked(
-            size, axes, case.machine, case.way, abs(case.day.room[1]), case.mass, case.centre, case.payload, rng
+        request = FaultRequest(
+            size, axes, case.machine, case.journey, abs(case.day.room[1]), case.mass, case.centre, case.payload, rng
         )
-        found = FAULTS[name](asked)
+        found = FAULTS[name](request)
         law = found[int(rng.integers(len(found)))]
-        whole = errors(stood(case.machine, case.way, case.day, (law,)), plain) / scale
-        taken = (offsets @ np.linalg.lstsq(offsets, whole.ravel())[0]).reshape(whole.shape)
-        moved, turned = rms((whole - taken) * scale)
+        whole = errors(stood(case.machine, case.journey, case.day, (law,)), plain) / scale
+        absorbed = (offsets @ np.linalg.lstsq(offsets, whole.ravel())[0]).reshape(whole.shape)
+        moved, turned = rms((whole - absorbed) * scale)
         if max(moved / case.sigma[0], turned / case.sigma[1]) > SEEN:
             return law
     raise ValueError(f"no {name} of {TRIES} drawn moves the poses by {SEEN:g} times their noise")
@@ -121,7 +121,7 @@ def _law(case: Case, name: str, axis: int | None, rng: np.random.Generator) -> L
 
 def _errors_by_constant_offsets(case: Case, plain: np.ndarray) -> np.ndarray:
     """(6 n, axes) errors of the poses of a case, one below the other, by 1 m or rad more of each axis."""
-    values = passed(case.way, case.way.looked, case.day, case.machine)
+    values = passed(case.journey, case.journey.looked, case.day, case.machine)
     at, step = values.values[values.at], 1e-6
     return np.stack(
         [errors(case.machine.forward(at + step * one), plain).ravel() / step for one in np.eye(case.owner.width)],
@@ -139,7 +139,7 @@ def rows(
     report: bool = False,
 ) -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
-    start, named, in_sets, each, beside = time.process_time(), 0, 0, 0, 0
+    start, named, in_sets, each, with_others = time.process_time(), 0, 0, 0, 0
     for number in range(recordings):
         case, hidden = drawn(seed + number, faults, poses, one_axis, kind)
         begun = time.process_time()
@@ -151,7 +151,7 @@ def rows(
         stated = [hit or one.is_in_stated_set(effects) for one, hit in zip(hidden, hits, strict=True)]
         others = [f for f in effects if not any(f.effect == one.effect and one.is_at(f.place) for one in hidden)]
         named, in_sets, each = named + all(hits), in_sets + (all(stated) and not all(hits)), each + sum(hits)
-        beside += len(others) + len(found.left) > 0
+        with_others += len(others) + len(found.left) > 0
         if report:
             verdict = "named" if all(hits) else "in a set" if all(stated) else "MISSED"
             print(
@@ -168,7 +168,7 @@ def rows(
     yield f"{what}: all named and placed", f"{named} of {recordings}", {1: "97 %", 2: "92 %"}.get(faults, "75 %")
     yield f"{what}: the rest in a stated set", f"{in_sets} of {recordings - named}", ""
     yield f"{what}: faults named", f"{each} of {recordings * faults}", ""
-    yield f"{what}: with something else found or unknown", f"{beside} of {recordings}", ""
+    yield f"{what}: with something else found or unknown", f"{with_others} of {recordings}", ""
     yield "one recording, of one processor", f"{(time.process_time() - start) / recordings:.1f} s", ""
 
 
@@ -181,8 +181,14 @@ def main(words: list[str]) -> None:
     parser.add_argument("--poses", type=int, default=POSES)
     parser.add_argument("--one-axis", action="store_true")
     parser.add_argument("--kind", choices=("hexapod", "arm", "planar2"), default="hexapod")
-    asked = parser.parse_args(words)
+    arguments = parser.parse_args(words)
     for figure, reached, wanted in rows(
-        asked.faults, asked.recordings, asked.seed, asked.poses, asked.one_axis, asked.kind, report=True
+        arguments.faults,
+        arguments.recordings,
+        arguments.seed,
+        arguments.poses,
+        arguments.one_axis,
+        arguments.kind,
+        report=True,
     ):
         print(f"{figure:78} {reached:>34}   {wanted}", flush=True)

@@ -23,12 +23,12 @@ def test_any_beginning_has_all_kinds_and_no_two_are_alike():
 
 
 def test_names_are_counted_over_masks_and_against_the_clean_recording():
-    told = dict(zip(MASKS, (["a"], ["b"], ["b"], ["b"], ["a"])))
+    names = dict(zip(MASKS, (["a"], ["b"], ["b"], ["b"], ["a"])))
     line = {
         "kind": "arm",
         "same": 3,
         "as_clean": 2,
-        "diagnoses": {"clean": {"names": ["a"]}, **{k: {"names": v} for k, v in told.items()}},
+        "diagnoses": {"clean": {"names": ["a"]}, **{k: {"names": v} for k, v in names.items()}},
     }
     assert [reached for _, reached, _ in figures([line])] == ["3 of 5", "2 of 5"] * 2
 

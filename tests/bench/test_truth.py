@@ -64,6 +64,6 @@ def test_any_beginning_of_a_campaign_is_of_all_ways():
             ["sobol", "shuffled"],
         )
     )
-    assert {t.way for t in found[:2]} == {"plain", "arm"}
-    assert not any(t.way == "arm" and t.effect == "compliance" for t in found)
+    assert {t.method for t in found[:2]} == {"plain", "arm"}
+    assert not any(t.method == "arm" and t.effect == "compliance" for t in found)
     assert len({t.name for t in found}) == 40

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.cli import RIG
 from tests.conftest import ROOT, SHARED
-from tests.docs.told import commands, words
+from tests.docs.document_commands import commands, words
 
 PAGE = ROOT / "docs" / "tour.md"
 JOINTS = (  # as the dataset names them

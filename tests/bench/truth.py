@@ -35,18 +35,18 @@ def trials(
     """Trials in an order in which any beginning of the list is balanced: a draw of every one, from the seed."""
     for number in range(machines):
         rng = np.random.default_rng([seed, number])
-        way = ways[number % len(ways)]
-        kind = WAYS[way].kind
-        finds = "--find" in WAYS[way].options  # whose commands in time wait at every pose
+        method = ways[number % len(ways)]
+        kind = WAYS[method].kind
+        finds = "--find" in WAYS[method].options  # whose commands in time wait at every pose
         known = [
             name
             for name in effects
-            if fits(name, kind) and (WAYS[way].seen or name not in SIGHTS) and not (finds and name in HURRIED)
+            if fits(name, kind) and (WAYS[method].seen or name not in SIGHTS) and not (finds and name in HURRIED)
         ]
         effect = known[(number // len(ways) + 3 * (number % len(ways))) % len(known)]
         strength = "none" if effect == "none" else str(rng.choice(strengths))
         effect = "none" if strength == "none" else effect
-        yield Trial(seed * 100000 + number, way, effect, strength, str(rng.choice(plans)))
+        yield Trial(seed * 100000 + number, method, effect, strength, str(rng.choice(plans)))
 
 
 def main(argv: list[str]) -> None:
@@ -112,11 +112,11 @@ def _write(path: Path, lines: list[dict[str, Any]], command: str, seed: int) -> 
         "figures": [dict(zip(("figure", "reached", "wanted"), row)) for row in figures_in_words(lines)],
     }
     text = json.dumps(record, indent=1, ensure_ascii=False)[:-2]
-    beside = path.with_suffix(".part")
-    beside.write_text(
+    partial_file = path.with_suffix(".part")
+    partial_file.write_text(
         text + ',\n "machines": [\n' + ",\n".join(json.dumps(line) for line in lines) + "]}\n", encoding="utf-8"
     )
-    beside.replace(path)
+    partial_file.replace(path)
 
 
 def _in_words(line: dict[str, Any]) -> str:

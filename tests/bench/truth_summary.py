@@ -23,21 +23,21 @@ def figures(lines: list[dict[str, Any]]) -> dict[str, Any]:
     """Figures of machines that made a claim: how often its interval covers the truth in position and rotation, whether
     from above or below, how many say good and are wrong, how many of the wanted poses lie within their 95 % ellipsoids,
     and how the claim's middle compares with the truth."""
-    told = [line for line in lines if "claim" in line]
-    good = [line for line in told if line["state"] == "good"]
-    posed = [line["ellipsoids"] for line in told if line.get("ellipsoids")]
+    claims = [line for line in lines if "claim" in line]
+    good = [line for line in claims if line["state"] == "good"]
+    posed = [line["ellipsoids"] for line in claims if line.get("ellipsoids")]
     count = sum(each[2] for each in posed)
-    ratio = np.array([line["true"] / line["claim"][0] for line in told if line["claim"][0] > 0])
+    ratio = np.array([line["true"] / line["claim"][0] for line in claims if line["claim"][0] > 0])
     return {
-        "n": len(told),
-        "refused": len(lines) - len(told),
-        "covered": share(sum(line["covered"] for line in told), len(told)),
-        "covered_rotation": share(sum(line["covered_rotation"] for line in told), len(told)),
-        "above": sum(line["true"] > line["claim"][2] for line in told),
-        "below": sum(line["true"] < line["claim"][1] for line in told),
+        "n": len(claims),
+        "refused": len(lines) - len(claims),
+        "covered": share(sum(line["covered"] for line in claims), len(claims)),
+        "covered_rotation": share(sum(line["covered_rotation"] for line in claims), len(claims)),
+        "above": sum(line["true"] > line["claim"][2] for line in claims),
+        "below": sum(line["true"] < line["claim"][1] for line in claims),
         "good": len(good),
         "wrongly_good": sum(line["true"] > WRONG * line["claim"][2] for line in good),
-        "beyond": sum(line["true"] > WRONG * line["claim"][2] for line in told),
+        "beyond": sum(line["true"] > WRONG * line["claim"][2] for line in claims),
         "ellipsoids": [round(sum(each[k] for each in posed) / count, 4) for k in range(2)] if count else None,
         "poses": count,
         "true_over_claim": [round(float(x), 3) for x in np.quantile(ratio, (0.5, 0.1, 0.9))] if len(ratio) else None,

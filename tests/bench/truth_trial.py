@@ -19,12 +19,12 @@ from tests.bench.result_provenance import commit
 from tests.truth import (
     SIGHTS,
     Case,
-    again,
     draw,
     drive,
     drive_in_time,
     errors,
     record,
+    recorded_anew,
     rms,
     wanted,
     write_sensors,
@@ -37,7 +37,7 @@ HELD = 6.0  # s beyond the longest move that each pose in time is given
 
 
 @dataclass(frozen=True)
-class Way:
+class CalibrationMethod:
     """kind : of machine; options : of `rig calibrate`; first : options of a calibration on whose top it stands, None
     without
     seen : whether cameras look, in place of an instrument"""
@@ -49,18 +49,18 @@ class Way:
 
 
 WAYS = {
-    "plain": Way(),
-    "find": Way(options=("--find",)),
-    "radial": Way(options=("--extend", "radial")),
-    "alone": Way(options=("--extend", "radial", "--alone")),
-    "auto": Way(options=("--extend", "auto")),
-    "onto": Way(options=("--extend", "radial"), first=()),
-    "arm": Way("arm"),
-    "arm-auto": Way("arm", ("--extend", "auto")),
-    "chain": Way("chain"),
-    "planar2": Way("planar2"),
-    "seen": Way(seen=True),
-    "seen-find": Way(options=("--find",), seen=True),
+    "plain": CalibrationMethod(),
+    "find": CalibrationMethod(options=("--find",)),
+    "radial": CalibrationMethod(options=("--extend", "radial")),
+    "alone": CalibrationMethod(options=("--extend", "radial", "--alone")),
+    "auto": CalibrationMethod(options=("--extend", "auto")),
+    "onto": CalibrationMethod(options=("--extend", "radial"), first=()),
+    "arm": CalibrationMethod("arm"),
+    "arm-auto": CalibrationMethod("arm", ("--extend", "auto")),
+    "chain": CalibrationMethod("chain"),
+    "planar2": CalibrationMethod("planar2"),
+    "seen": CalibrationMethod(seen=True),
+    "seen-find": CalibrationMethod(options=("--find",), seen=True),
 }
 
 
@@ -69,7 +69,7 @@ class Trial:
     """seed, way, effect, strength, plan : what is drawn and what is done with it."""
 
     seed: int
-    way: str
+    method: str
     effect: str
     strength: str
     plan: str
@@ -77,7 +77,7 @@ class Trial:
     @property
     def name(self) -> str:
         """The machine's name in a campaign's file."""
-        return f"{self.way}/{self.effect}/{self.strength}/{self.plan}/{self.seed}"
+        return f"{self.method}/{self.effect}/{self.strength}/{self.plan}/{self.seed}"
 
 
 @cache
@@ -88,23 +88,23 @@ def judged() -> str:
 
 def tried(trial: Trial, folder: Path) -> dict[str, Any]:
     """The line of a trial, run in a folder; with `refused` where a command did not do its work."""
-    begun, way = time.process_time(), WAYS[trial.way]
-    case = draw(trial.seed, trial.effect, trial.strength, trial.plan, way.kind, seen=way.seen)
+    begun, method = time.process_time(), WAYS[trial.method]
+    case = draw(trial.seed, trial.effect, trial.strength, trial.plan, method.kind, seen=method.seen)
     line = {
         "machine": trial.name,
-        "way": trial.way,
+        "way": trial.method,
         "effect": trial.effect,
         "strength": trial.strength,
         "plan": trial.plan,
         "seed": trial.seed,
         "law": _law(case),
-        "n_poses": len(case.way.looked),
-        "sigma": case.sigma[0] if case.eyes is None else case.eyes.sigma,
+        "n_poses": len(case.journey.looked),
+        "sigma": case.sigma[0] if case.camera_set is None else case.camera_set.sigma,
         "size": case.size,
         "commit": judged(),
     }
     try:
-        calibration, state = _calibrated(case, way, folder)
+        calibration, state = _calibrated(case, method, folder)
         line |= {"state": state} | _driven(case, calibration, folder)
     except Refused as refusal:
         line["refused"] = str(refusal)
@@ -119,28 +119,28 @@ def _law(case: Case) -> str | None:
     """The name of the law of a case's fault, of seeing or of moving."""
     if case.laws:
         return type(case.laws[0]).__name__
-    return type(case.eyes.fault).__name__ if case.eyes is not None and case.effect in SIGHTS else None
+    return type(case.camera_set.fault).__name__ if case.camera_set is not None and case.effect in SIGHTS else None
 
 
 def _rig(*words: str | Path) -> str:
     """What a command prints on the standard output. Raises Refused."""
-    out, beside = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(beside):
+    out, error_output = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(error_output):
         status = command_line.main([*map(str, words), "--quiet"])
     if status:
-        raise Refused(f"{words[0]}: {' '.join((out.getvalue() + beside.getvalue()).split())[-300:]}")
+        raise Refused(f"{words[0]}: {' '.join((out.getvalue() + error_output.getvalue()).split())[-300:]}")
     return out.getvalue()
 
 
-def _calibrated(case: Case, way: Way, folder: Path) -> tuple[Path, str]:
+def _calibrated(case: Case, method: CalibrationMethod, folder: Path) -> tuple[Path, str]:
     """(calibration.json, its verdict) of a case recorded in a folder."""
     made = folder / "calibration.json"
-    options = list(way.options)
-    if way.first is not None:
-        _rig("calibrate", record(case, folder / "first"), *way.first, "--out", folder / "first.json")
-        case, options = again(case, case.plan), [*options, "--onto", str(folder / "first.json")]
-    told = json.loads(_rig("calibrate", record(case, folder / "recording"), *options, "--out", made, "--json"))
-    return made, told["verdict"]["state"]
+    options = list(method.options)
+    if method.first is not None:
+        _rig("calibrate", record(case, folder / "first"), *method.first, "--out", folder / "first.json")
+        case, options = recorded_anew(case, case.plan), [*options, "--onto", str(folder / "first.json")]
+    result = json.loads(_rig("calibrate", record(case, folder / "recording"), *options, "--out", made, "--json"))
+    return made, result["verdict"]["state"]
 
 
 def _driven(case: Case, calibration: Path, folder: Path) -> dict[str, Any]:
@@ -185,7 +185,7 @@ def _in_time(case: Case, calibration: Path, poses: np.ndarray, folder: Path) -> 
     """
     longest = float((0.8 * np.ptp(case.owner.ranges, axis=1) / case.speeds).max())
     every = 2 * longest + case.dwell + HELD
-    room = max(int((case.way.t[-1] - 1) / every), 1)
+    room = max(int((case.journey.t[-1] - 1) / every), 1)
     found, stated = [], []
     for start in range(0, min(TIMED, len(poses)), room):
         part = poses[start : min(start + room, TIMED)]
@@ -195,7 +195,7 @@ def _in_time(case: Case, calibration: Path, poses: np.ndarray, folder: Path) -> 
         write_wanted(part, day / "wanted.csv", t)
         log = []
         if case.logged:
-            write_sensors(case, day / "sensors.csv", max(t[-1], case.way.t[-1]) + 10)
+            write_sensors(case, day / "sensors.csv", max(t[-1], case.journey.t[-1]) + 10)
             log = ["--sensors", day / "sensors.csv"]
         _rig(
             "correct",

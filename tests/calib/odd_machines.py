@@ -20,8 +20,8 @@ EVERY = 62.0  # s between wanted poses, about as in the recording
 
 def odd_laws(case: Case, axes: np.ndarray) -> dict[str, Law]:
     """Laws by name, each some 10 to 100 um large (an arm's joints: 0.1 to 1 mrad), at axes (axes,)."""
-    warm = case.day.axes_at(case.way.looked)[:, int(axes.argmax())]
-    middle, half, span = float(warm.mean()), float(np.ptp(warm)) / 2, float(case.way.t[-1])
+    warm = case.day.axes_at(case.journey.looked)[:, int(axes.argmax())]
+    middle, half, span = float(warm.mean()), float(np.ptp(warm)) / 2, float(case.journey.t[-1])
     um, cm = (1e-6, 0.01) if case.kind == "hexapod" else (6e-6, 0.3)
     return {
         "friction heat": oddities.FrictionHeat(axes, 200 * um, span / 15, 2 * cm, 50 * cm, 1.0),
@@ -64,13 +64,13 @@ class OddMachine:
     def driven(self, calibration: Calibration) -> tuple[float, CorrectionResult]:
         """(RMS position error in m at fresh poses, the correction) where the machine goes by a calibration's commands,
         on a day like that of the recording."""
-        count = int(self.case.way.t[-1] / EVERY) - 2
+        count = int(self.case.journey.t[-1] / EVERY) - 2
         poses, t = wanted(self.case, count), 1 + EVERY * np.arange(1, count + 1)
         write_sensors(self.case, self.folder / "sensors.csv", t[-1] + 100)
         write_wanted(poses, self.folder / "wanted.csv", t)
-        asked = load_wanted_poses(self.folder / "wanted.csv")
-        log = load_sensors(self.folder / "sensors.csv", asked.origin)
-        found = correct(calibration, asked, CorrectOptions(log, skip_unreachable=True))
+        wanted_poses = load_wanted_poses(self.folder / "wanted.csv")
+        log = load_sensors(self.folder / "sensors.csv", wanted_poses.origin)
+        found = correct(calibration, wanted_poses, CorrectOptions(log, skip_unreachable=True))
         found.write(self.folder / "commands.csv")
         rows = np.genfromtxt(self.folder / "commands.csv", delimiter=",", skip_header=1)
         held = rows[np.isfinite(rows[:, 0]), 0].astype(int)

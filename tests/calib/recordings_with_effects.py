@@ -26,6 +26,6 @@ def recorded(folder, design, effects, seed=5, route=PLAN, noise=0.04, logged=Tru
     )
     if not logged:
         lines = [line.split(",") for line in (folder / "sensors.csv").read_text().splitlines()]
-        kept = [i for i, name in enumerate(lines[0]) if "temperature" not in name]
-        (folder / "sensors.csv").write_text("".join(",".join(line[i] for i in kept) + "\n" for line in lines))
+        columns = [i for i, name in enumerate(lines[0]) if "temperature" not in name]
+        (folder / "sensors.csv").write_text("".join(",".join(line[i] for i in columns) + "\n" for line in lines))
     return recording_folder.load_recording(folder)

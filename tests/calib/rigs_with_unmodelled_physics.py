@@ -23,7 +23,7 @@ from synthetic import recording_simulation, secret_machine_and_truth_file
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.noisy_samples import rms
 
-ASKED = [
+REQUESTED = [
     kind.name for kind in ALL if kind.stage in MOTION_STAGES
 ]  # what cameras leave out is diagnosed apart, and takes most of the time
 POSES = 100
@@ -55,11 +55,11 @@ def learnt(rec, sampled, findings, remainder="find"):
     """Calibration of a recording's samples; findings : Findings taken in, or None: geometry and what is smooth over the
     configuration alone.
     remainder : "none" for no such thing"""
-    taken = None if findings is None else refit_platform_with_findings(rec, sampled, findings)
-    samples = sampled.samples if taken is None else taken.samples
+    refitted = None if findings is None else refit_platform_with_findings(rec, sampled, findings)
+    samples = sampled.samples if refitted is None else refitted.samples
     correction, found = calibrate_correction(samples, rec.design.mechanism, remainder)
     done = Certified(correction, found, np.arange(len(samples)), None)
-    physics, covariance = (None, found.covariance) if taken is None else taken.with_geometry(done)
+    physics, covariance = (None, found.covariance) if refitted is None else refitted.with_geometry(done)
     return Calibration(
         correction, covariance, found.scatter, tuple(samples.frame.tolist()), (), None, {}, None, physics
     )
@@ -100,7 +100,7 @@ def three_ways(folder, design, text, seed, effect, route):
     """(Driven with physics, Driven plain, Driven of the same rig without the effect, calibrated plainly)."""
     rec, secret = write(folder / "with", design, text, seed, (effect,), route)
     sampled = sample_recording(rec)
-    known = learnt(rec, sampled, findings_of_diagnosis(diagnosis_of(rec, only=ASKED, sampled=sampled)))
+    known = learnt(rec, sampled, findings_of_diagnosis(diagnosis_of(rec, only=REQUESTED, sampled=sampled)))
     plain = learnt(rec, sampled, None)
     bare, innocent = write(folder / "without", design, text, seed, (), route)
     without = learnt(bare, sample_recording(bare), None)

@@ -45,11 +45,11 @@ def configurations_of(arm, count, rng):
     return configurations(arm, count, rng, 0.5)
 
 
-def tracked(true, nominal, count, rng, sigma=(2e-5, 1e-4), common=(0.0, 0.0), deviation=None, again=0):
+def tracked(true, nominal, count, rng, sigma=(2e-5, 1e-4), common=(0.0, 0.0), deviation=None, repeats=0):
     """Samples by an instrument of whole poses; deviation(q) -> (m, n) rad is what the joints do beyond their command;
     again : how many of the first commands are given a second time, at the end, among the count."""
-    q = configurations_of(nominal, count - again, rng)
-    q = np.concatenate([q, q[:again]])
+    q = configurations_of(nominal, count - repeats, rng)
+    q = np.concatenate([q, q[:repeats]])
     scale, shared = (np.repeat(pair, 3) for pair in (sigma, common))
     T = error_model_and_observations.predicted_target_poses(q if deviation is None else q + deviation(q), true)
     T = T * exp(shared * rng.normal(size=6) + scale * rng.normal(size=(count, 6)))

@@ -132,8 +132,3 @@ def measured(
     rows = true.driven_by(driven).rests((lengths + scatter)[:, driven])
     lengths[:, followers] = (true.lengths(rows) - scatter)[:, followers]
     return Measured(rows, lengths, in_own_axes(rows, pose_sigma * rng.normal(size=rows.shape)))
-
-
-def without_followers(text: str) -> str:
-    """A rig.toml whose struts are all driven."""
-    return "\n".join(line for line in text.splitlines() if not line.startswith("followers")) + "\n"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from docs.make.glossary_links import GENERATED
-from tests.docs.told import PAGES, ROOT
+from tests.docs.document_commands import PAGES, ROOT
 
 LONGEST = 25  # words of a sentence
 MADE = {ROOT / "docs" / name for name in GENERATED}

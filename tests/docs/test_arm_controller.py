@@ -18,8 +18,8 @@ def test_the_program_of_the_page_corrects_joint_commands(tmp_path, monkeypatch):
     section = text.split("## The correction inside an arm's controller")[1].split("\n## ")[0]
     (tmp_path / "main.c").write_text(re.search(r"```c\n(.*?)```", section, re.DOTALL)[1])
     monkeypatch.chdir(tmp_path)
-    *told, compiled = re.findall(r"^    ((?:rig|cc) .*)$", section, re.MULTILINE)
-    for line in told:
+    *matches, compiled = re.findall(r"^    ((?:rig|cc) .*)$", section, re.MULTILINE)
+    for line in matches:
         run(*line.split()[1:])
     assert compiled.startswith("cc ")
     done = subprocess.run([COMPILER, *compiled.split()[1:]], capture_output=True, text=True)

@@ -7,7 +7,7 @@ import yaml
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
-from tests.docs.told import ROOT
+from tests.docs.document_commands import ROOT
 
 PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 CODE = re.compile(r"`([^`\n]+)`|^ {4}(.*)$", re.MULTILINE)  # words in code, lines of blocks

@@ -34,10 +34,10 @@ def test_the_packages_stand_as_the_contract_has_them():
 def test_every_folder_and_every_upward_import_is_drawn_within_the_frame(name):
     counts = package_counts() if name == "packages" else folder_counts(name)
     root = ET.fromstring(dependency_diagram.diagram(name))
-    told = [title.text for title in root.iter(f"{SVG}title")]
-    assert all(any(text.startswith(f"{folder} imports ") for text in told) for folder in names(counts))
+    titles = [title.text for title in root.iter(f"{SVG}title")]
+    assert all(any(text.startswith(f"{folder} imports ") for text in titles) for folder in names(counts))
     upward = [pair for pair in counts if pair not in downward(counts)]
-    assert all(f"{a} imports {b}, upward ({counts[a, b]})" in told for a, b in upward)
+    assert all(f"{a} imports {b}, upward ({counts[a, b]})" in titles for a, b in upward)
     assert sum(path.get("class") == "against" for path in root.iter(f"{SVG}path")) == len(upward)
     wide, high = (float(root.get(key)) for key in ("width", "height"))
     boxes = [

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from docs.make import glossary_links
-from tests.docs.told import ROOT
+from tests.docs.document_commands import ROOT
 
 ROW = re.compile(r'^\| <a id="([\w-]+)"></a>([^|]+?) \| (.+) \|$', re.MULTILINE)
 ROWS = ROW.findall(glossary_links.PAGE.read_text(encoding="utf-8"))

@@ -19,9 +19,9 @@ def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     lines = [line.split()[1:] for line in PAGE.read_text().splitlines() if line.startswith("    rig ")]
     assert len(lines) == 7
-    said = ""
+    output = ""
     for words in lines:
         done = run(*words)
-        said += done.stdout + done.stderr
-    assert "2 of 2 poses written" in said and "a machine of 3 axes cannot compensate every error" in said
+        output += done.stdout + done.stderr
+    assert "2 of 2 poses written" in output and "a machine of 3 axes cannot compensate every error" in output
     assert (tmp_path / "REC" / "delta.py").read_text() == (EXAMPLES / "delta.py").read_text()

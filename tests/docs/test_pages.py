@@ -22,9 +22,9 @@ from rig.cli.shared.common_options import add_common_options
 from rig.errors import FileError
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 from rig.recording.recording_folder import load_recording
-from tests.docs import told
+from tests.docs import document_commands
 
-ROOT = told.ROOT
+ROOT = document_commands.ROOT
 READERS = ("text", "number", "whole", "array", "pose", "each", "identifier", "get", "flag")
 
 
@@ -73,11 +73,11 @@ def test_every_kind_of_mechanism_is_on_the_page():
 def test_every_file_of_a_recording_is_on_the_page():
     assert {
         part for part in re.findall(r'"(\w+\.csv)"', (ROOT / "rig" / "recording" / "recording_folder.py").read_text())
-    } == set(tables.asked())
+    } == set(tables.requested_columns())
 
 
 @cache
-def said_of_files() -> list[messages.Message]:
+def messages_of_files() -> list[messages.Message]:
     """The longer messages of the readers of files."""
     return [m for m in messages.messages() if m.kind == "FileError" and len(m.words) > 20]
 
@@ -103,14 +103,14 @@ def test_a_message_that_is_met_is_found_on_the_page(tmp_path, file, header, row)
     shutil.copytree(ROOT / "tests" / "data" / "bench" / "check", folder)
     (folder / file).write_text(f"{header}\n{row}\n")
     met = refusal(folder)
-    on_the_page = [m.words for m in said_of_files() if all(part in met for part in m.words.split(".."))]
+    on_the_page = [m.words for m in messages_of_files() if all(part in met for part in m.words.split(".."))]
     assert on_the_page, met
 
 
 def test_every_kind_of_error_and_every_mistake_is_told():
     assert set(messages.ADVICE) == set(messages.error_kinds())
-    said = list(messages.messages())
-    assert len(said) > 300 and {m.kind for m in said} <= set(messages.ADVICE)
+    listed = list(messages.messages())
+    assert len(listed) > 300 and {m.kind for m in listed} <= set(messages.ADVICE)
     assert len(set(messages.mistakes())) > 40 and all(m.do for m in messages.mistakes())
 
 
@@ -121,19 +121,19 @@ def parsed(words: list[str]) -> argparse.Namespace:
     return parser.parse_args(words[1:])
 
 
-@pytest.mark.parametrize("page", told.PAGES, ids=lambda path: path.name)
+@pytest.mark.parametrize("page", document_commands.PAGES, ids=lambda path: path.name)
 def test_every_command_in_the_pages_is_one(page, capsys):
     wrong = []
-    for command in told.commands(page):
+    for command in document_commands.commands(page):
         try:
-            parsed(told.words(command))
+            parsed(document_commands.words(command))
         except (argparse.ArgumentError, SystemExit, ModuleNotFoundError) as error:
             wrong.append(f"{command}: {error} {capsys.readouterr().err}")
     assert wrong == []
 
 
 def test_pages_tell_enough_commands_for_that_to_mean_something():
-    assert sum(len(told.commands(page)) for page in told.PAGES) > 60
+    assert sum(len(document_commands.commands(page)) for page in document_commands.PAGES) > 60
 
 
 def test_every_page_that_commands_write_is_pictured():

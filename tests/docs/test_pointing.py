@@ -33,20 +33,23 @@ def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
         "import",
         "calibrate",
     ]
-    said = {}
+    outputs = {}
     for words in lines:
         done = run(*words)
-        said[words[0]] = said.get(words[0], "") + done.stdout + done.stderr
-    assert "Cramer-Rao bound" in said["plan"] and " TF" in said["plan"]
+        outputs[words[0]] = outputs.get(words[0], "") + done.stdout + done.stderr
+    assert "Cramer-Rao bound" in outputs["plan"] and " TF" in outputs["plan"]
     assert (
-        "pointing terms of an altazimuth mount" in said["calibrate"]
-        and "TF cannot be distinguished" in said["calibrate"]
+        "pointing terms of an altazimuth mount" in outputs["calibrate"]
+        and "TF cannot be distinguished" in outputs["calibrate"]
     )
-    assert "30 stars of an altazimuth mount" in said["import"] and said["calibrate"].count("pointing terms of an") == 2
-    assert "times better" in said["verify"] and "RuntimeWarning" not in "".join(said.values())
-    assert "3 of 3 poses written" in said["correct"] and "uncertainty of the directions: 0.0" in said["correct"]
+    assert (
+        "30 stars of an altazimuth mount" in outputs["import"]
+        and outputs["calibrate"].count("pointing terms of an") == 2
+    )
+    assert "times better" in outputs["verify"] and "RuntimeWarning" not in "".join(outputs.values())
+    assert "3 of 3 poses written" in outputs["correct"] and "uncertainty of the directions: 0.0" in outputs["correct"]
     assert json.loads((tmp_path / "found" / "diagnosis.json").read_text())["fit"]["unit"] == "rad"
-    assert "95 % of directions in this part of the sky lie within" in said["certify"]
+    assert "95 % of directions in this part of the sky lie within" in outputs["certify"]
     refused = run("certify", "calibration.json", "NEW", "--out", "c.xml", ok=False)
     assert "a certificate of directions is written as .json or .html" in refused.stderr
     rows = np.genfromtxt("commands.csv", delimiter=",", names=True)

@@ -16,7 +16,7 @@ import synthetic
 import vision
 from rig.errors import FileError
 from rig.report.verdict_and_display import result_html
-from tests.docs.told import ROOT
+from tests.docs.document_commands import ROOT
 
 PACKAGES = (rig, synthetic, vision, calib)
 BENCH = ROOT / "tests" / "data" / "bench" / "check"

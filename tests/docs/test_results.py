@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from docs.make import results
-from tests.docs.told import ROOT
+from tests.docs.document_commands import ROOT
 
 PAGES = [
     path

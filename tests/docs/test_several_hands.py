@@ -10,7 +10,7 @@ from rig.recording.recording_folder import load_recording
 from rig.recording.recording_tables import Poses, write_poses
 from tests.cli import run
 from tests.conftest import ROOT
-from tests.docs.told import commands, words
+from tests.docs.document_commands import commands, words
 
 PAGE, EXAMPLES = ROOT / "docs" / "several-hands.md", ROOT / "docs" / "hands"
 
@@ -25,15 +25,17 @@ def wanted_poses(path, folder):
 def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "humanoid.toml").write_text((EXAMPLES / "humanoid.toml").read_text())
-    said = {}
+    outputs = {}
     for command in commands(PAGE):
         if "robot.urdf" in command:
             continue
         if command.startswith("rig correct"):
             wanted_poses(tmp_path / "wanted.csv", tmp_path / "NEW")
-        said[command.split()[1] + command.split()[-1]] = run(*words(command)).stdout
-    assert said["verifyleft"].startswith("good") and said["verifyright"].startswith("good")
-    assert "of the hand 'right' alone" in said["certifycertificate.html"] and "5 of 5" in said["correctcommands.csv"]
+        outputs[command.split()[1] + command.split()[-1]] = run(*words(command)).stdout
+    assert outputs["verifyleft"].startswith("good") and outputs["verifyright"].startswith("good")
+    assert (
+        "of the hand 'right' alone" in outputs["certifycertificate.html"] and "5 of 5" in outputs["correctcommands.csv"]
+    )
     found = json.loads((tmp_path / "found" / "diagnosis.json").read_text())["findings"]
     assert sorted(one["place"] for one in found) == ["joint 10", "joint 2", "joint 3", "joint 4"]
     seen = (tmp_path / "NEW" / "poses.csv").read_text()
@@ -62,8 +64,8 @@ def test_a_shorter_way_of_the_page(tmp_path, monkeypatch):
     run(*both, "--out", "both.csv")
     np.testing.assert_array_equal(np.loadtxt("both.csv", delimiter=",", skiprows=1)[:5, 1:], commanded)
     for hand in ("left", "right"):
-        said = run("verify", "c.json", "NEW", "--hand", hand, "--wanted", "NEW/poses.csv").stdout
-        assert "against the wanted poses: position 0.0000 mm RMS" in said
+        output = run("verify", "c.json", "NEW", "--hand", hand, "--wanted", "NEW/poses.csv").stdout
+        assert "against the wanted poses: position 0.0000 mm RMS" in output
     assert "NEW is of several hands" in run("verify", "c.json", "NEW", "--wanted", "NEW/poses.csv", ok=False).stderr
     for refused in (("watch", "c.json", "NEW"), ("export", "c.json", "--format", "c", "--out", "c.c")):
         assert (

@@ -24,15 +24,15 @@ def test_the_commands_of_the_section_run(tmp_path, monkeypatch):
     text = text.replace('base = "free"', 'base = "rig"').replace('tool = "free"', 'tool = "rig"')
     tables = re.search("```toml\n(.*?)```", section, re.DOTALL)
     (tmp_path / "rig.toml").write_text(text + "\n" + tables[1])
-    said = {}
+    outputs = {}
     for line in section.splitlines():
         if line.startswith("    rig "):
             words = line.split()[1:]
             done = run(*words)
-            said[words[0]] = done.stdout + done.stderr
-    assert "effects compensated by commands: base lean at rig" in said["calibrate"]
-    assert "tilt sensor column on the base: 60 of 60 readings used" in said["calibrate"]
-    assert said["verify"].startswith("good") and "base_lean at rig: rms" in said["diagnose"]
+            outputs[words[0]] = done.stdout + done.stderr
+    assert "effects compensated by commands: base lean at rig" in outputs["calibrate"]
+    assert "tilt sensor column on the base: 60 of 60 readings used" in outputs["calibrate"]
+    assert outputs["verify"].startswith("good") and "base_lean at rig: rms" in outputs["diagnose"]
     assert "NOT kept" not in run("certify", "calibration.json", "NEW", "--coverage", "0.9", "--out", "c.json").stdout
     found = json.loads((tmp_path / "found" / "diagnosis.json").read_text())["findings"]
     assert [one["effect"] for one in found] == ["base_lean"]

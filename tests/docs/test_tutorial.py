@@ -5,7 +5,7 @@ import re
 import pytest
 
 from tests.cli import run
-from tests.docs.told import ROOT, commands, words
+from tests.docs.document_commands import ROOT, commands, words
 
 PAGE = ROOT / "docs" / "tutorial-simulated.md"
 
@@ -20,13 +20,13 @@ def wanted() -> str:
 def test_every_command_of_the_tutorial_does_what_it_says(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "wanted.csv").write_text(wanted())
-    said = {}
+    outputs = {}
     for command in commands(PAGE):
-        said[command] = run(*words(command)).stdout
-    assert len(said) >= 11
+        outputs[command] = run(*words(command)).stdout
+    assert len(outputs) >= 11
     one = {
         key: text
-        for command, text in said.items()
+        for command, text in outputs.items()
         for key in ("measure", "calibrate first", "verify", "diagnose")
         if f"rig {key}" in command
     }

@@ -76,15 +76,15 @@ def one(name: str, inputs: int, out: Path, seed: int) -> None:
     corpus.mkdir()
     for number, data in enumerate((*reader.seeds, *(t for t in TOKENS))):
         (corpus / str(number)).write_bytes(data)
-    kept = out / name.replace(" ", "_")
+    case_folder = out / name.replace(" ", "_")
     seen = set()
 
     def feed(data):
         problem = failure(reader, data, folder / "input")
         if problem and problem not in seen:
             seen.add(problem)
-            kept.mkdir(parents=True, exist_ok=True)
-            (kept / sha256(data).hexdigest()[:16]).write_bytes(data)
+            case_folder.mkdir(parents=True, exist_ok=True)
+            (case_folder / sha256(data).hexdigest()[:16]).write_bytes(data)
             with open(out / "failures.txt", "a", encoding="utf-8") as file:
                 file.write(f"{name}: {problem}\n")
 

@@ -122,14 +122,14 @@ class Room:
         self.instants.pass_()
         path.write_bytes(cv2.imencode(".png", image)[1].tobytes())
 
-    def process(self, end_is_told=True):
+    def process(self, end_is_reported=True):
         """One process, from the journal on, to the end or until it is killed."""
 
-        def way(start, goal, begun, ended):
+        def profile(start, goal, begun, ended):
             return trapezoidal_profile(begun, ended, np.abs(goal - start).max() / SPEED, RAMP)
 
         shutter = SynchronisedCameras((self.eye,), self.clock)
-        bench = RunEquipment(self.struts, shutter, self.clock, parse_settling("time:0.5"), 1e-5, way, self.save)
+        bench = RunEquipment(self.struts, shutter, self.clock, parse_settling("time:0.5"), 1e-5, profile, self.save)
         self.onlooker = Onlooker()
         try:
             with Journal(self.folder / "journal.jsonl") as journal:
@@ -138,7 +138,7 @@ class Room:
                     journal.append(Began(0.0, self.clock.now(), len(self.planned), "x", tuple(self.struts.at.tolist())))
                 origin = journal.rows[0].wall
                 operator = RunOperator(bench, self.planned, journal, AXES, origin, self.onlooker)
-                if not end_is_told:
+                if not end_is_reported:
                     operator._end = lambda error: None
                 if not fresh:
                     operator.go_on()

@@ -25,9 +25,11 @@ def written(case, folder, *hard):
 
 
 def test_the_same_case_is_drawn_again_and_a_third_is_hard(case):
-    again = blind_arm_cases.draw_arm_case(5, 1, 60, ["one"], ["scale_error"])
+    redrawn = blind_arm_cases.draw_arm_case(5, 1, 60, ["one"], ["scale_error"])
     assert (
-        again.simulation.world.effects == case.simulation.world.effects and again.text == case.text and again.hard == ()
+        redrawn.simulation.world.effects == case.simulation.world.effects
+        and redrawn.text == case.text
+        and redrawn.hard == ()
     )
     assert all(
         bool(blind_arm_cases.draw_arm_case(5, i, 30, ["nothing"]).hard) == (i % blind_arm_cases.HARD == 0)

@@ -209,8 +209,13 @@ def test_a_campaign_is_blinded_scored_and_goes_on(tmp_path, monkeypatch, capfd):
         1,
         2,
     ]  # a disk that was full, a cut power line
-    said = capfd.readouterr().err
-    assert "case 1" in said and "is regenerated" in said and "case 2" in said and "is diagnosed anew" in said
+    error_text = capfd.readouterr().err
+    assert (
+        "case 1" in error_text
+        and "is regenerated" in error_text
+        and "case 2" in error_text
+        and "is diagnosed anew" in error_text
+    )
     assert (tmp_path / "s" / "hashes" / "0001.sha256").read_text() == blinded
     page = (tmp_path / "s" / "score.html").read_text()
     assert "://" not in page and "Confusion matrix" in page and 'content="rig blind"' in page
@@ -225,7 +230,7 @@ def test_a_campaign_is_blinded_scored_and_goes_on(tmp_path, monkeypatch, capfd):
 
 
 @pytest.mark.parametrize(
-    "more, said",
+    "more, message",
     [
         (["--hide", "nothign"], "there is no 'nothign'"),
         (["--cases", "9"], "the campaign has cases 1 to 2"),
@@ -236,9 +241,9 @@ def test_a_campaign_is_blinded_scored_and_goes_on(tmp_path, monkeypatch, capfd):
         (["--withhold", "eyes"], "there is no 'eyes'"),
     ],
 )
-def test_a_wrong_campaign_is_refused_before_anything_is_written(more, said, tmp_path, capfd):
+def test_a_wrong_campaign_is_refused_before_anything_is_written(more, message, tmp_path, capfd):
     assert command_line.main(["blind", "--season", "2", "--out", str(tmp_path / "s"), *more]) == 1
-    assert said in capfd.readouterr().err and not (tmp_path / "s").exists()
+    assert message in capfd.readouterr().err and not (tmp_path / "s").exists()
 
 
 def case(hidden=(), found=(), kind="one", unexplained=False):
@@ -357,14 +362,14 @@ def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_
     )  # 50 um over 8 um of noise in one strut of 54 frames, part of it swallowed
     assert found[1][0] == pytest.approx(found[0][0] / 2, rel=0.05)
     window, exchanged = parse_effect("refraction:cam1:thickness=0.01"), parse_effect("marker_swap:8:turn=1")
-    alone, beside = (
+    alone, with_others = (
         platform_effect_signal_to_noise(
             recording_folder.load_recording(tmp_path / "rec"), done.world.true, 0.04, (window, *more), done.sensors
         )
         for more in ((), (exchanged,))
     )
     assert (
-        beside[0] == pytest.approx(alone[0]) and beside[1] > 1e3
+        with_others[0] == pytest.approx(alone[0]) and with_others[1] > 1e3
     )  # corners taken for others are put right first, and make no other effect stronger
 
 
@@ -389,8 +394,8 @@ def test_a_campaign_end_to_end(tmp_path, capsys):
         )
         == 0
     )
-    told = json.loads(capsys.readouterr().out)
-    assert told["schema"] == "campaign/1" and told["verdict"]["state"] == "check"
+    output = json.loads(capsys.readouterr().out)
+    assert output["schema"] == "campaign/1" and output["verdict"]["state"] == "check"
     tree = json.loads((tmp_path / "s" / "score.json").read_text())
     strong = [h["outcome"] for t in tree["cases"] for h in t["hidden"] if h["strength"] > 15]
     assert len(tree["cases"]) == 3 and all(outcome == "named and placed" for outcome in strong)
@@ -430,7 +435,7 @@ def test_an_effect_within_tolerances_is_rightly_a_remark():
     remark = diagnosis_score.Found("print_scale", "markers", {"scale": (3e-4, [2e-4, 4e-4])}, [])
     hidden = diagnosis_score.Hidden("print_scale", "markers", {"scale": 3e-4}, 20.0)
     case = diagnosis_score.Case(1, "one", None, [hidden], [], False, 1.0, 1.0, remarks=(remark,))
-    assert case.match(hidden) is remark and case.said == [remark] and not case.named and not case.wrong()
+    assert case.match(hidden) is remark and case.named_or_remarked == [remark] and not case.named and not case.wrong()
     elsewhere = diagnosis_score.Hidden("backlash", "strut 1", {"gap": 3e-5}, 20.0)
     assert (
         diagnosis_score.Case(1, "one", None, [elsewhere], [], False, 1.0, 1.0, remarks=(remark,)).match(elsewhere)

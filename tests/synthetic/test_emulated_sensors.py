@@ -28,37 +28,41 @@ def secret(design):
 
 
 @pytest.fixture
-def told(design):
+def strut_history(design):
     """Struts that went out and back: a play of strut 2 shows in where they stand."""
     home = mechanisms.kinematics_of(design.mechanism).inverse(design.mechanism.home, design.mechanism)
     return np.array([100.0, 101.0, 103.0, 105.0]), np.array([home, home, home + 0.02, home + 0.005])
 
 
-def test_what_is_shown_is_the_true_pose_with_what_the_way_did_to_it(secret, told):
-    shown = emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, lambda: told, SimulatedClock(105.0))
+def test_what_is_shown_is_the_true_pose_with_what_the_way_did_to_it(secret, strut_history):
+    shown = emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, lambda: strut_history, SimulatedClock(105.0))
     T = motion_simulation.simulate_machine_run(
-        secret.true, Commands(told[0] - 100, told[1]), [5.0], secret.effects, None
+        secret.true, Commands(strut_history[0] - 100, strut_history[1]), [5.0], secret.effects, None
     ).T_base_platform[0]
     np.testing.assert_allclose(shown.pose(105.0), T.as_matrix(), atol=1e-12)
     other = motion_simulation.simulate_machine_run(
-        secret.true, Commands(told[0][-2:] - 103, told[1][-1:].repeat(2, axis=0)), [2.0], secret.effects, None
+        secret.true,
+        Commands(strut_history[0][-2:] - 103, strut_history[1][-1:].repeat(2, axis=0)),
+        [2.0],
+        secret.effects,
+        None,
     ).T_base_platform[0]
     assert np.abs(pose_difference(T, other)).max() > 5e-5, "the way does matter here"
     assert np.abs(shown.pose(102.0)[:3, 3] - shown.pose(105.0)[:3, 3]).max() > 1e-3, "on its way it is elsewhere"
 
 
-def test_what_is_not_yet_told_is_waited_for_and_never_guessed(secret, told):
+def test_what_is_not_yet_told_is_waited_for_and_never_guessed(secret, strut_history):
     clock, rows = SimulatedClock(104.0), [2]
 
     def grows():
         if clock.now() >= 104.6:
             rows[0] = 4
-        return told[0][: rows[0]], told[1][: rows[0]]
+        return strut_history[0][: rows[0]], strut_history[1][: rows[0]]
 
     shown = emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, grows, clock)
     np.testing.assert_allclose(
         shown.pose(104.0),
-        emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, lambda: told, clock).pose(104.0),
+        emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, lambda: strut_history, clock).pose(104.0),
         atol=1e-12,
     )
     assert clock.now() >= 104.6
@@ -69,20 +73,20 @@ def test_what_is_not_yet_told_is_waited_for_and_never_guessed(secret, told):
 def test_history_is_read_as_it_grows_and_standing_takes_no_room(tmp_path):
     path = tmp_path / "history.csv"
     path.write_text("t,l1,l2\n")
-    told = emulated_cameras.HistoryFromFile(path)
+    strut_history = emulated_cameras.HistoryFromFile(path)
     with pytest.raises(RigError, match="does not yet state"):
-        told()
+        strut_history()
     with open(path, "a") as file:
         file.write("1.0,0.4,0.4\n2.0,0.4,0.4\n3.0,0.4,0.4\n4.0,0.5,")
         file.flush()
-        assert told()[0].tolist() == [1.0, 3.0]
+        assert strut_history()[0].tolist() == [1.0, 3.0]
         file.write("0.4\n")
         file.flush()
-    t, lengths = told()
+    t, lengths = strut_history()
     assert t.tolist() == [1.0, 3.0, 4.0] and lengths[-1].tolist() == [0.5, 0.4]
 
 
-def test_measuring_limbs_read_the_pose(design, told, tmp_path):
+def test_measuring_limbs_read_the_pose(design, strut_history, tmp_path):
     from rig.formats.rig_toml import design_from_rig_toml
     from rig.planning.layout import hexapod_layout_and_camera_placement
 
@@ -90,7 +94,7 @@ def test_measuring_limbs_read_the_pose(design, told, tmp_path):
     secret = secret_machine_and_truth_file.draw_machine(
         design_from_rig_toml.load_design(tmp_path / "rig.toml"), np.random.default_rng(3)
     )
-    shown = emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, lambda: told, SimulatedClock(105.0))
+    shown = emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, lambda: strut_history, SimulatedClock(105.0))
     limbs, T = secret.true.insitu, shown.pose(105.0)
     legs = limbs.platform_joints @ T[:3, :3].T + T[:3, 3] - limbs.base_joints
     read = shown.sensors(105.0)
@@ -101,7 +105,7 @@ def test_measuring_limbs_read_the_pose(design, told, tmp_path):
 
 
 @pytest.mark.slow
-def test_every_picture_is_of_its_own_moment(secret, told, opengl):
+def test_every_picture_is_of_its_own_moment(secret, strut_history, opengl):
     small = tuple(
         replace(c, width=160, height=128, matrix=c.matrix * [[1 / 8], [1 / 8], [1]]) for c in secret.true.cameras
     )
@@ -109,15 +113,15 @@ def test_every_picture_is_of_its_own_moment(secret, told, opengl):
         replace(secret, true=replace(secret.true, cameras=small)),
         Images(Sensor()),
         1,
-        lambda: told,
+        lambda: strut_history,
         SimulatedClock(105.0),
     )
-    home, away, again, back = (shown.image("cam0", t, 0.01).astype(int) for t in (100.5, 103.0, 103.0, 100.5))
+    home, away, second_away, back = (shown.image("cam0", t, 0.01).astype(int) for t in (100.5, 103.0, 103.0, 100.5))
     assert np.abs(home - away).max() > 50
-    assert np.abs(away - again).max() == 0 and np.abs(home - back).max() == 0
+    assert np.abs(away - second_away).max() == 0 and np.abs(home - back).max() == 0
 
 
-def test_cameras_answer_over_tcp_brighter_with_longer_exposures(secret, told, opengl):
+def test_cameras_answer_over_tcp_brighter_with_longer_exposures(secret, strut_history, opengl):
     small = tuple(
         replace(c, width=160, height=128, matrix=c.matrix * [[1 / 8], [1 / 8], [1]]) for c in secret.true.cameras
     )
@@ -126,23 +130,23 @@ def test_cameras_answer_over_tcp_brighter_with_longer_exposures(secret, told, op
     now = clock.now()
     server = emulated_cameras.CameraServer(
         emulated_cameras.EmulatedCameras(
-            secret, Images(Sensor(bits=12)), 1, lambda: (told[0] - 105.0 + now + 3600, told[1]), clock
+            secret, Images(Sensor(bits=12)), 1, lambda: (strut_history[0] - 105.0 + now + 3600, strut_history[1]), clock
         ),
         ("127.0.0.1", 0),
         clock,
     )
-    asked = replace(small[1], source=f"emulator:{server.name}")
+    requested = replace(small[1], source=f"emulator:{server.name}")
     got, done = {}, threading.Event()
 
     def ask():
         try:
-            source = open_camera(asked, clock)
+            source = open_camera(requested, clock)
             for seconds in (0.005, 0.01):
                 source.set_exposure(seconds)
                 before = clock.now()
                 got[seconds] = source.grab()
                 assert before <= got[seconds].t <= clock.now()
-            stranger = open_camera(replace(asked, name="cam9"), clock)
+            stranger = open_camera(replace(requested, name="cam9"), clock)
             with pytest.raises(CameraError, match="no camera 'cam9'"):
                 stranger.grab()
             for one in (source, stranger):

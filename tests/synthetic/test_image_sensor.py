@@ -74,7 +74,7 @@ def test_of_many_cameras_no_pictures_are_kept():
     try:
         for lost in np.linspace(0.1, 0.3, 40):
             expose_image(picture, Sensor(vignetting=float(lost)), np.random.default_rng(0))
-        kept, _ = tracemalloc.get_traced_memory()
+        allocated, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert kept < 8 * picture.nbytes
+    assert allocated < 8 * picture.nbytes

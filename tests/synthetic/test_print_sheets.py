@@ -98,8 +98,8 @@ def test_sheets_of_a_rig_are_on_the_paper_asked_for(two_cubes, tmp_path, capsys)
         )
         == 0
     )
-    said = capsys.readouterr().out
-    assert "sheet 6 of 6: Letter" in said and "A3" not in said and "4 bodies" in said
+    output = capsys.readouterr().out
+    assert "sheet 6 of 6: Letter" in output and "A3" not in output and "4 bodies" in output
     assert sorted(path.name for path in (tmp_path / "stl").glob("*.stl")) == ["B1.stl", "B2.stl", "P1.stl", "P2.stl"]
     for words, says in (
         (["--paper", "B5"], "takes A4, Letter"),

@@ -40,10 +40,10 @@ def done(design):
 def test_what_is_written_is_read_back(done, tmp_path, rig_text):
     recording_simulation.write_recording(done, tmp_path / "rec", rig_text, np.random.default_rng(0), noise=0.0)
     found = recording_folder.load_recording(tmp_path / "rec")
-    again = motion_simulation.simulate_machine_run(
+    simulated = motion_simulation.simulate_machine_run(
         done.world.true, found.commands, found.exposures.times()[1], done.world.effects, found.sensors
     )
-    np.testing.assert_allclose(pose_difference(again.T_base_platform, done.run.T_base_platform), 0, atol=1e-9)
+    np.testing.assert_allclose(pose_difference(simulated.T_base_platform, done.run.T_base_platform), 0, atol=1e-9)
     assert {"ambient_temperature_C", "strut6_temperature_C", "payload_mass_kg"} <= set(found.sensors.channels)
     assert len(found.corners.uv) > 14 * 3 * 4 * 6
     recording_simulation.write_recording(done, tmp_path / "noisy", rig_text, np.random.default_rng(0), noise=0.1)
@@ -53,10 +53,10 @@ def test_what_is_written_is_read_back(done, tmp_path, rig_text):
 
 def test_truth_makes_the_same_machine_again(done, tmp_path, design):
     secret_machine_and_truth_file.write_truth(tmp_path / "t.json", done.world, done.run.T_base_platform)
-    again = secret_machine_and_truth_file.world_from_truth(tmp_path / "t.json", design)
-    assert again.effects == done.world.effects
+    reloaded = secret_machine_and_truth_file.world_from_truth(tmp_path / "t.json", design)
+    assert reloaded.effects == done.world.effects
     T = motion_simulation.simulate_machine_run(
-        again.true, done.plan.commands, done.plan.t, again.effects, done.sensors
+        reloaded.true, done.plan.commands, done.plan.t, reloaded.effects, done.sensors
     ).T_base_platform
     np.testing.assert_allclose(pose_difference(T, done.run.T_base_platform), 0, atol=1e-12)
     tree = json.loads((tmp_path / "t.json").read_text())

@@ -149,9 +149,9 @@ def test_the_same_picture_whatever_lies_where_in_memory(opengl, design):
             replace(design.cameras[0], width=640, height=512, matrix=design.cameras[0].matrix * [[0.5], [0.5], [1]]),
         ),
     )
-    pictures, kept = [], []
+    pictures, allocations = [], []
     for k in range(3):
-        kept.append([object() for _ in range(1 + 997 * k)])
+        allocations.append([object() for _ in range(1 + 997 * k)])
         renderer = render.Renderer(rig_meshes.rig_parts(small), small)
         try:
             pictures.append(renderer.draw(small.cameras[0].name, small.mechanism.home).tobytes())

@@ -4,7 +4,7 @@ judges.
     case = draw(seed, effect="backlash", strength="strong", plan="ladders", kind="hexapod")   # all of it drawn from a
                                                             seed
     record(case, folder)                        # the recording folder as an owner would hand it over; new each time
-    record(again(case), other)                  # the same machine recorded a second time
+    record(recorded_anew(case), other)                 # the same machine recorded a second time
     poses = wanted(case)                        # (n, 4, 4) fresh poses within what was recorded; write_wanted(poses,
                                                 path) for `correct`
     real = drive(case, values)                  # (n, 4, 4) where the machine really goes when commanded to values (n,
@@ -19,7 +19,7 @@ instrument), "strong" (ten to fifty, as far as such things go). Only numpy and s
 that.
 """
 
-from tests.truth.case import STRENGTHS, Case, again, draw, drive, drive_in_time, wanted
+from tests.truth.case import STRENGTHS, Case, draw, drive, drive_in_time, recorded_anew, wanted
 from tests.truth.draw_faults import FAULTS
 from tests.truth.draw_machines import KINDS
 from tests.truth.journey import PLANS
@@ -34,7 +34,7 @@ __all__ = [
     "SIGHTS",
     "STRENGTHS",
     "Case",
-    "again",
+    "recorded_anew",
     "draw",
     "drive",
     "drive_in_time",

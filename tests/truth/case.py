@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tests.truth.draw_faults import FAULTS, HURRIED, LOADED, SLOW, Asked, fits
+from tests.truth.camera_sets import BETWEEN, CameraSet, Sight, watching
+from tests.truth.draw_faults import FAULTS, HURRIED, LOADED, SLOW, FaultRequest, fits
 from tests.truth.draw_machines import nominal, secret
-from tests.truth.eyes import BETWEEN, Eyes, Sight, watching
 from tests.truth.journey import PLANS, Journey, journey, middle, visits
 from tests.truth.kinematics import Machine, SixStruts
 from tests.truth.laws import Law, stood
@@ -20,13 +20,13 @@ LARGEST = 0.5  # px, of what a fault of seeing does to a corner
 
 @dataclass(frozen=True)
 class Case:
-    """owner, machine : the machine as believed and as it is; laws : its faults; day : Conditions; way : Journey that
-    was recorded
+    """owner, machine : the machine as believed and as it is; laws : its faults; day : Conditions; journey : Journey
+    that was recorded
     seen : (n, 6) poses in poses.csv, or (k, 6) rows of corners.csv; sigma : (m, rad) of the instrument, a coordinate;
         speeds : (axes,); dwell : s
     mass, centre, payload : kg, m, m as rig.toml states them; logged : which sensors are kept: "temperature", "payload"
         or ""
-    size : m, of the fault on an axis, of SIGHTS in the same share of the noise; eyes : cameras, None where an
+    size : m, of the fault on an axis, of SIGHTS in the same share of the noise; camera_set : cameras, None where an
         instrument looks
     """
 
@@ -40,7 +40,7 @@ class Case:
     machine: Machine
     laws: tuple[Law, ...]
     day: Conditions
-    way: Journey
+    journey: Journey
     seen: np.ndarray
     sigma: tuple[float, float]
     speeds: np.ndarray
@@ -50,7 +50,7 @@ class Case:
     payload: np.ndarray
     logged: str
     size: float
-    eyes: Eyes | None = None
+    camera_set: CameraSet | None = None
 
 
 def draw(
@@ -88,9 +88,9 @@ def draw(
         60.0 if effect in SLOW or effect == "focal_drift" else float(rng.uniform(5, 20)) if effect == "creep" else 2.0
     )
     speeds = np.where(np.ptp(owner.ranges, axis=1) > 0.5, 0.5, 0.02)
-    way = journey(visits(plan, owner.ranges, count, rng), owner.ranges.mean(axis=1), speeds, dwell, effect in HURRIED)
+    path = journey(visits(plan, owner.ranges, count, rng), owner.ranges.mean(axis=1), speeds, dwell, effect in HURRIED)
     warmth = float(rng.uniform(4, 8))
-    span = float(way.t[-1])
+    span = float(path.t[-1])
     mass = float(rng.uniform(5, 20))
     centre, payload = np.array([0, 0, rng.uniform(0.01, 0.05)]), np.array([0, 0, rng.uniform(0.05, 0.15)])
     loads = np.array([[0.0, 0.0]])
@@ -107,14 +107,16 @@ def draw(
     else:
         axes = rng.uniform(0.3, 1.2, owner.width)
     size = {"none": 0.0, "weak": float(rng.uniform(1, 2)), "strong": float(10 ** rng.uniform(1, 1.7))}[strength]
-    eyes = _eyes(owner, effect, size, (span, warmth), variant, rng) if seen else None
+    camera_set = _camera_set(owner, effect, size, (span, warmth), variant, rng) if seen else None
     sigma = (
-        sigma if eyes is None else eyes.sigma * 4.5 * float(np.linalg.norm(owner.base[0])) / 1650.0 / 3
+        sigma if camera_set is None else camera_set.sigma * 4.5 * float(np.linalg.norm(owner.base[0])) / 1650.0 / 3
     )  # some ten corners' share of a pose
     laws: tuple[Law, ...] = ()
     if size > 0 and effect in FAULTS:
         scale = np.where(np.ptp(owner.ranges, axis=1) > 0.5, 2.0, 1.0)  # an arm's angles, at half a metre
-        found = FAULTS[effect](Asked(size * sigma, axes * scale, machine, way, warmth, mass, centre, payload, rng))
+        found = FAULTS[effect](
+            FaultRequest(size * sigma, axes * scale, machine, path, warmth, mass, centre, payload, rng)
+        )
         chosen = int(rng.integers(len(found)))
         variant = chosen if variant is None else variant % len(found)
         laws = (found[variant],)
@@ -137,7 +139,7 @@ def draw(
         machine,
         laws,
         day,
-        way,
+        path,
         np.zeros((0, 6)),
         sigmas,
         speeds,
@@ -147,42 +149,43 @@ def draw(
         payload,
         logged,
         size * sigma,
-        eyes,
+        camera_set,
     )
     return replace(case, seen=_seen(case, rng))
 
 
-def again(case: Case, plan: str = "shuffled") -> Case:
+def recorded_anew(case: Case, plan: str = "shuffled") -> Case:
     """The same machine, fault and day recorded once more, by a plan with as many configurations drawn anew (14 with
     ladders).
     """
     rng = np.random.default_rng([case.seed, 99])
-    count = 14 if plan == "ladders" else min(len(case.way.looked), 60)
+    count = 14 if plan == "ladders" else min(len(case.journey.looked), 60)
     places = visits(plan, case.owner.ranges, count, rng)
-    way = journey(places, case.owner.ranges.mean(axis=1), case.speeds, case.dwell, case.effect in HURRIED)
-    case = replace(case, plan=plan, way=way)
+    path = journey(places, case.owner.ranges.mean(axis=1), case.speeds, case.dwell, case.effect in HURRIED)
+    case = replace(case, plan=plan, journey=path)
     return replace(case, seen=_seen(case, rng))
 
 
 def _seen(case: Case, rng: np.random.Generator) -> np.ndarray:
     """What was seen of a case, as in Case.seen."""
-    if case.eyes is None:
-        noise = rng.normal(size=(len(case.way.looked), 6)) * np.repeat(case.sigma, 3)
-        return rows_of(displaced(stood(case.machine, case.way, case.day, case.laws), noise))
+    if case.camera_set is None:
+        noise = rng.normal(size=(len(case.journey.looked), 6)) * np.repeat(case.sigma, 3)
+        return rows_of(displaced(stood(case.machine, case.journey, case.day, case.laws), noise))
     before, now, after = (
-        stood(case.machine, case.way, case.day, case.laws, case.way.looked + dt) for dt in (-BETWEEN, 0.0, BETWEEN)
+        stood(case.machine, case.journey, case.day, case.laws, case.journey.looked + dt)
+        for dt in (-BETWEEN, 0.0, BETWEEN)
     )
-    return case.eyes.corners(case.way.looked, (before, now, after), case.day, rng)
+    return case.camera_set.corners(case.journey.looked, (before, now, after), case.day, rng)
 
 
-def _eyes(
+def _camera_set(
     owner: SixStruts,
     effect: str,
     size: float,
     lasted: tuple[float, float],
     variant: int | None,
     rng: np.random.Generator,
-) -> Eyes:
+) -> CameraSet:
     """Cameras about a platform, with a fault of so many standard deviations of a corner. lasted : (s, K) of the
     recording and its warmth
     """
@@ -206,7 +209,7 @@ def wanted(case: Case, count: int = 120) -> np.ndarray:
     rng = np.random.default_rng([case.seed, 77])
     ranges = case.owner.ranges
     if case.kind == "arm":  # whose workspace is what was recorded of each joint
-        ranges = np.stack([case.way.values.min(axis=0), case.way.values.max(axis=0)], axis=1)
+        ranges = np.stack([case.journey.values.min(axis=0), case.journey.values.max(axis=0)], axis=1)
     return case.owner.forward(middle(ranges, rng.uniform(size=(count, len(ranges)))))
 
 
@@ -221,9 +224,9 @@ def drive(case: Case, values: np.ndarray) -> np.ndarray:
     out, home, left = [], case.owner.ranges.mean(axis=1), np.asarray(values, float)
     while len(left):
         ends = journey(left, home, case.speeds, case.dwell, case.effect in HURRIED).looked
-        count = max(int(np.searchsorted(ends, case.way.t[-1])), 1)
-        way = journey(left[:count], home, case.speeds, case.dwell, case.effect in HURRIED)
-        out.append(stood(case.machine, way, case.day, _later(case)))
+        count = max(int(np.searchsorted(ends, case.journey.t[-1])), 1)
+        path = journey(left[:count], home, case.speeds, case.dwell, case.effect in HURRIED)
+        out.append(stood(case.machine, path, case.day, _later(case)))
         left = left[count:]
     return np.concatenate(out)
 

@@ -16,16 +16,17 @@ LEAD = 0.004  # m/rev, of every screw drawn here
 
 
 @dataclass(frozen=True)
-class Asked:
+class FaultRequest:
     """What a fault is drawn from. size : m (of an arm's angles rad), about what it does to an axis; axes : (axes,)
     share of each axis
-    machine : as it really is; way : the recording's Journey; warmth : K, how much temperatures change; mass, centre,
+    machine : as it really is; journey : the recording's Journey; warmth : K, how much temperatures change; mass,
+    centre,
         payload : of the platform"""
 
     size: float
     axes: np.ndarray
     machine: Machine
-    way: Journey
+    journey: Journey
     warmth: float
     mass: float
     centre: np.ndarray
@@ -45,10 +46,10 @@ class Asked:
     @property
     def span(self) -> float:
         """s, of the recording."""
-        return float(self.way.t[-1])
+        return float(self.journey.t[-1])
 
 
-def _play(a: Asked) -> list[Law]:
+def _play(a: FaultRequest) -> list[Law]:
     return [
         memories.Stops(a.axes, a.size, a.size, a.begun),
         memories.Stops(a.axes, 1.5 * a.size, 0.5 * a.size, a.begun),
@@ -56,7 +57,7 @@ def _play(a: Asked) -> list[Law]:
     ]
 
 
-def _hysteresis(a: Asked) -> list[Law]:
+def _hysteresis(a: FaultRequest) -> list[Law]:
     reach = a.half * np.array([0.02, 0.1, 0.3])
     sliders = np.exp(a.rng.normal(0, 0.5, 3))
     sliders *= a.size / (sliders @ reach)
@@ -68,8 +69,8 @@ def _hysteresis(a: Asked) -> list[Law]:
     ]
 
 
-def _creep(a: Asked) -> list[Law]:
-    fraction, dwell = 3 * a.size / a.half, float(np.diff(a.way.t).max())
+def _creep(a: FaultRequest) -> list[Law]:
+    fraction, dwell = 3 * a.size / a.half, float(np.diff(a.journey.t).max())
     return [
         memories.TwoPaces(
             a.axes, fraction, dwell * a.rng.uniform(0.3, 1), dwell * a.rng.uniform(3, 10), a.rng.uniform(0.3, 0.7)
@@ -78,14 +79,14 @@ def _creep(a: Asked) -> list[Law]:
     ]
 
 
-def _heat(a: Asked) -> list[Law]:
+def _heat(a: FaultRequest) -> list[Law]:
     if isinstance(a.machine, Arm):
         return [days.GrownLinks(a.axes, a.size / 0.5 / (0.4 * a.warmth))]
     per_kelvin = a.size / float(np.abs(a.machine.ranges).mean()) / (0.4 * a.warmth)
     return [days.Heated(a.axes, per_kelvin, 0.0), days.Heated(a.axes, per_kelvin, a.span * a.rng.uniform(0.05, 0.15))]
 
 
-def _warm_up(a: Asked) -> list[Law]:
+def _warm_up(a: FaultRequest) -> list[Law]:
     first = a.span * a.rng.uniform(0.1, 0.3)
     return [
         days.Warming(a.axes, 3 * a.size, first, 3 * first, 0.5),
@@ -93,7 +94,7 @@ def _warm_up(a: Asked) -> list[Law]:
     ]
 
 
-def _pitch(a: Asked) -> list[Law]:
+def _pitch(a: FaultRequest) -> list[Law]:
     rng = a.rng
     return [
         places.Waves(
@@ -107,7 +108,7 @@ def _pitch(a: Asked) -> list[Law]:
     ]
 
 
-def _cyclic(a: Asked) -> list[Law]:
+def _cyclic(a: FaultRequest) -> list[Law]:
     pitch = LEAD if isinstance(a.machine, SixStruts) else 0.3 * a.half
     return [
         places.Periodic(a.axes, pitch, a.size * np.array([1.3, 0.4]), a.rng.uniform(0, 6.28, 2)),
@@ -115,14 +116,14 @@ def _cyclic(a: Asked) -> list[Law]:
     ]
 
 
-def _scale(a: Asked) -> list[Law]:
+def _scale(a: FaultRequest) -> list[Law]:
     return [
         places.Scaled(a.axes, 2 * a.size / a.half, 0.0),
         places.Scaled(a.axes, 2 * a.size / a.half, 0.5 * a.size / a.half**2),
     ]
 
 
-def _coupled(a: Asked) -> list[Law]:
+def _coupled(a: FaultRequest) -> list[Law]:
     only = np.zeros(a.machine.width)
     only[int(a.rng.integers(a.machine.width))] = 1.0
     other = int(a.rng.choice(np.flatnonzero(only == 0)))
@@ -132,12 +133,12 @@ def _coupled(a: Asked) -> list[Law]:
     ]
 
 
-def _twist(a: Asked) -> list[Law]:
+def _twist(a: FaultRequest) -> list[Law]:
     gain = min(a.size / (LEAD / 6.28 * 0.05), 1.0)
     return [places.Twisted(a.axes, LEAD, gain, 0.0), places.Twisted(a.axes, LEAD, gain, gain)]
 
 
-def _give(a: Asked) -> list[Law]:
+def _give(a: FaultRequest) -> list[Law]:
     force = a.mass * 9.8 / 6
     return [
         loads.Springs(a.axes, a.mass, a.centre, a.payload, force / a.size, np.inf),
@@ -145,14 +146,14 @@ def _give(a: Asked) -> list[Law]:
     ]
 
 
-def _loose(a: Asked) -> list[Law]:
+def _loose(a: FaultRequest) -> list[Law]:
     return [
         loads.Loose(a.axes, a.mass, a.centre, a.payload, 2 * a.size, 0.0),
         loads.Loose(a.axes, a.mass, a.centre, a.payload, 2 * a.size, 0.1 * a.mass),
     ]
 
 
-def _base(a: Asked) -> list[Law]:
+def _base(a: FaultRequest) -> list[Law]:
     machine = a.machine
     assert isinstance(machine, SixStruts)
     per_kelvin = 2 * a.size / float(np.linalg.norm(machine.base, axis=1).mean()) / (0.4 * a.warmth)
@@ -162,12 +163,12 @@ def _base(a: Asked) -> list[Law]:
     ]
 
 
-def _lost(a: Asked) -> list[Law]:
+def _lost(a: FaultRequest) -> list[Law]:
     when = a.span * np.sort(a.rng.uniform(0.3, 0.7, 2))
     return [days.Lost(a.axes, when[:1], np.array([2 * a.size])), days.Lost(a.axes, when, a.size * np.array([1.2, 0.8]))]
 
 
-def _shaken(a: Asked) -> list[Law]:
+def _shaken(a: FaultRequest) -> list[Law]:
     mode = a.rng.normal(size=6) * np.r_[np.ones(3), np.full(3, 5.0)]
     mode *= 1.4 * a.size / np.linalg.norm(mode[:3])
     rate, other = a.rng.uniform(0.3, 30), 0.3 * mode[::-1] * np.repeat([0.2, 5.0], 3)
@@ -177,32 +178,32 @@ def _shaken(a: Asked) -> list[Law]:
     ]
 
 
-def _speed(a: Asked) -> float:
-    moving = np.abs(np.diff(a.way.values, axis=0) / np.diff(a.way.t)[:, None])
+def _speed(a: FaultRequest) -> float:
+    moving = np.abs(np.diff(a.journey.values, axis=0) / np.diff(a.journey.t)[:, None])
     return float(np.sqrt((moving[moving > 0] ** 2).mean()))
 
 
-def _clock(a: Asked) -> list[Law]:
+def _clock(a: FaultRequest) -> list[Law]:
     return [days.Clocked(a.axes, -a.size / _speed(a), 0.0)]
 
 
-def _drifting(a: Asked) -> list[Law]:
+def _drifting(a: FaultRequest) -> list[Law]:
     return [days.Clocked(a.axes, 0.0, -2 * a.size / _speed(a) / a.span)]
 
 
-def _lag(a: Asked) -> list[Law]:
+def _lag(a: FaultRequest) -> list[Law]:
     late = a.size / _speed(a)
     return [memories.Damped(a.axes, 1.0, 1.4 / late, 0.7), memories.TwoPaces(a.axes, 1.0, late, 2 * late, 0.999)]
 
 
-def _settling(a: Asked) -> list[Law]:
+def _settling(a: FaultRequest) -> list[Law]:
     return [
         memories.LastStep(a.axes, a.size / a.half, 0.0),
         memories.LastStep(a.axes, 0.7 * a.size / a.half, 0.5 / a.half),
     ]
 
 
-FAULTS: dict[str, Callable[[Asked], list[Law]]] = {
+FAULTS: dict[str, Callable[[FaultRequest], list[Law]]] = {
     "scale_error": _scale,
     "cyclic_error": _cyclic,
     "transmission_error": _pitch,

@@ -41,16 +41,16 @@ class Law:
 
 
 def stood(
-    machine: Machine, way: Journey, day: Conditions, laws: tuple[Any, ...], looked: np.ndarray | None = None
+    machine: Machine, path: Journey, day: Conditions, laws: tuple[Any, ...], looked: np.ndarray | None = None
 ) -> np.ndarray:
     """(n, 4, 4) poses at which a machine with laws stands when looked at at (n,) s, a Journey's own times by default.
 
     Raises ArithmeticError where lengths and poses that depend on each other come to no rest.
     """
-    looked = way.looked if looked is None else looked
+    looked = path.looked if looked is None else looked
     for law in laws:
         looked = law.clock(looked)
-    motion = passed(way, looked, day, machine)
+    motion = passed(path, looked, day, machine)
     for law in laws:
         motion = replace(motion, values=law.followed(motion))
     poses = machine.forward(motion.values[motion.at])

@@ -60,7 +60,7 @@ class Motion:
         return self.machine.ranges.mean(axis=1)
 
 
-def passed(way: Journey, looked: np.ndarray, day: Conditions, machine: Machine) -> Motion:
+def passed(path: Journey, looked: np.ndarray, day: Conditions, machine: Machine) -> Motion:
     """Motion of a Journey, looked at at times (n,) s."""
-    t = np.union1d(way.t, looked)
-    return Motion(t, way.at(t), np.searchsorted(t, looked), day, machine)
+    t = np.union1d(path.t, looked)
+    return Motion(t, path.at(t), np.searchsorted(t, looked), day, machine)

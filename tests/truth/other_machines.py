@@ -72,10 +72,10 @@ class OtherMachine:
         noise = np.repeat(sigma, 3)[some]
         J = (self.rates(values)[:, some] / noise[:, None] * self.sizes()).reshape(-1, len(self.sizes()))
         values_, vectors = np.linalg.eigh(J.T @ J)
-        told = values_ > 1e-7 * values_[-1]  # the rest moves no pose
-        half = vectors[:, told] / np.sqrt(values_[told])
-        there = self.rates(at)[:, :3] * self.sizes() @ half
-        return float(np.sqrt((there**2).sum(axis=(1, 2)).mean()))
+        determined = values_ > 1e-7 * values_[-1]  # the rest moves no pose
+        half = vectors[:, determined] / np.sqrt(values_[determined])
+        rates = self.rates(at)[:, :3] * self.sizes() @ half
+        return float(np.sqrt((rates**2).sum(axis=(1, 2)).mean()))
 
 
 def middle(machine: OtherMachine, share: float, unit: np.ndarray) -> np.ndarray:

@@ -42,8 +42,10 @@ def seen(directions: np.ndarray, sigma: float, wrong: int, rng: np.random.Genera
     size = np.full(len(directions), sigma)
     off = size[:, None] * rng.normal(size=(len(directions), 2))
     for i in rng.permutation(len(directions))[:wrong]:
-        way = rng.uniform(0, 2 * np.pi)
-        off[i] += np.radians(10 ** rng.uniform(np.log10(1 / 60), np.log10(3))) * np.array([np.cos(way), np.sin(way)])
+        angle = rng.uniform(0, 2 * np.pi)
+        off[i] += np.radians(10 ** rng.uniform(np.log10(1 / 60), np.log10(3))) * np.array(
+            [np.cos(angle), np.sin(angle)]
+        )
     other = np.eye(3)[np.argmin(np.abs(directions), axis=1)]
     x = np.cross(directions, other)
     x /= np.linalg.norm(x, axis=1, keepdims=True)

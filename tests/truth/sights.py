@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tests.truth.eyes import HIGH, WIDE, Camera, Cube, Sight
+from tests.truth.camera_sets import HIGH, WIDE, Camera, Cube, Sight
 from tests.truth.motion import REFERENCE, Conditions
 
 MIDDLE = np.array([WIDE, HIGH]) / 2

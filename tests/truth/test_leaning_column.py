@@ -88,8 +88,8 @@ def errors_without_and_with_sensors(seed: int, tmp_path) -> tuple[list[float], l
         folder = tmp_path / f"{seed} {len(sensors)}"
         made = calib.calibrate(recorded(case, column, q, rng, folder, sensors), CalibrateOptions(quick=True))
         found.append(error_when_driven(column, made.calibration, goal))
-    again = recorded(case, column, new, rng, tmp_path / f"{seed} again")
-    placed = samples_without_displacement(made.calibration, again, sample_recording(again).samples).samples
+    second = recorded(case, column, new, rng, tmp_path / f"{seed} again")
+    placed = samples_without_displacement(made.calibration, second, sample_recording(second).samples).samples
     left = made.calibration.correction.predict(placed.effective).translation - placed.T_base_platform.translation
     assert np.sqrt((left**2).mean()) < 1.6 * POSITION  # what the base leans is taken off once, not twice
     return found, [least_position_error(column, q, new, POSITION, noise, 0.02) for noise in (0.0, TILT)]
@@ -170,9 +170,9 @@ def test_what_is_stated_wrongly_is_refused(tmp_path, was, now, says):
 def test_a_sensor_that_was_not_logged_is_refused(tmp_path):
     case, column, rng = case_on_a_column(3)
     recording = recorded(case, column, rng.uniform(*case.owner.ranges.T, (COUNT, 6)), rng, tmp_path / "a")
-    kept = {name: values for name, values in recording.sensors.channels.items() if "s2" not in name}
+    logged = {name: values for name, values in recording.sensors.channels.items() if "s2" not in name}
     with pytest.raises(RigError, match="tilt_s2_x_rad"):
-        calib.calibrate(replace(recording, sensors=replace(recording.sensors, channels=kept)))
-    half = {**kept, "tilt_s2_x_rad": np.zeros(COUNT)}
+        calib.calibrate(replace(recording, sensors=replace(recording.sensors, channels=logged)))
+    half = {**logged, "tilt_s2_x_rad": np.zeros(COUNT)}
     with pytest.raises(RigError, match="belong together"):
         calib.calibrate(replace(recording, sensors=replace(recording.sensors, channels=half)))

@@ -105,7 +105,7 @@ def test_two_bodies_warm_one_through_the_other():
 def test_a_base_that_grows_is_a_larger_base():
     rng = np.random.default_rng(3)
     machine = nominal("hexapod", rng)
-    way = Journey(
+    path = Journey(
         np.array([0.0, 60.0]),
         np.tile(machine.ranges.mean(axis=1), (2, 1)) + rng.normal(0, 5e-3, (1, 6)),
         np.array([50.0]),
@@ -113,27 +113,27 @@ def test_a_base_that_grows_is_a_larger_base():
     day = replace(DAY, warmer=np.zeros(6))
     grown = replace(machine, base=machine.base * (1 + 1e-4 * 3.0))  # 20 C and 6 K in 100 s: 3 K
     law = GrowingBase(np.ones(6), np.full(3, 1e-4))
-    assert np.abs(errors(stood(machine, way, day, (law,)), grown.forward(way.values[:1]))).max() < 1e-11
+    assert np.abs(errors(stood(machine, path, day, (law,)), grown.forward(path.values[:1]))).max() < 1e-11
 
 
 def test_level_struts_share_the_weight_by_hand():
     machine = nominal("hexapod", np.random.default_rng(3))
     law = Springs(np.ones(6), 12.0, np.zeros(3), np.zeros(3), 1e7, np.inf)
-    way = Journey(np.array([0.0, 1.0]), np.tile(machine.ranges.mean(axis=1), (2, 1)), np.array([1.0]))
-    legs = machine.legs(machine.forward(way.values[:1]))[0]
+    path = Journey(np.array([0.0, 1.0]), np.tile(machine.ranges.mean(axis=1), (2, 1)), np.array([1.0]))
+    legs = machine.legs(machine.forward(path.values[:1]))[0]
     force = (
         12.0 * 9.80665 / 6 / (legs[:, 2] / np.linalg.norm(legs, axis=1))
     )  # by symmetry a sixth each, along the strut
-    motion = passed(way, way.looked, Conditions((20, 0, 0, 1, 1), np.zeros(6), np.array([[0.0, 0.0]])), machine)
-    assert np.allclose(law.beyond(motion, machine.forward(way.values[:1]))[0], -force / 1e7, rtol=1e-12)
+    motion = passed(path, path.looked, Conditions((20, 0, 0, 1, 1), np.zeros(6), np.array([[0.0, 0.0]])), machine)
+    assert np.allclose(law.beyond(motion, machine.forward(path.values[:1]))[0], -force / 1e7, rtol=1e-12)
 
 
 def test_a_late_clock_sees_what_comes_later():
     t = np.array([0.0, 10.0])
-    way = Journey(t, np.array([[0.4, 0.4], [0.45, 0.4]]), np.array([4.0]))
+    path = Journey(t, np.array([[0.4, 0.4], [0.45, 0.4]]), np.array([4.0]))
     assert (
         np.abs(
-            errors(stood(HINGE, way, DAY, (Clocked(STILL, 0.5, 0.125),)), HINGE.forward(np.array([[0.425, 0.4]])))
+            errors(stood(HINGE, path, DAY, (Clocked(STILL, 0.5, 0.125),)), HINGE.forward(np.array([[0.425, 0.4]])))
         ).max()
         < 1e-12
     )
@@ -141,8 +141,8 @@ def test_a_late_clock_sees_what_comes_later():
 
 def test_links_grow_by_hand():
     arm = Arm(np.array([[0.0, 0.3, 0.5, 0.0]]), np.array([False]), np.zeros(1), np.array([[-1.0, 1.0]]), np.zeros(1))
-    way = Journey(np.array([0.0, 60.0]), np.zeros((2, 1)), np.array([50.0]))  # at 23 C
-    pose = stood(arm, way, DAY, (GrownLinks(np.ones(1), 1e-4),))[0]
+    path = Journey(np.array([0.0, 60.0]), np.zeros((2, 1)), np.array([50.0]))  # at 23 C
+    pose = stood(arm, path, DAY, (GrownLinks(np.ones(1), 1e-4),))[0]
     assert np.allclose(pose[:3, 3], [0.5 * 1.0003, 0, 0.3 * 1.0003], atol=1e-12)
 
 
@@ -150,13 +150,14 @@ def test_links_grow_by_hand():
 def test_strong_faults_show_and_none_do_not(effect):
     for variant in range(2 if effect not in ("time_offset", "clock_drift") else 1):
         case = draw(3, effect, "strong", "shuffled", count=20, variant=variant)
-        sound = stood(case.machine, case.way, case.day, ())
-        real = stood(case.machine, case.way, case.day, case.laws)
+        sound = stood(case.machine, case.journey, case.day, ())
+        real = stood(case.machine, case.journey, case.day, case.laws)
         assert 0.1 * case.size < rms(errors(real, sound))[0] < 30 * case.size
         assert (
             rms(
                 errors(
-                    stood(case.machine, case.way, case.day, draw(3, effect, "none", "shuffled", count=20).laws), sound
+                    stood(case.machine, case.journey, case.day, draw(3, effect, "none", "shuffled", count=20).laws),
+                    sound,
                 )
             )[0]
             == 0
@@ -165,7 +166,10 @@ def test_strong_faults_show_and_none_do_not(effect):
 
 def test_homing_takes_lost_steps_away():
     case = draw(4, "missed_steps", "strong", "shuffled", count=14)
-    values = case.way.values[1::2][:3]
+    values = case.journey.values[1::2][:3]
     assert rms(errors(drive(case, values), case.machine.forward(values)))[0] < 1e-12
-    off = errors(stood(case.machine, case.way, case.day, case.laws), case.machine.forward(case.way.at(case.way.looked)))
+    off = errors(
+        stood(case.machine, case.journey, case.day, case.laws),
+        case.machine.forward(case.journey.at(case.journey.looked)),
+    )
     assert rms(off[:2])[0] < 1e-12 < 0.3 * case.size < rms(off[-2:])[0]

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 from tests.truth import SIGHTS, draw, record
-from tests.truth.eyes import HIGH, WIDE, Cube, Sight, looking, watching
+from tests.truth.camera_sets import HIGH, WIDE, Cube, Sight, looking, watching
 from tests.truth.motion import Conditions
 from tests.truth.sights import Edges, Printed, Rolling, Window, Zooming
 
@@ -17,21 +17,21 @@ DAY = Conditions((25.0, 0.0, 0.0, 1.0, 1.0), np.zeros(6), np.array([[0.0, 0.0]])
 def seen(fault, moving=0.0):
     """Rows of corners without noise, of a platform at its home height that moves along x at so many m/s."""
     rng = np.random.default_rng(1)
-    eyes = replace(watching(0.3, 0.45, fault, 0.0, rng))
+    camera_set = replace(watching(0.3, 0.45, fault, 0.0, rng))
     at = np.tile(np.eye(4), (1, 1, 1))
     at[0, 2, 3] = 0.45
     around = tuple(at + moving * dt * np.eye(4)[0][:, None] * np.eye(4)[3] for dt in (-0.02, 0.0, 0.02))
-    return eyes, eyes.corners(np.array([5.0]), around, DAY, rng)
+    return camera_set, camera_set.corners(np.array([5.0]), around, DAY, rng)
 
 
 def test_the_top_of_a_cube_by_hand():
     camera = looking("above", np.array([0.1, 0.0, 2.0]), np.array([0.1, 1e-9, 0.0]), 1000.0, np.zeros(5))
-    eyes = replace(
+    camera_set = replace(
         watching(0.3, 0.4, Sight(), 0.0, np.random.default_rng(0)),
         cameras=(camera,),
         cubes=(Cube("B1", False, 0.2, 0.1, 30, np.eye(4)),),
     )
-    rows = eyes.corners(np.zeros(1), (np.tile(np.eye(4), (1, 1, 1)),) * 3, DAY, np.random.default_rng(0))
+    rows = camera_set.corners(np.zeros(1), (np.tile(np.eye(4), (1, 1, 1)),) * 3, DAY, np.random.default_rng(0))
     assert set(rows[:, 2]) == {34}  # the top alone, 1.9 m away; its up is +y, and so is the camera's
     uv = rows[:, 4:] - np.array([(WIDE - 1) / 2, (HIGH - 1) / 2])
     half, left = 1000 * 0.05 / 1.9, 1000 * 0.1 / 1.9
@@ -66,11 +66,11 @@ def test_edges_move_inward_by_so_many_px():
 
 
 def test_zoom_prints_and_rows():
-    eyes, rows = seen(Sight())
+    camera_set, rows = seen(Sight())
     zoomed, printed, rolled = (
         seen(fault)[1] for fault in (Zooming(np.full(2, 1e-4)), Printed(np.full(2, 0.01)), Rolling(1e-5))
     )
-    middle = np.stack([eyes.cameras[int(k)].middle for k in rows[:, 1]])
+    middle = np.stack([camera_set.cameras[int(k)].middle for k in rows[:, 1]])
     assert np.allclose(zoomed[:, 4:] - middle, (rows[:, 4:] - middle) * 1.0005, atol=1e-9)  # 5 K above the reference
     spread = [
         r[:, 4:].reshape(-1, 4, 2) - r[:, 4:].reshape(-1, 4, 2).mean(axis=1, keepdims=True) for r in (rows, printed)
@@ -87,7 +87,7 @@ def test_zoom_prints_and_rows():
 def test_faults_of_seeing_show_in_corners(effect):
     def corners(strength):
         case = draw(8, effect, strength, "shuffled", count=14, variant=0)
-        return {tuple(row[:4]): row[4:] for row in case.seen}, case.eyes.sigma
+        return {tuple(row[:4]): row[4:] for row in case.seen}, case.camera_set.sigma
 
     (sound, sigma), (weak, _), (strong, _) = (corners(s) for s in ("none", "weak", "strong"))
     common = sorted(set(sound) & set(weak) & set(strong))

@@ -21,8 +21,8 @@ from rig.errors import RigError
 from rig.model.base_and_link_tilts import GRAVITY, BaseTilt
 from rig.recording.recording_folder import Sensors, sensors_with_gravity
 from tests.truth import draw, record, rms, wanted
+from tests.truth.camera_sets import Camera, Sight
 from tests.truth.case import Case
-from tests.truth.eyes import Camera, Sight
 from tests.truth.journey import journey
 from tests.truth.laws import stood
 from tests.truth.loads import Springs
@@ -63,11 +63,11 @@ def tilting(seed: int, end: float) -> Case:
     case = draw(seed, "none", count=60)
     stiffness = case.mass * 9.81 / 6 / 1e-4
     law = TiltedSprings(
-        np.ones(6), case.mass, case.centre, case.payload, stiffness, np.inf, (0.0, end, float(case.way.t[-1]))
+        np.ones(6), case.mass, case.centre, case.payload, stiffness, np.inf, (0.0, end, float(case.journey.t[-1]))
     )
-    noise = np.random.default_rng([seed, 5]).normal(size=(len(case.way.looked), 6)) * np.repeat(case.sigma, 3)
+    noise = np.random.default_rng([seed, 5]).normal(size=(len(case.journey.looked), 6)) * np.repeat(case.sigma, 3)
     case = replace(case, laws=(law,))
-    return replace(case, seen=rows_of(displaced(stood(case.machine, case.way, case.day, case.laws), noise)))
+    return replace(case, seen=rows_of(displaced(stood(case.machine, case.journey, case.day, case.laws), noise)))
 
 
 def recorded(case: Case, folder: Path, stated: bool = True) -> rig.Recording:
@@ -76,7 +76,7 @@ def recorded(case: Case, folder: Path, stated: bool = True) -> rig.Recording:
     if stated:
         text = (folder / "rig.toml").read_text()
         (folder / "rig.toml").write_text(text.replace("[actuator]", TILT + "[actuator]", 1))
-        t = np.linspace(0.0, float(case.way.t[-1]), 2000)
+        t = np.linspace(0.0, float(case.journey.t[-1]), 2000)
         table(folder / "sensors.csv", ("t", "elevation_deg"), np.column_stack([t, case.laws[0].elevation(t)]))
     return rig.load(folder)
 
@@ -90,9 +90,9 @@ def error_when_driven(case: Case, recording: rig.Recording, folder: Path, elevat
     for elevation, goal in zip(elevations.tolist(), goals):
         log = Sensors(np.zeros(1), {"elevation_deg": np.array([elevation])}) if recording.design.tilts else None
         commands = calib.correct(calibration, RigidTransform.from_matrix(goal), CorrectOptions(sensors=log)).values
-        way = journey(commands, case.owner.ranges.mean(axis=1), case.speeds, case.dwell)
+        path = journey(commands, case.owner.ranges.mean(axis=1), case.speeds, case.dwell)
         law = replace(case.laws[0], sweep=(elevation, elevation, 1.0))
-        out.append(errors(stood(case.machine, way, case.day, (law,)), goal))
+        out.append(errors(stood(case.machine, path, case.day, (law,)), goal))
     return rms(np.concatenate(out))[0]
 
 
@@ -123,8 +123,8 @@ def test_a_lookup_table_holds_between_its_rows_to_what_it_states(tmp_path, capsy
     sigma = np.sqrt(sum(rows[f"c{k}{k}"] for k in range(3))).reshape(13, 12)
     half = (commands[6] + commands[7]) / 2  # at 48.75 degrees
     law = replace(case.laws[0], sweep=(48.75, 48.75, 1.0))
-    way = journey(half, case.owner.ranges.mean(axis=1), case.speeds, case.dwell)
-    off = np.linalg.norm(errors(stood(case.machine, way, case.day, (law,)), goal)[:, :3], axis=1)
+    path = journey(half, case.owner.ranges.mean(axis=1), case.speeds, case.dwell)
+    off = np.linalg.norm(errors(stood(case.machine, path, case.day, (law,)), goal)[:, :3], axis=1)
     assert (off < 3 * sigma[6]).mean() > 0.9 and off.mean() < 2 * sigma[6].mean()
     assert main([*run, "--over", "elevation=0:90:7.5", "--out", str(tmp_path / "no.csv")]) == 1
     assert "not learnt with a channel 'elevation'; it has elevation_deg" in capsys.readouterr().err
@@ -149,14 +149,21 @@ class Sagging(Sight):
 def test_a_camera_that_sags_is_named(tmp_path):
     case = draw(5, "none", count=30, seen=True)
     law = TiltedSprings(
-        np.zeros(6), case.mass, case.centre, case.payload, 1e9, np.inf, (0.0, 90.0, float(case.way.t[-1]))
+        np.zeros(6), case.mass, case.centre, case.payload, 1e9, np.inf, (0.0, 90.0, float(case.journey.t[-1]))
     )
-    eyes = replace(case.eyes, fault=Sagging(1, law))
+    camera_set = replace(case.camera_set, fault=Sagging(1, law))
     rng = np.random.default_rng(6)
-    poses = stood(case.machine, case.way, case.day, ())
-    case = replace(case, laws=(law,), eyes=eyes, seen=eyes.corners(case.way.looked, (poses,) * 3, case.day, rng))
+    poses = stood(case.machine, case.journey, case.day, ())
+    case = replace(
+        case,
+        laws=(law,),
+        camera_set=camera_set,
+        seen=camera_set.corners(case.journey.looked, (poses,) * 3, case.day, rng),
+    )
     report = calib.diagnose(recorded(case, tmp_path / "a")).report
-    assert [(one.effect, one.place) for one in report.findings] == [("camera_sag", f"camera {eyes.stated[1].name}")]
+    assert [(one.effect, one.place) for one in report.findings] == [
+        ("camera_sag", f"camera {camera_set.stated[1].name}")
+    ]
 
 
 def test_a_tilt_that_was_not_logged_is_refused(tmp_path):

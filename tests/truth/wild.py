@@ -21,7 +21,7 @@ def spoilt(case: Case, seed: int, share: float = SHARE) -> tuple[Case, np.ndarra
     all else of whole frames.
     """
     rng = np.random.default_rng([case.seed, seed, 5])
-    count = len(case.way.looked)
+    count = len(case.journey.looked)
     wanted, order = max(round(share * count), 2), rng.permutation(np.arange(1, count)).tolist()
     seen, done = case.seen.copy(), dict[int, str]()
     first = int(rng.integers(len(LAWS)))
@@ -29,7 +29,7 @@ def spoilt(case: Case, seed: int, share: float = SHARE) -> tuple[Case, np.ndarra
         frame, law = order.pop(), LAWS[(first + len(done)) % len(LAWS)]
         law = "jump" if law == "exchange" and len(done) + 2 > wanted else law
         other = order.pop() if law == "exchange" else frame - 1
-        seen = (_pose if case.eyes is None else _corners)(seen, case, frame, other, law, rng)
+        seen = (_pose if case.camera_set is None else _corners)(seen, case, frame, other, law, rng)
         done |= {frame: law} | ({other: law} if law == "exchange" else {})
     frames = np.array(sorted(done))
     return replace(case, seen=seen), frames, [done[int(frame)] for frame in frames]
@@ -46,9 +46,9 @@ def _pose(seen: np.ndarray, case: Case, frame: int, other: int, law: str, rng: n
     elif law == "stale":
         seen[frame] = seen[other]
     elif law == "jump" or flat and law == "flip":
-        way = rng.normal(size=6) * ([1, 1, 0, 0, 0, 0] if flat else [1, 1, 1, 10, 10, 10])
-        size = np.exp(rng.uniform(*np.log(JUMP))) / np.linalg.norm(way[:3])
-        seen[frame] = rows_of(displaced(matrices(seen[frame]), size * way[None]))[0]
+        displacement = rng.normal(size=6) * ([1, 1, 0, 0, 0, 0] if flat else [1, 1, 1, 10, 10, 10])
+        size = np.exp(rng.uniform(*np.log(JUMP))) / np.linalg.norm(displacement[:3])
+        seen[frame] = rows_of(displaced(matrices(seen[frame]), size * displacement[None]))[0]
     elif law == "flip":
         turned = matrices(seen[frame])[0]
         axis = int(rng.integers(4))
@@ -67,11 +67,11 @@ def _pose(seen: np.ndarray, case: Case, frame: int, other: int, law: str, rng: n
 
 def _corners(seen: np.ndarray, case: Case, frame: int, other: int, law: str, rng: np.random.Generator) -> np.ndarray:
     """Rows (k, 6) of corners with those of one frame spoilt, of two where it is an exchange."""
-    here, there = seen[:, 0] == frame, seen[:, 0] == other
+    here, other_rows = seen[:, 0] == frame, seen[:, 0] == other
     if law in ("exchange", "stale"):
-        copied = np.where(np.arange(6) == 0, frame, seen[there])
-        left = np.where(np.arange(6) == 0, other, seen[here]) if law == "exchange" else seen[there]
-        return np.vstack([seen[~here & ~there], copied, left])
+        copied = np.where(np.arange(6) == 0, frame, seen[other_rows])
+        left = np.where(np.arange(6) == 0, other, seen[here]) if law == "exchange" else seen[other_rows]
+        return np.vstack([seen[~here & ~other_rows], copied, left])
     seen = seen.copy()
     one = rng.choice(np.flatnonzero(here))
     own = np.flatnonzero(here & (seen[:, 1:3] == seen[one, 1:3]).all(axis=1))

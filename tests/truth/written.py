@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.truth.camera_sets import FACES, HIGH, WIDE, CameraSet
 from tests.truth.case import Case
 from tests.truth.draw_faults import LEAD
-from tests.truth.eyes import FACES, HIGH, WIDE, Eyes
 from tests.truth.kinematics import Arm, Chain, Hinge, Machine, SixStruts
 from tests.truth.motion import EVERY
 from tests.truth.rigid import rows_of
@@ -22,16 +22,16 @@ def record(case: Case, folder: str | Path) -> Path:
     folder = Path(folder)
     folder.mkdir(parents=True)
     (folder / "rig.toml").write_text(rig_toml(case))
-    table(folder / "commands.csv", ("t", *case.owner.names), np.column_stack([case.way.t, case.way.values]))
-    frames = np.arange(len(case.way.looked))
-    names = [""] if case.eyes is None else [camera.name for camera in case.eyes.stated]
+    table(folder / "commands.csv", ("t", *case.owner.names), np.column_stack([case.journey.t, case.journey.values]))
+    frames = np.arange(len(case.journey.looked))
+    names = [""] if case.camera_set is None else [camera.name for camera in case.camera_set.stated]
     (folder / "frames.csv").write_text(
         "frame,t,camera,image\n"
-        + "".join(f"{k},{t:.9f},{name},\n" for k, t in zip(frames, case.way.looked) for name in names)
+        + "".join(f"{k},{t:.9f},{name},\n" for k, t in zip(frames, case.journey.looked) for name in names)
     )
-    (_write_poses if case.eyes is None else _write_corners)(case, folder)
+    (_write_poses if case.camera_set is None else _write_corners)(case, folder)
     if case.logged:
-        write_sensors(case, folder / "sensors.csv", float(case.way.t[-1]))
+        write_sensors(case, folder / "sensors.csv", float(case.journey.t[-1]))
     return folder
 
 
@@ -43,12 +43,12 @@ def _write_poses(case: Case, folder: Path) -> None:
 
 
 def _write_corners(case: Case, folder: Path) -> None:
-    assert case.eyes is not None
+    assert case.camera_set is not None
     rows = ["frame,camera,marker,corner,u,v,sigma"]
     for frame, camera, marker, corner, u, v in case.seen[np.lexsort(case.seen[:, 3::-1].T)]:
         rows.append(
-            f"{frame:.0f},{case.eyes.stated[int(camera)].name},{marker:.0f},{corner:.0f},"
-            f"{u:.6f},{v:.6f},{case.eyes.sigma:.6g}"
+            f"{frame:.0f},{case.camera_set.stated[int(camera)].name},{marker:.0f},{corner:.0f},"
+            f"{u:.6f},{v:.6f},{case.camera_set.sigma:.6g}"
         )
     (folder / "corners.csv").write_text("\n".join(rows) + "\n")
 
@@ -110,7 +110,7 @@ def rig_toml(case: Case) -> str:
             f"payload_centre_of_mass = {_list(case.payload)}",
             "",
         ]
-    if case.eyes is None:
+    if case.camera_set is None:
         parts += [
             "[instrument]",
             'base = "rig"',
@@ -120,13 +120,13 @@ def rig_toml(case: Case) -> str:
             "",
         ]
     else:
-        parts += _cameras(case.eyes)
+        parts += _cameras(case.camera_set)
     return "\n".join(parts)
 
 
-def _cameras(eyes: Eyes) -> list[str]:
+def _cameras(camera_set: CameraSet) -> list[str]:
     lines = []
-    for camera in eyes.stated:
+    for camera in camera_set.stated:
         matrix = [
             [camera.focal, 0.0, float(camera.middle[0])],
             [0.0, camera.focal, float(camera.middle[1])],
@@ -142,7 +142,7 @@ def _cameras(eyes: Eyes) -> list[str]:
             f"pose = {_pose(camera.place)}",
             "",
         ]
-    for cube in eyes.cubes:
+    for cube in camera_set.cubes:
         faces = ", ".join(f'"{face}" = {cube.first + k}' for k, face in enumerate(FACES))
         lines += [
             "[[target]]",

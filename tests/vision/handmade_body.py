@@ -15,7 +15,7 @@ from vision.predict import State, marker_map, predict_sightings, sightings_of_ma
 EDGE, SIDE, WHITE = 0.12, 0.03, 0.004  # m
 ON_A_FACE = ((-0.036, 0.03), (0.036, 0.03), (0.0, -0.034))  # m
 SIZE, FOCAL = (1600, 1200), 3290.0  # px
-EYES = (np.array([-0.5, -1.3, 0.3]), np.array([0.6, -1.25, 0.35]))  # m
+CAMERAS_AT = (np.array([-0.5, -1.3, 0.3]), np.array([0.6, -1.25, 0.35]))  # m
 LENS = (-0.05, 0.1, 0.0, 0.0, 0.0)
 
 
@@ -42,7 +42,7 @@ def handmade(
         for x, y in ON_A_FACE
     ]
     askew = [T * exp(np.repeat(off, 3) / np.sqrt(3) * rng.normal(size=6)) for T in places]
-    cameras = tuple(_looking(name, far * eye) for name, eye in zip("ab", EYES))
+    cameras = tuple(_looking(name, far * eye) for name, eye in zip("ab", CAMERAS_AT))
     stated = _design(tuple(_believed(c, rng) for c in cameras), places)
     true = _design(cameras, askew)
     turn, at, poses = Rotation.random(rng=rng), np.zeros(3), []

@@ -14,7 +14,7 @@ from rig.recording.recording_tables import Corners
 EDGE, SIDE = 0.12, 0.03  # m
 ON_A_FACE = ((-0.036, 0.03), (0.036, 0.03), (0.0, -0.034))  # m
 SIZE, FOCAL = np.array([1600, 1200]), 3290.0  # px
-EYES = np.array([[-0.5, -1.3, 0.3], [0.6, -1.25, 0.35]])  # m
+CAMERAS_AT = np.array([[-0.5, -1.3, 0.3], [0.6, -1.25, 0.35]])  # m
 ARM = 0.04  # m; a stated place that is off by so much is turned by a radian
 BASE = (
     (-0.2, 0.15, 0.13),
@@ -79,7 +79,7 @@ def drawn_block(
             for x, y in ON_A_FACE
         ]
     )
-    cameras, true_focal = np.array([_looking(far * eye) for eye in EYES]), far * FOCAL
+    cameras, true_focal = np.array([_looking(far * eye) for eye in CAMERAS_AT]), far * FOCAL
     turns = Rotation.random(frames, rng=rng) if tilt is None else Rotation.from_rotvec(rng.normal(0, tilt, (frames, 3)))
     poses = np.array([_matrix(R, x) for R, x in zip(turns.as_matrix(), rng.normal(0, 0.03, (frames, 3)))])
     sign = rng.choice([-1, 1], 2)
@@ -139,9 +139,9 @@ def _seen(
     for f, pose in enumerate(poses):
         for c, eye in enumerate(cameras):
             back = np.linalg.inv(eye)
-            there = [(k, back @ pose @ T, SIDE) for k, T in enumerate(tags)]
-            there += [(50 + k, back @ T, BASE_SIDE) for k, T in enumerate(fixed)]
-            for k, T, side in there:
+            visible = [(k, back @ pose @ T, SIDE) for k, T in enumerate(tags)]
+            visible += [(50 + k, back @ T, BASE_SIDE) for k, T in enumerate(fixed)]
+            for k, T, side in visible:
                 points = placed_corners(T[None], side)[0]
                 middle, out = T[:3, 3], T[:3, 2]
                 pixels = _projected(points, *lenses[c])

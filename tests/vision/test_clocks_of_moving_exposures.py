@@ -58,14 +58,14 @@ def test_cameras_whose_stamps_are_late_by_different_times(moving):
     recording, truth, case = moving
     names, late = [camera.name for camera in recording.design.cameras], np.array([0.0, 0.004, -0.0025])  # s
     e = recording.exposures
-    told = replace(e, t=e.t + late[[names.index(name) for name in e.camera]])
-    found, _ = measure_recording(replace(recording, exposures=told))
+    stamped = replace(e, t=e.t + late[[names.index(name) for name in e.camera]])
+    found, _ = measure_recording(replace(recording, exposures=stamped))
     assert np.abs(np.array(found.camera_offsets) + late).max() < 2e-4
     error = rigid.rms(rigid.errors(found.T_base_platform.as_matrix(), truth[found.frames]))
     rest, _ = measure_recording(recording)
     assert rest.camera_offsets == ()
     assert error[0] < 1.2 * rigid.rms(rigid.errors(rest.T_base_platform.as_matrix(), truth[rest.frames]))[0]
-    assert abs(clocks(replace(recording, exposures=told), found)[0].offset - OFFSET) < 2e-4
+    assert abs(clocks(replace(recording, exposures=stamped), found)[0].offset - OFFSET) < 2e-4
 
 
 def test_a_rolling_shutter_that_nobody_stated_is_no_difference_of_stamps(moving):
@@ -91,8 +91,8 @@ def test_an_offset_and_a_lag_are_told_apart_by_reversals(tmp_path):
 
 
 def test_a_lagged_way_is_behind_by_the_lag_at_a_steady_speed_and_arrives():
-    way = Commands(np.array([0.0, 1.0, 2.0, 4.0]), np.array([[0.0], [0.0], [1.0], [1.0]]))
-    lagged = lagged_commands(way, 0.05, np.array([1.9, 3.9]))
+    commands = Commands(np.array([0.0, 1.0, 2.0, 4.0]), np.array([[0.0], [0.0], [1.0], [1.0]]))
+    lagged = lagged_commands(commands, 0.05, np.array([1.9, 3.9]))
     assert lagged.at(1.9)[0] == pytest.approx(0.85, abs=1e-7)
     assert lagged.at(3.9)[0] == pytest.approx(1.0, abs=1e-9) and lagged.at(1.0)[0] == 0
 

@@ -114,7 +114,7 @@ def only_rows(read, keep):
     some = replace(
         c,
         frame=c.frame[keep],
-        camera=[name for name, kept in zip(c.camera, keep) if kept],
+        camera=[name for name, is_retained in zip(c.camera, keep) if is_retained],
         marker=c.marker[keep],
         corner=c.corner[keep],
         uv=c.uv[keep],

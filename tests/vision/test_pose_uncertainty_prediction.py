@@ -37,14 +37,14 @@ def measured(request, tmp_path_factory):
 
 def test_poses_seen_already_are_foretold_as_they_were_measured(measured):
     found, design = measured
-    told = predict_pose_uncertainty(found, design, found.T_base_platform)
-    assert told.seen.all() and told.common.shape == found.common.shape
-    total = [told.covariance + told.common @ np.swapaxes(told.common, 1, 2), found.covariance]
+    predicted = predict_pose_uncertainty(found, design, found.T_base_platform)
+    assert predicted.seen.all() and predicted.common.shape == found.common.shape
+    total = [predicted.covariance + predicted.common @ np.swapaxes(predicted.common, 1, 2), found.covariance]
     for part in (slice(0, 3), slice(3, 6)):
         sizes = [np.sqrt(np.trace(one[:, part, part], axis1=1, axis2=2)) for one in total]
         assert 0.8 < np.median(sizes[0] / sizes[1]) < 1.25
     sigma = np.sqrt(np.einsum("nii->ni", found.covariance))[..., None]
-    moved, shared = told.common / sigma, found.common / sigma
+    moved, shared = predicted.common / sigma, found.common / sigma
     alike = (
         (moved * shared).sum() / np.linalg.norm(moved) / np.linalg.norm(shared)
     )  # the same draws, the same way round
@@ -55,8 +55,8 @@ def test_what_no_camera_would_see_is_left_out(measured):
     found, design = measured
     away = RigidTransform.from_translation([0.0, 0.0, 50.0]) * found.T_base_platform[:1]
     both = RigidTransform.concatenate([found.T_base_platform[:2], away])
-    told = predict_pose_uncertainty(found, design, both)
-    assert told.seen.tolist() == [True, True, False] and len(told.covariance) == len(told.common) == 2
+    predicted = predict_pose_uncertainty(found, design, both)
+    assert predicted.seen.tolist() == [True, True, False] and len(predicted.covariance) == len(predicted.common) == 2
     none = predict_pose_uncertainty(found, design, away)
     assert not none.seen.any() and none.covariance.shape == (0, 6, 6)
 
@@ -72,5 +72,5 @@ def test_a_camera_alone_in_a_hand_stands_where_it_stood():
     held = (RigidTransform.identity(), np.zeros((6, 6)))
     assert _apart(held, held)[1] == 1.0
     sure = (RigidTransform.identity(), 1e-8 * np.diag([1.0, 1, 1, 0, 0, 0]))
-    beside = (exp(np.array([1e-3, 0, 0, 0, 0, 0])), sure[1])
-    assert _apart(sure, beside)[1] < 1e-6 and _apart(sure, sure)[1] == pytest.approx(1.0)
+    displaced = (exp(np.array([1e-3, 0, 0, 0, 0, 0])), sure[1])
+    assert _apart(sure, displaced)[1] < 1e-6 and _apart(sure, sure)[1] == pytest.approx(1.0)

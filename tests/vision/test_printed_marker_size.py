@@ -69,7 +69,7 @@ def photograph(path, scale, folder):
     return cv2.perspectiveTransform(np.array([[[50 * PIXEL, 300 * PIXEL], [150 * PIXEL, 300 * PIXEL]]]), H)[0]
 
 
-def told(capsys, *words):
+def check_print(capsys, *words):
     assert main(["check-print", *map(str, words), "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
@@ -77,7 +77,7 @@ def told(capsys, *words):
 @pytest.mark.parametrize("scale", [(0.964, 0.964), (1.0, 1.0), (0.98, 1.02)])
 def test_scale_is_found_both_ways(tmp_path, capsys, scale):
     photograph(tmp_path / "p.png", scale, tmp_path)
-    found = told(capsys, tmp_path / "p.png", tmp_path / "rig.toml", "--sheet", "210mmx297mm")
+    found = check_print(capsys, tmp_path / "p.png", tmp_path / "rig.toml", "--sheet", "210mmx297mm")
     assert found["markers"] == 4
     np.testing.assert_allclose(found["scale"], scale, atol=2e-3)
     assert np.all(np.abs(np.subtract(found["scale"], scale)) < 3 * np.array(found["standard_uncertainty"]) + 5e-4)
@@ -92,7 +92,7 @@ def test_scale_is_found_both_ways(tmp_path, capsys, scale):
 def test_a_ruler_tells_the_scale(tmp_path, capsys):
     ends = photograph(tmp_path / "p.png", (0.964, 0.964), tmp_path)
     given = ",".join(f"{value:.1f}" for value in ends.ravel()) + "=100mm"
-    found = told(capsys, tmp_path / "p.png", tmp_path / "rig.toml", "--ruler", given)
+    found = check_print(capsys, tmp_path / "p.png", tmp_path / "rig.toml", "--ruler", given)
     assert abs(found["scale"][0] - 0.964) < 3e-3 and found["standard_uncertainty"][0] < 5e-3
     assert abs(found["side"]["B1"] - 0.0482) < 2e-4
 

@@ -94,8 +94,8 @@ def test_a_frame_that_cannot_be_solved_is_reported_and_not_filled_in(design):
     on, frame = observations.on_platform, observations.frame
     first = np.flatnonzero(on & (frame == 3))[0]
     lonely = (observations.marker == observations.marker[first]) & (observations.camera == observations.camera[first])
-    kept = observations.take(~(on & (frame == 2)) & ~(on & (frame == 3) & ~lonely))
-    m = measure_observations(kept, stated, marker_map(design))
+    retained = observations.take(~(on & (frame == 2)) & ~(on & (frame == 3) & ~lonely))
+    m = measure_observations(retained, stated, marker_map(design))
     assert m.frames.tolist() == [0, 1, 4, 5, 6, 7, 8, 9]
     assert "no marker" in m.unsolved[2] and "single sighting" in m.unsolved[3]
     assert np.abs(pose_difference(m.T_base_platform, T[m.frames])).max() < 1e-3
@@ -180,6 +180,6 @@ def test_a_corner_set_aside_leaves_the_others_their_own_correlation(design):
     W = whitener_of_observations(noisy.take(np.arange(len(noisy)) % 4 != 1))
     R = np.linalg.inv(W.mixing[0].T @ W.mixing[0])
     full = np.linalg.inv(whitener_of_observations(noisy).mixing[0].T @ whitener_of_observations(noisy).mixing[0])
-    there = [0, 1, 4, 5, 6, 7]
-    np.testing.assert_allclose(R[np.ix_(there, there)], full[np.ix_(there, there)], atol=1e-12)
+    rows = [0, 1, 4, 5, 6, 7]
+    np.testing.assert_allclose(R[np.ix_(rows, rows)], full[np.ix_(rows, rows)], atol=1e-12)
     np.testing.assert_allclose(R[2:4], np.eye(8)[2:4], atol=1e-12)

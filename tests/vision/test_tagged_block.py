@@ -115,8 +115,8 @@ def test_places_start_within_two_millimetres_though_nothing_is_stated():
     observed = observations_from_corners(block.corners, np.arange(len(block.poses)), block.stated, markers)
     found, linked = marker_places_from_sightings(observed, block.stated.cameras, markers)
     true = placed_corners(block.tags)
-    there = align_points(found.corners.reshape(-1, 3), true.reshape(-1, 3)).apply(found.corners.reshape(-1, 3))
-    assert linked.all() and np.linalg.norm(there - true.reshape(-1, 3), axis=1).max() < 2e-3
+    aligned = align_points(found.corners.reshape(-1, 3), true.reshape(-1, 3)).apply(found.corners.reshape(-1, 3))
+    assert linked.all() and np.linalg.norm(aligned - true.reshape(-1, 3), axis=1).max() < 2e-3
     np.testing.assert_allclose(found.T_body_marker[0].as_matrix(), np.eye(4), atol=1e-12)
 
 
@@ -175,10 +175,10 @@ def test_a_recording_that_states_no_places_is_measured_and_its_output_states_the
     result.write(tmp_path / "out")
     rows = load_design(tmp_path / "out" / "rig.toml").targets[0].listed
     assert [row.id for row in rows] == list(range(19)) and [row.id for row in rows if row.pose is None] == [18]
-    again = {row.id: row for row in rows}
+    stated = {row.id: row for row in rows}
     for marker in adjusted_markers(result.measurement)["block"]:
         np.testing.assert_allclose(
-            again[marker.id].T_body_marker.as_matrix(), marker.T_body_marker.as_matrix(), atol=1e-8
+            stated[marker.id].T_body_marker.as_matrix(), marker.T_body_marker.as_matrix(), atol=1e-8
         )
 
 
@@ -205,6 +205,6 @@ def test_a_tag_that_is_never_seen_together_with_others_is_named(tmp_path):
     first = np.flatnonzero(c.marker == 7)[0]
     image = (c.frame == c.frame[first]) & (names == names[first])
     keep = (c.marker == 7) == image  # tag 7 alone in one image, and in no other
-    kept = Corners(c.frame[keep], names[keep].tolist(), c.marker[keep], c.corner[keep], c.uv[keep], None)
+    retained = Corners(c.frame[keep], names[keep].tolist(), c.marker[keep], c.corner[keep], c.uv[keep], None)
     with pytest.raises(NotEnoughData, match="does not state the pose of markers 7"):
-        measure(load(recording_folder(block, tmp_path / "rec", kept)))
+        measure(load(recording_folder(block, tmp_path / "rec", retained)))

@@ -101,7 +101,6 @@ def adjust_bundle(
     observations: Observations,
     state: State,
     free: Sequence[str] = ("poses", "lenses"),
-    progress: Callable[[float], None] | None = None,
     stated: State | None = None,
     lens_prior_sigmas: Callable[[Camera], Floats] = stated_lens_prior_sigmas,
     printing: Printing | None = None,
@@ -112,7 +111,6 @@ def adjust_bundle(
     observations : Observations, outliers taken out; state : State to start from, with its markers where these are free
     free : which of "poses" (of fixed cameras), "lenses", "markers" (each on its target: face misplacement) and
     "targets" (each in its body: cube misplacement) are adjusted; the rest is held and taken as known
-    progress : called after each iteration with the cost, or None
     stated : State whose lenses and places are what the owner stated, `state` by default
     lens_prior_sigmas : function of a Camera, the standard deviations (4 + terms,) that its stated lens is given
     printing : how far printed markers are taken to be off where they are not free, or None
@@ -138,8 +136,6 @@ def adjust_bundle(
             away = offset_from_stated(estimate, stated, u)
             cost = float((residual**2).sum() + (u.prior * away**2).sum()) + spare
             blocks = normal_equations(few, derivatives, u, away)
-            if progress:
-                progress(cost)
         steps = solve_step(blocks, u, damping)
         moved = update_estimate(estimate, u, *steps)
         new = adjustment_cost(few, moved, stated, u, W) + spare
@@ -205,10 +201,10 @@ def _finish(
     given = np.linalg.inv(blocks.local)[:, :6, :6] * POSE_SCALE**2
     cost = float((residual**2).sum() + (u.prior * away**2).sum())
     own = factor * u.scale[:, None]
-    taken = (
+    fitted_count = (
         u.basis.shape[1] - (u.prior[:, None] * factor**2).sum()
     )  # a term held by what was stated takes no observation
-    dof = float(2 * len(observations) - u.used.sum() - taken)
+    dof = float(2 * len(observations) - u.used.sum() - fitted_count)
     return Adjustment(
         estimate.state,
         observations.uv - uv,

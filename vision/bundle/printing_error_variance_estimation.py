@@ -44,7 +44,7 @@ FEWEST = 16  # markers, from which a variance is told to a third of itself
 ROUNDS, SETTLED = 200, 1e-3  # of the fixed point; relative change of a standard deviation at which it ends
 LONGEST = 16.0  # times two rounds of the fixed point, a step that is extrapolated from them
 LEAST = 1e-3  # of what is tolerated, below which there is nothing
-SORTED, AGAIN, FALLS = (
+SORTED, REPEATS, FALLS = (
     2,
     4,
     0.95,
@@ -82,7 +82,7 @@ def adjust_with_estimated_printing_errors(
     if len(np.unique(retained.marker[good])) < FEWEST:
         return fit
     used, standing = np.zeros(len(good), bool), np.inf
-    for turn in range(AGAIN):
+    for turn in range(REPEATS):
         weights, now = inflate_repeated_corner_covariance(retained, good, a.state)
         if now >= FALLS * standing and (turn >= SORTED or (good == used).all()):
             break
@@ -145,30 +145,30 @@ def _print_information(observations: Observations, a: Adjustment, free: tuple[st
     )
 
 
-def _printing(told: _PrintInformation) -> Printing | None:
+def _printing(information: _PrintInformation) -> Printing | None:
     """Printing with the variances that are there beyond chance, or None where none is."""
-    there = np.ones(len(KINDS), bool)
-    sigma, best = _likeliest(told, there)
-    while there.any():
-        kinds = np.flatnonzero(there).tolist()
-        fewer = [there & (np.arange(len(KINDS)) != k) for k in kinds]
-        without = dict(zip(kinds, thread_map(partial(_likeliest, told, start=sigma), fewer)))
+    present = np.ones(len(KINDS), bool)
+    sigma, best = _likeliest(information, present)
+    while present.any():
+        kinds = np.flatnonzero(present).tolist()
+        fewer = [present & (np.arange(len(KINDS)) != k) for k in kinds]
+        without = dict(zip(kinds, thread_map(partial(_likeliest, information, start=sigma), fewer)))
         least = min(without, key=lambda k: without[k][1])
         if without[least][1] - best > PROOF:
             return Printing(*sigma.tolist())
-        there[least] = False
+        present[least] = False
         sigma, best = without[least]
     return None
 
 
-def _likeliest(told: _PrintInformation, there: Floats, start: Floats | None = None) -> tuple[Floats, float]:
-    """(standard deviations (kinds,) of those that are `there`, minus twice their restricted log likelihood but for a
+def _likeliest(information: _PrintInformation, present: Floats, start: Floats | None = None) -> tuple[Floats, float]:
+    """(standard deviations (kinds,) of those that are `present`, minus twice their restricted log likelihood but for a
     constant).
     """
-    sigma = np.where(there, 1.0 if start is None else start, 0.0)
-    walked = [np.append(sigma, told.cost / told.dof)]
+    sigma = np.where(present, 1.0 if start is None else start, 0.0)
+    walked = [np.append(sigma, information.cost / information.dof)]
     for _ in range(ROUNDS):
-        part = _of(told, walked[-1][:-1])
+        part = _of(information, walked[-1][:-1])
         new, old = _round(part, walked[-1]), walked[-1]
         done = (np.abs(new - old)[:-1] <= SETTLED * old[:-1]).all()
         new[:-1][new[:-1] < LEAST] = 0.0
@@ -178,12 +178,14 @@ def _likeliest(told: _PrintInformation, there: Floats, start: Floats | None = No
         if len(walked) == 3:
             walked = [_extrapolated(*walked)]
     sigma, noise = walked[-1][:-1], float(walked[-1][-1])
-    part = _of(told, sigma)
+    part = _of(information, sigma)
     width = sigma[part.kind]
     M = noise * np.eye(len(width)) + width[:, None] * part.information * width
     z = width * part.right
     likelihood = (
-        np.linalg.slogdet(M / noise)[1] + told.dof * np.log(noise) + (told.cost - z @ np.linalg.solve(M, z)) / noise
+        np.linalg.slogdet(M / noise)[1]
+        + information.dof * np.log(noise)
+        + (information.cost - z @ np.linalg.solve(M, z)) / noise
     )
     return sigma, float(likelihood)
 
@@ -217,10 +219,15 @@ def _extrapolated(first: Floats, second: Floats, third: Floats) -> Floats:
     return out
 
 
-def _of(told: _PrintInformation, sigma: Floats) -> _PrintInformation:
+def _of(information: _PrintInformation, sigma: Floats) -> _PrintInformation:
     """_Told of the numbers on prints that are not held at nothing. sigma : (kinds,)"""
-    on = np.flatnonzero(sigma[told.kind] > 0)
-    return replace(told, information=told.information[np.ix_(on, on)], right=told.right[on], kind=told.kind[on])
+    on = np.flatnonzero(sigma[information.kind] > 0)
+    return replace(
+        information,
+        information=information.information[np.ix_(on, on)],
+        right=information.right[on],
+        kind=information.kind[on],
+    )
 
 
 def _inverse(M: Floats) -> Floats:

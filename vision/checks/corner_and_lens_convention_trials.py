@@ -132,9 +132,9 @@ def measure_trial(sample: SampledRecording, free: tuple[str, ...] = ("poses", "l
     poor = sorted(
         set(measured.unsolved) - set(unsolved_frames_with_enough_markers(measured))
     )  # too little to see is nobody's mistake
-    told = ~np.isin(o.frames[o.frame], poor)
-    share = (miss[told] ** 2).sum() + LOST**2 * (~known).sum()
-    return Trial(float(np.sqrt(share / max(told.sum() + (~known).sum(), 1))), sample, measured, miss)
+    informative = ~np.isin(o.frames[o.frame], poor)
+    share = (miss[informative] ** 2).sum() + LOST**2 * (~known).sum()
+    return Trial(float(np.sqrt(share / max(informative.sum() + (~known).sum(), 1))), sample, measured, miss)
 
 
 def least_misfit_with_edge_bias(first: Trial, wanted: float) -> float:

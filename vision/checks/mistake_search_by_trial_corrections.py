@@ -317,7 +317,7 @@ def _camera_pose_mistakes(m: Measurement, design: Design) -> list[Mistake]:
             )
         ]
     for k in far:
-        what = min(ways[k], key=lambda way: ways[k][way])
+        what = min(ways[k], key=lambda trial: ways[k][trial])
         away = np.linalg.norm(stated[k].pose.translation - seen[k].pose.translation)
         turned = (stated[k].pose.rotation.inv() * seen[k].pose.rotation).magnitude()
         named = ways[k][what] < min(1.5, MENDED * _far(stated[k].pose, seen[k].pose))
@@ -348,8 +348,8 @@ def _lens(m: Measurement, design: Design) -> list[Mistake]:
     ones = list(zip(design.cameras, m.design.cameras))
     if not all(
         any(
-            conventions.is_same_lens(way, seen)
-            for way in (stated, *(other for *_, other in conventions.alternative_distortion_conventions(stated)))
+            conventions.is_same_lens(trial, seen)
+            for trial in (stated, *(other for *_, other in conventions.alternative_distortion_conventions(stated)))
         )
         for stated, seen in ones
     ):
@@ -360,7 +360,7 @@ def _lens(m: Measurement, design: Design) -> list[Mistake]:
             (what, do): conventions.rms_pixel_difference_of_distortions(other, seen)
             for what, do, other in conventions.alternative_distortion_conventions(stated)
         }
-        named = min(ways, key=lambda way: ways[way], default=None)
+        named = min(ways, key=lambda trial: ways[trial], default=None)
         if off > BENT and named is not None and ways[named] < min(SAME * off, conventions.ALIKE[2]):
             found.setdefault(named, []).append(stated.name)
     return [

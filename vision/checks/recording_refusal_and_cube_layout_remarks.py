@@ -205,10 +205,10 @@ def _cameras(design: Design, found: MarkerMap) -> Iterator[str]:
             continue
         rows = markers_expected_in_image(camera, RigidTransform.from_matrix(home.as_matrix()), found)[0]
         for body, words in BODIES.items():
-            there = found.on_platform == (body == "platform")
-            count = int(there[rows].sum())
-            if there.any() and count < FEWEST:
+            on_body = found.on_platform == (body == "platform")
+            count = int(on_body[rows].sum())
+            if on_body.any() and count < FEWEST:
                 yield (
-                    f"rig.toml: camera {camera.name} sees {count} of {there.sum()} markers of {words} with the "
+                    f"rig.toml: camera {camera.name} sees {count} of {on_body.sum()} markers of {words} with the "
                     "platform at home"
                 )

@@ -85,12 +85,12 @@ def marker_size_trials(sample: SampledRecording) -> Iterator[tuple[str | None, f
 
     Returns (body, ratio, Seen)
     """
-    told = {body: share for body, (share, pairs) in _marker_scale_ratios(sample).items() if pairs >= PAIRS}
-    firsts = sorted({round(share, 3) for share in told.values() if abs(share - 1) > PRINTED / 2})
+    ratios = {body: share for body, (share, pairs) in _marker_scale_ratios(sample).items() if pairs >= PAIRS}
+    firsts = sorted({round(share, 3) for share in ratios.values() if abs(share - 1) > PRINTED / 2})
     for first in firsts:
         for share in first * np.array([1.0, 0.99, 1.01]):
             yield None, float(share), scale_marker_sides(sample, float(share))
-    for body, share in told.items() if len(told) > 1 and firsts else ():
+    for body, share in ratios.items() if len(ratios) > 1 and firsts else ():
         yield body, share, scale_marker_sides(sample, share, body)
 
 

@@ -50,12 +50,12 @@ class EdgePixels(NamedTuple):
 class Raster(NamedTuple):
     """Room for the pixels of one image row after the other.
 
-    rows : (4, width) float32, local column, ideal coordinates, entry of the outlook; kept : (width,) int32 columns
+    rows : (4, width) float32, local column, ideal coordinates, entry of the outlook; retained : (width,) int32 columns
     x, y, greys : (k,) float32 and entries : (k,) int32 of all pixels that are near an edge, in the image's order
     """
 
     rows: Floats
-    kept: Floats
+    retained: Floats
     x: Singles
     y: Singles
     greys: Singles
@@ -133,7 +133,7 @@ def _outlook_code_table() -> Integers:
     return out
 
 
-_TOLD = _outlook_code_table()
+_OUTLOOKS = _outlook_code_table()
 _0, _1, _2, _4, _8, _16 = (np.float32(k) for k in (0, 1, 2, 4, 8, 16))  # numbers that keep kernels in single precision
 _MOST, _VIEWS, _NOWHERE, _CLEAR = np.float32(MOST), np.float32(VIEWS), np.float32(NOWHERE), np.float32(CLEAR / REACH)
 
@@ -166,7 +166,7 @@ def collect_edge_pixels(
     """
     cx, cy, scale = marker.centre
     box, lens, seen, n = marker.box, marker.lens, marker.outlook, marker.n
-    rows, retained = raster.rows, raster.kept
+    rows, retained = raster.rows, raster.retained
     columns, x, y, entries = rows[0], rows[1], rows[2], rows[3]
     for k in range(box[2] - box[0]):
         columns[k] = (box[0] + k - cx) / scale
@@ -262,17 +262,22 @@ def _sort(raster: Raster, count: int, seen: Floats, pixels: EdgePixels) -> int:
     first = pixels.first
     at = np.zeros(KINDS + 1, np.int64)
     for k in range(count):
-        at[_TOLD[seen[raster.entries[k]], 0] + 1] += 1
+        at[_OUTLOOKS[seen[raster.entries[k]], 0] + 1] += 1
     for kind in range(KINDS):
         at[kind + 1] += at[kind]
     for kind in range(KINDS + 1):  # not as one array, of which numba compiles half a second of error messages
         first[kind] = at[kind]
     for k in range(count):
         entry = raster.entries[k]
-        told = _TOLD[seen[entry]]
-        m = at[told[0]]
-        at[told[0]] = m + 1
+        outlook = _OUTLOOKS[seen[entry]]
+        m = at[outlook[0]]
+        at[outlook[0]] = m + 1
         cell = entry // VIEWS
-        pixels.x[m], pixels.y[m], pixels.greys[m], pixels.looks[m] = raster.x[k], raster.y[k], raster.greys[k], told[3]
-        pixels.i[m], pixels.j[m] = (cell & (MOST - 1)) - 2 + told[1], cell // MOST - 2 + told[2]
+        pixels.x[m], pixels.y[m], pixels.greys[m], pixels.looks[m] = (
+            raster.x[k],
+            raster.y[k],
+            raster.greys[k],
+            outlook[3],
+        )
+        pixels.i[m], pixels.j[m] = (cell & (MOST - 1)) - 2 + outlook[1], cell // MOST - 2 + outlook[2]
     return count

@@ -155,7 +155,7 @@ class Room(NamedTuple):
     bowed: Bow
     tables: Tables
     sums: Floats
-    told: Floats
+    outlooks: Floats
     hidden: Floats
 
 
@@ -348,9 +348,9 @@ def _fit_square(crop: Floats, marker: Printed, m: int, s: float, manner: FitSett
                 corners_to_image(lens, centre, quad, corners, fits.covariances[m])
                 for k in range(4):
                     quad[k, 0], quad[k, 1] = corners[k, 0], corners[k, 1]
-            there = collect_edge_pixels(crop, marker, quad, g, s, room.raster, every)
-            count = remove_occluded_pixels(every, g, hidden) if dropped else there
-            dropped = there - count
+            pixel_count = collect_edge_pixels(crop, marker, quad, g, s, room.raster, every)
+            count = remove_occluded_pixels(every, g, hidden) if dropped else pixel_count
+            dropped = pixel_count - count
             if count < FEWEST:
                 return NO_PIXELS
             away, collected, stride = 0.0, s, max(count // SAMPLE, 1)
@@ -386,7 +386,7 @@ def _fit_square(crop: Floats, marker: Printed, m: int, s: float, manner: FitSett
             whole = moved.moved < SETTLED and widened < SAMPLE_STEADY * s
             part = not whole
         elif moved.moved < SETTLED and widened < STEADY * s and away < STRAYED and s <= WIDENED * collected:
-            if counted.doubted and find_occluded_cells(every, g, work.rows, room.told, hidden):
+            if counted.doubted and find_occluded_cells(every, g, work.rows, room.outlooks, hidden):
                 lost, left = lost + counted.doubted, remove_occluded_pixels(every, g, hidden)
                 dropped, count = dropped + count - left, left
                 if count < FEWEST:

@@ -228,9 +228,9 @@ def _at_stated_places(placed: Floats, rows: Integers, markers: MarkerMap) -> Flo
     if not known.any():
         return (own[0].inv() * own).as_matrix()
     square = markers.in_marker[rows[known]]
-    there = np.concatenate([T.apply(points) for T, points in zip(own[np.flatnonzero(known)], square)])
+    stated_points = np.concatenate([T.apply(points) for T, points in zip(own[np.flatnonzero(known)], square)])
     stated = markers.corners[rows[known]].reshape(-1, 3)
-    turn, _ = Rotation.align_vectors(stated - stated.mean(axis=0), there - there.mean(axis=0))
+    turn, _ = Rotation.align_vectors(stated - stated.mean(axis=0), stated_points - stated_points.mean(axis=0))
     return (
-        RigidTransform.from_components(stated.mean(axis=0) - turn.apply(there.mean(axis=0)), turn) * own
+        RigidTransform.from_components(stated.mean(axis=0) - turn.apply(stated_points.mean(axis=0)), turn) * own
     ).as_matrix()

@@ -31,7 +31,7 @@ class Reach:
     """
 
     between: float
-    beside: float
+    adjacent: float
 
 
 def choose_poses_by_neighbours(solved_poses: Poses, candidates: dict[int, Sequence[Floats]], t: Floats) -> Poses:
@@ -90,15 +90,15 @@ def neighbour_rotation_scatter(solved_poses: Poses, t: Floats) -> Reach | None:
     None with too few.
     t : (F,) s
     """
-    between, beside = [], []
+    between, adjacent = [], []
     for f, T in solved_poses.items():
         before, after = _near(solved_poses, f, t)
         if before is not None and after is not None:
             between.append(rotation_angle(_between(solved_poses, before, after, f, t), T) / (t[after] - t[before]) ** 2)
-            beside.append(rotation_angle(solved_poses[before], T) / (t[f] - t[before]))
+            adjacent.append(rotation_angle(solved_poses[before], T) / (t[f] - t[before]))
     if len(between) < ENOUGH:
         return None
-    return Reach(MARGIN * np.quantile(between, 0.9), MARGIN * np.quantile(beside, 0.9))
+    return Reach(MARGIN * np.quantile(between, 0.9), MARGIN * np.quantile(adjacent, 0.9))
 
 
 def pose_from_neighbours(solved_poses: Poses, f: int, t: Floats, scatter: Reach) -> tuple[Floats | None, float]:
@@ -107,7 +107,7 @@ def pose_from_neighbours(solved_poses: Poses, f: int, t: Floats, scatter: Reach)
     Returns (None, inf) without any
     """
     before, after = _near(solved_poses, f, t)
-    ways = [(scatter.beside * abs(t[f] - t[k]), k) for k in (before, after) if k is not None]
+    ways = [(scatter.adjacent * abs(t[f] - t[k]), k) for k in (before, after) if k is not None]
     limit, nearest = min(ways, default=(np.inf, None))
     if before is not None and after is not None and scatter.between * (t[after] - t[before]) ** 2 < limit:
         return _between(solved_poses, before, after, f, t), max(LEAST, scatter.between * (t[after] - t[before]) ** 2)
@@ -121,12 +121,12 @@ def _near(found: Poses, f: int, t: Floats) -> list[int | None]:
         next(
             (
                 k
-                for k in range(f + way, min(max(f + way * AROUND, -1), last + 1), way)
+                for k in range(f + step, min(max(f + step * AROUND, -1), last + 1), step)
                 if k in found and abs(t[f] - t[k]) <= FAR
             ),
             None,
         )
-        for way in (-1, 1)
+        for step in (-1, 1)
     ]
 
 

@@ -41,7 +41,7 @@ class Watch:
         self._seen: dict[tuple[str, int], int] = defaultdict(int)
         self._missed: dict[tuple[str, int], int] = defaultdict(int)
         self._row: dict[tuple[str, int], int] = defaultdict(int)  # missed one after the other, up to now
-        self._said: set[tuple[str, str]] = set()
+        self._reported: set[tuple[str, str]] = set()
 
     def look(self, sight: Sight, noise: float | None) -> list[Alarm]:
         """Alarms that a sight gives cause for. noise : px of a corner, None while the cameras have not been
@@ -58,10 +58,10 @@ class Watch:
         fresh = [
             Alarm(kind, text)
             for (kind, what), text in found.items()
-            if (kind, what) not in self._said or kind == "unseen"
+            if (kind, what) not in self._reported or kind == "unseen"
         ]
-        self._said = set(found) | {
-            key for key in self._said if key[0] == "camera"
+        self._reported = set(found) | {
+            key for key in self._reported if key[0] == "camera"
         }  # a camera does not come back by itself
         return fresh
 

@@ -171,13 +171,13 @@ def _sight_from_hand(sight: Sight) -> Sight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Adjusted:
-    """What an adjustment came to. again : {(frame, camera): Detection} placed anew; spread : {camera: Spread}, both
+    """What an adjustment came to. refitted : {(frame, camera): Detection} placed anew; spread : {camera: Spread}, both
     empty where not learnt anew.
     """
 
     measurement: Measurement | None
     spread: dict[str, EdgeSpread]
-    again: dict[tuple[int, str], Detection]
+    refitted: dict[tuple[int, str], Detection]
 
 
 class Live:
@@ -203,9 +203,9 @@ class Live:
             tuple[int, str, Pixels]
         ] = []  # images from which the cameras' edges are learnt; none once they are
         self._spread = {camera.name: PLAIN_EDGE_SPREAD for camera in design.cameras}
-        self._pool, self._beside = ThreadPoolExecutor(worker_count()), ThreadPoolExecutor(1)
+        self._pool, self._adjusting_pool = ThreadPoolExecutor(worker_count()), ThreadPoolExecutor(1)
         self._adjusting: Future[_Adjusted] | None = None
-        self._told = 0  # frames of the last adjustment that was begun
+        self._adjusted_frames = 0  # frames of the last adjustment that was begun
 
     def take(self, frame: int, images: dict[str, Pixels], T_expected: RigidTransform | None = None) -> Sight:
         """The sight of a frame. images : {camera: as cv2 reads it}; T_expected : where the platform ought to be, or
@@ -244,9 +244,9 @@ class Live:
         to come.
         """
         due = max((count for count in TAUGHT if count <= self._solved), default=0)
-        if due > self._told and self._adjusting is None:
-            self._told = due
-            self._adjusting = self._beside.submit(
+        if due > self._adjusted_frames and self._adjusting is None:
+            self._adjusted_frames = due
+            self._adjusting = self._adjusting_pool.submit(
                 self._adjusted, tuple(self._rows), tuple(self._first), {c.name: c for c in self.cameras}
             )
             self._first = self._first if self._measurement is None else []
@@ -258,7 +258,9 @@ class Live:
         adjusting, self._adjusting = self._adjusting, None
         done = adjusting.result()
         self._spread |= done.spread
-        self._rows = [(frame, name, done.again.get((frame, name), detection)) for frame, name, detection in self._rows]
+        self._rows = [
+            (frame, name, done.refitted.get((frame, name), detection)) for frame, name, detection in self._rows
+        ]
         if done.measurement is not None:
             m = self._measurement = done.measurement
             self.cameras, self.noise, self._factor = m.design.cameras, m.noise, m.factor
@@ -309,7 +311,7 @@ class Live:
     def close(self) -> None:
         """End the threads, once what is adjusted has come to its end. Raises what that raised."""
         self._pool.shutdown()
-        self._beside.shutdown()
+        self._adjusting_pool.shutdown()
         if self._adjusting is not None:
             self._adjusting.result()
 

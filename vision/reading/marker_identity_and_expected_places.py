@@ -199,26 +199,26 @@ def _usurped(m: Measurement, marker_map: MarkerMap, read: ReadImage) -> dict[int
     for row in missing:
         sights = sightings_of_markers_facing_cameras(m.adjustment.state, marker_map)
         sights = sights.take(sights.marker == row)
-        there = []
+        visible = []
         for frame, camera in zip(sights.frame, sights.camera):
             if cameras[camera].mount != "moving":
                 rows, places = markers_expected_in_image(cameras[camera], m.T_base_platform[frame], marker_map)
                 if row in rows:
-                    there.append((int(m.frames[frame]), cameras[camera].name, places[rows == row][0]))
-        there = (
+                    visible.append((int(m.frames[frame]), cameras[camera].name, places[rows == row][0]))
+        visible = (
             [
-                there[k]
-                for k in np.unique(np.linspace(0, len(there) - 1, min(LOOKED_AT, len(there))).round().astype(int))
+                visible[k]
+                for k in np.unique(np.linspace(0, len(visible) - 1, min(LOOKED_AT, len(visible))).round().astype(int))
             ]
-            if there
+            if visible
             else []
         )
-        images = [(read(frame, name), place) for frame, name, place in there]
+        images = [(read(frame, name), place) for frame, name, place in visible]
         readings = [_reads_at(image, place, marker_map.dictionary[row]) for image, place in images if image is not None]
         votes = Counter(number for number in readings if number is not None)
-        if votes and max(votes.values()) >= min(LEAST, len(there)):
+        if votes and max(votes.values()) >= min(LEAST, len(visible)):
             other, like = votes.most_common(1)[0]
-            found[int(marker_map.id[row])] = Suspect(int(marker_map.id[row]), "other", other, 0, like, len(there))
+            found[int(marker_map.id[row])] = Suspect(int(marker_map.id[row]), "other", other, 0, like, len(visible))
     return found
 
 

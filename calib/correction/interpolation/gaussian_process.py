@@ -176,8 +176,8 @@ class Radial:
             flat = scaled.reshape(-1, scaled.shape[-1])
             k = self._covariance(flat)
             K = self._covariance(self.inputs) + np.diag(self.variances + self.noise**2)
-            told = np.einsum("ni,in->n", k, cho_solve(cho_factor(K, lower=True), k.T))
-            square = np.maximum(square - told.reshape(square.shape), 0)
+            explained = np.einsum("ni,in->n", k, cho_solve(cho_factor(K, lower=True), k.T))
+            square = np.maximum(square - explained.reshape(square.shape), 0)
         return np.sqrt(square)
 
     def _covariance(self, scaled: Floats) -> Floats:

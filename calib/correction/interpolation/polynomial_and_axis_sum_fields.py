@@ -60,13 +60,13 @@ class RegressionField:
     def error(self, x: Floats) -> Floats:
         x = np.asarray(x, float)
         inner = np.clip(x, self.low, self.high).reshape(-1, x.shape[-1])
-        told = ((self.functions(inner) @ self.root) ** 2).sum(axis=1)
+        leverage = ((self.functions(inner) @ self.root) ** 2).sum(axis=1)
         beyond = np.linalg.norm((inner - x.reshape(inner.shape)) / ((self.high - self.low) / 2), axis=1)
         middle = self.functions((self.low + self.high)[None] / 2)
         size = np.abs(
             (self.functions(inner) - middle) @ self.coefficients
         )  # as far as it goes over half the box, so far it may go on
-        square = told[:, None] * self.noise**2 + self.misfit**2 + (beyond[:, None] * size) ** 2
+        square = leverage[:, None] * self.noise**2 + self.misfit**2 + (beyond[:, None] * size) ** 2
         return np.sqrt(square).reshape(*x.shape[:-1], -1)
 
     def inside(self, x: Floats) -> Booleans:
@@ -96,11 +96,11 @@ def _shares(functions: Floats, known: FieldSamples) -> tuple[Floats, Floats, Flo
     """
     n, count = functions.shape
     U, s, Vt = np.linalg.svd(functions, full_matrices=False)
-    told = s > RANK * s[0]
-    root = Vt[told].T / s[told]
-    coefficients = root @ (U[:, told].T @ known.values)
+    determined = s > RANK * s[0]
+    root = Vt[determined].T / s[determined]
+    coefficients = root @ (U[:, determined].T @ known.values)
     left = ((known.values - functions @ coefficients) ** 2).sum(axis=0)
-    rank = int(told.sum())
+    rank = int(determined.sum())
     variance = left / max(n - rank, 1)
     stated = known.variances.mean(axis=0)
     noise = np.sqrt(np.maximum(variance, stated))

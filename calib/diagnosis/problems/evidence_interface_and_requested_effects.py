@@ -30,11 +30,11 @@ Made = TypeVar("Made", bound=Candidate)
 
 class EffectSites(NamedTuple):
     """places : at which an effect may be requested, None for any; searched : those at which candidates are made;
-    not_asked : what it cannot be asked for"""
+    not_tested : what it cannot be asked for"""
 
     places: tuple[str, ...] | None
     searched: tuple[str, ...]
-    not_asked: Sequence[NotAsked] = ()
+    not_tested: Sequence[NotAsked] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +69,8 @@ class RequestedEffects:
 
     def place(self, name: str, place: str) -> bool:
         """Whether an effect is asked for at a place."""
-        there = {name, f"{name} {place}"}
-        return (not self.only or bool(there & set(self.only))) and not there & set(self.without)
+        names = {name, f"{name} {place}"}
+        return (not self.only or bool(names & set(self.only))) and not names & set(self.without)
 
     def candidates(
         self, sites_of: Callable[[type[Effect]], EffectSites], candidates_at: Callable[[type[Effect], str], list[Made]]
@@ -86,7 +86,7 @@ class RequestedEffects:
         for kind in filter(lambda kind: self.touches(kind.name), self.kinds):
             try:
                 found = sites_of(kind)
-                skipped += found.not_asked
+                skipped += found.not_tested
                 if found.places is not None:
                     sites[kind.name] = found.places
                 for place in found.searched:
@@ -118,9 +118,9 @@ def require_assumed_effects_testable(
 
     Raises RigError otherwise.
     """
-    there = {(c.name, c.place) for c in candidates}
+    testable = {(c.name, c.place) for c in candidates}
     for name, place in stated_terms.assumed:
-        if (name, place) not in there:
+        if (name, place) not in testable:
             reasons = [s.reason for s in untestable_effects if s.effect == name]
             raise RigError(
                 f"{name} at {place} is assumed, but this recording cannot be tested for it"
@@ -340,7 +340,7 @@ class MeasuredFindings(Protocol):
         """Those findings."""
 
     @property
-    def measured_effects(self) -> tuple[Effect, ...]:
+    def effects_shown_by_instruments(self) -> tuple[Effect, ...]:
         """Their effects, as far as these make another machine."""
 
 

@@ -173,14 +173,14 @@ def _at(residuals: PoseResiduals, parts: Floats, values: Floats) -> tuple[Floats
     z = z - X @ np.linalg.solve(gram, np.einsum("fig,fi->g", columns, z))
     B = inverse @ parts
     moved = parts @ X  # (p, F, axes, g)
-    taken = np.linalg.solve(gram, np.einsum("fig,pfih->pgh", X, moved, optimize=True))
+    solution = np.linalg.solve(gram, np.einsum("fig,pfih->pgh", X, moved, optimize=True))
     gradient = 0.5 * (
-        np.einsum("fi,pfij,fj->p", z, parts, z, optimize=True) - np.einsum("pfii->p", B) + np.einsum("pgg->p", taken)
+        np.einsum("fi,pfij,fj->p", z, parts, z, optimize=True) - np.einsum("pfii->p", B) + np.einsum("pgg->p", solution)
     )
     flat = moved.reshape(len(parts), -1)
     twice = flat @ (inverse @ moved @ np.linalg.inv(gram)).reshape(len(parts), -1).T
     information = 0.5 * (
-        np.einsum("pfij,qfji->pq", B, B, optimize=True) - 2 * twice + np.einsum("pgh,qhg->pq", taken, taken)
+        np.einsum("pfij,qfji->pq", B, B, optimize=True) - 2 * twice + np.einsum("pgh,qhg->pq", solution, solution)
     )
     likelihood = np.linalg.slogdet(S)[1].sum() + np.linalg.slogdet(gram)[1] + (left * z).sum()
     return gradient, information, float(likelihood)

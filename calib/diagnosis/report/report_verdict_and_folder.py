@@ -4,7 +4,6 @@ The report holds its data, summary, doubts and actions; the folder diagnosis.jso
 """
 
 import json
-from collections.abc import Collection
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     WeighedPoses,
 )
 from calib.diagnosis.recording_diagnosis import Diagnosis
-from calib.diagnosis.report import report_sentences, residual_figures_and_finding_contributions
+from calib.diagnosis.report import diagnosis_texts, residual_figures_and_finding_contributions
 from calib.diagnosis.report.diagnosis_json_entries import (
     SCHEMA,
     UNKNOWN,
@@ -46,7 +45,7 @@ from calib.diagnosis.report.diagnosis_json_entries import (
     suggested_formula_entries,
     unnamed_finding_entries,
 )
-from calib.diagnosis.report.report_sentences import (
+from calib.diagnosis.report.diagnosis_texts import (
     as_sentence,
     finding_size_text,
     finding_title,
@@ -158,7 +157,7 @@ def summary_sentence(report: Report) -> str:
         )
         left += f", correlated with {' and '.join(worst.depends_on)}" if worst.depends_on else ""
     if not report.named:
-        clear = report_sentences.all_clear_sentence(report.crowd, report.noise_from, report.noise_times)
+        clear = diagnosis_texts.all_clear_sentence(report.crowd, report.noise_from, report.noise_times)
         return f"There is {left}." if left else clear
     main = report.mattering or report.named
     lines = [f"{finding_title(f)}{finding_size_text(f)}{stated_beforehand_text(f)}" for f in main]
@@ -202,26 +201,11 @@ def diagnosis_verdict(report: Report) -> Verdict:
     )
 
 
-def unexplained_sentences(report: Report, known_physics: Collection[tuple[str, str]] = ()) -> tuple[str, ...]:
-    """Sentences on what a Report leaves unexplained by the model.
-
-    known_physics : (effect, place) already modelled
-    """
-    named = [
-        f"the model omits {report_sentences.finding_title(f)}"
-        for f in report.mattering
-        if (f.effect, f.place) not in known_physics
-    ]
-    unknown = [
-        f"no catalogued effect explains the residual at {f.place}"
-        for f in report.unknown
-        if (f.effect, f.place) not in known_physics
-    ]
-    if (
-        not report.unknown
-        and report.unexplained is not None
-        and (UNKNOWN, report.unexplained.place) not in known_physics
-    ):
+def unexplained_sentences(report: Report) -> tuple[str, ...]:
+    """Sentences on what a Report leaves unexplained by the model."""
+    named = [f"the model omits {diagnosis_texts.finding_title(f)}" for f in report.mattering]
+    unknown = [f"no catalogued effect explains the residual at {f.place}" for f in report.unknown]
+    if not report.unknown and report.unexplained is not None:
         unknown = [f"no catalogued effect explains the residual at {report.unexplained.place}"]
     if report.crowd is not None:
         unknown.append("too many rows agree with no others for any to be excluded")
@@ -239,7 +223,7 @@ def missing_evidence_of_report(report: Report) -> tuple[MissingEvidence, ...]:
     if report.noise_from == ASSUMED_NOISE:
         missing.append(MissingEvidence("the noise is not stated, so unmodelled effects cannot be tested"))
     if report.noise_times:
-        missing.append(MissingEvidence(report_sentences.noise_times_text(report.noise_times), STATE_NOISE))
+        missing.append(MissingEvidence(diagnosis_texts.noise_times_text(report.noise_times), STATE_NOISE))
     if report.left_out:
         count = len(report.left_out)
         agreeing = f"{count} rows agree with no others and were" if count > 1 else "1 row agrees with no others and was"
@@ -259,8 +243,9 @@ def write_diagnosis_json(folder: Path, report: Report) -> None:
 def recommended_actions(report: Report) -> list[str]:
     """Recommended actions of a Report: what an owner does next."""
     actions = [
-        f"{report_sentences.finding_title(f)[0].upper()}{report_sentences.finding_title(f)[1:]}: "
-        f"{f.action}".removesuffix(".")
+        f"{diagnosis_texts.finding_title(f)[0].upper()}{diagnosis_texts.finding_title(f)[1:]}: {f.action}".removesuffix(
+            "."
+        )
         for f in report.mattering or report.named
         if f.action
     ]
@@ -299,10 +284,10 @@ def diagnosis_report(diagnosis: Diagnosis) -> Report:
         largest_unexplained(diagnosis),
         fits,
         fits[diagnosis.shown_in],
-        tuple(NotAskedEntry(s.effect, s.reason) for s in diagnosis.not_asked),
+        tuple(NotAskedEntry(s.effect, s.reason) for s in diagnosis.not_tested),
         tuple(negligible_finding_remark_entries(diagnosis)),
         covariate_entries(diagnosis.covariates),
-        diagnosis.options.said,
+        diagnosis.options.operator_statements,
         recording_entries(diagnosis.parts),
         effect_file_entries(diagnosis.options.own),
         suggested_formula_entries(diagnosis.suggestions),

@@ -173,9 +173,9 @@ def residuals_without_effects(refinement: Refinement, omitted_effects: tuple[int
     if len(retained) == len(k.effects):
         return model_residuals(model)
     done = residual_change_with_only_effects(model, retained)
-    taken = model.linear.project(done).onto
+    projected = model.linear.project(done).onto
     grown = [
-        (0 if part is None else part[:, 0]) - (cast(Floats, basis) @ taken)[:, 0]
+        (0 if part is None else part[:, 0]) - (cast(Floats, basis) @ projected)[:, 0]
         for part, basis in zip(done.parts, model.linear.columns.parts)
     ]
     return closures_in_metres(model, model.closure_residual + grown[CLOSURES]), _in_pixels(
@@ -220,12 +220,12 @@ def effect_residual_figures(refinement: Refinement, number: int) -> str:
     }
     if effect.view in draw:
         return draw[effect.view]()
-    way = image_before[own] - image_after[own]
-    size = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
+    displacement = image_before[own] - image_after[own]
+    size = np.maximum(np.linalg.norm(displacement, axis=1, keepdims=True), 1e-12)
     return residual_scatter_figure(
         size[:, 0],
         "displacement that it causes, px",
-        [np.einsum("ni,ni->n", v[own], way / size) for v in (image_before, image_after)],
+        [np.einsum("ni,ni->n", v[own], displacement / size) for v in (image_before, image_after)],
         "residual along it, px",
     )
 
@@ -234,12 +234,12 @@ def _along_time(k: OperatingPoint, own: Integers, before: Floats, after: Floats)
     """Mean residuals of each picture along the way that the effect moves it most."""
     frame = k.observed.observations.frame[own]
     along = _mean(frame, before[own] - after[own])
-    way = along[np.argmax(np.linalg.norm(along, axis=1))]
-    way = way / max(np.linalg.norm(way), 1e-12)
+    direction = along[np.argmax(np.linalg.norm(along, axis=1))]
+    direction = direction / max(np.linalg.norm(direction), 1e-12)
     return residual_scatter_figure(
         k.t[np.unique(frame)] / 60,
         "time, min",
-        [_mean(frame, v[own] @ way) for v in (before, after)],
+        [_mean(frame, v[own] @ direction) for v in (before, after)],
         "mean of a picture's corners, px",
     )
 

@@ -44,9 +44,9 @@ class Outline:
         self._shapes: list[tuple[Floats, str, int, str]] = []
         self._words: list[tuple[Floats, str, int]] = []
 
-    def line(self, points: ArrayLike, colour: int, said: str = "") -> None:
-        """A line through points (n, 3) m. colour : of a finding, or PLAIN; said : what it is"""
-        self._shapes.append((_oblique_projection(np.asarray(points, float)), "outline", colour, said))
+    def line(self, points: ArrayLike, colour: int, tooltip: str = "") -> None:
+        """A line through points (n, 3) m. colour : of a finding, or PLAIN; tooltip : what it is"""
+        self._shapes.append((_oblique_projection(np.asarray(points, float)), "outline", colour, tooltip))
 
     def patch(self, points: Floats, style: str, colour: int = PLAIN) -> None:
         """A filled polygon of points (n, 3) m. style : plate or patch"""
@@ -215,11 +215,11 @@ def arm_outline_figures(arm: Arm | Chain, q: Floats, marked_joints: dict[int, di
 
 
 class Mark(NamedTuple):
-    """How a joint is drawn. place : its own; size : of what was found there, 0 to 1, None for nothing; said : of it."""
+    """How a joint is drawn. place : its own; size : of what was found there, 0 to 1, None for nothing; tooltip."""
 
     place: str
     size: float | None
-    said: str
+    tooltip: str
 
 
 def _view(title: str, ghosts: Floats, points: Floats, joints: Floats, marks: list[Mark]) -> str:
@@ -233,24 +233,24 @@ def _view(title: str, ghosts: Floats, points: Floats, joints: Floats, marks: lis
         (ARM_FIGURE_HEIGHT - 2 * ARM_MARGIN) / max(high[1] - low[1], 1e-9),
     )
 
-    def placed(way: Floats) -> list[list[float]]:
+    def placed(outline: Floats) -> list[list[float]]:
         return np.stack(
             [
-                ARM_MARGIN + scale * (way[:, 0] - low[0]),
-                20 + ARM_FIGURE_HEIGHT - ARM_MARGIN - scale * (way[:, 1] - low[1]),
+                ARM_MARGIN + scale * (outline[:, 0] - low[0]),
+                20 + ARM_FIGURE_HEIGHT - ARM_MARGIN - scale * (outline[:, 1] - low[1]),
             ],
             axis=1,
         ).tolist()
 
-    def drawn(way: Floats, style: str) -> str:
-        return f'<path class="{style}" d="M' + "L".join(f"{x:.1f} {y:.1f}" for x, y in placed(way)) + '"/>'
+    def drawn(outline: Floats, style: str) -> str:
+        return f'<path class="{style}" d="M' + "L".join(f"{x:.1f} {y:.1f}" for x, y in placed(outline)) + '"/>'
 
     parts = [svg_text(4, 14, title, style="name"), *(drawn(ghost, "tick") for ghost in ghosts), drawn(points, "link")]
     for j, (mark, (x, y)) in enumerate(zip(marks, placed(joints))):
         parts += [
             f'<circle class="joint{"" if mark.size is None else " marked"}" cx="{x:.1f}" cy="{y:.1f}" '
             f'r="{8 + 5 * (mark.size or 0.0):.1f}">'
-            f"{svg_tooltip(mark.said)}</circle>",
+            f"{svg_tooltip(mark.tooltip)}</circle>",
             svg_text(x, y + 4, str(j + 1), "middle", "within"),
         ]
     return svg_figure(

@@ -114,10 +114,10 @@ def certify_arm(
         _PredictionMethod(False, False)
     ] * requested
     good = _counted(found, samples)
-    retained, of_kept = samples.take(good), label[good]
+    retained, retained_label = samples.take(good), label[good]
     errors = {
-        way: (before[good], after[good])
-        for way, (before, after) in zip(
+        method: (before[good], after[good])
+        for method, (before, after) in zip(
             ways, _held_out((samples, physics), nominal, instrument, (parts, start), ways, report)
         )
     }
@@ -134,7 +134,7 @@ def certify_arm(
         correction, found = _profiled(known, correction, found)
     covariance, best = retained.total_covariance(), full if profiled else plain
     held, drawn, bare = (
-        compare_errors(*each, covariance, rng, of_kept)
+        compare_errors(*each, covariance, rng, retained_label)
         for each in (best, (before[good], after[good]), errors[_PredictionMethod(False, False)])
     )
     agreed, whole = samples.take(found.inliers), len(found.scatter) == 6
@@ -149,7 +149,7 @@ def certify_arm(
             else np.zeros(2)
         )
         left = mean_square_held_out_errors_by_configuration(
-            best[1] - _shared_errors(retained, found.shared), retained, of_kept, 0.0, own
+            best[1] - _shared_errors(retained, found.shared), retained, retained_label, 0.0, own
         )
     return CertifiedArm(
         correction,
@@ -214,7 +214,7 @@ def _enough_for_any(samples: Samples, nominal: Arm) -> None:
 def _enough(samples: Samples, found: Identified, label: Integers, parts: Integers) -> bool:
     """Whether there are LEAST configurations, and more equations than parameters without the largest part."""
     left = len(samples) - np.bincount(parts).max()
-    return label.max() + 1 >= LEAST and left * found.residuals.shape[1] > found.rank.asked
+    return label.max() + 1 >= LEAST and left * found.residuals.shape[1] > found.rank.requested
 
 
 def calibrate_arm(
@@ -306,25 +306,28 @@ def _held_out(
     instrument: Instrument | None,
     plan: tuple[Integers, Arm],
     ways: list[_PredictionMethod],
-    said: Progress,
+    progress: Progress,
 ) -> list[tuple[Floats, Floats]]:
     """(before, after), (n, 6) each, of parts held out in turn, in each of the ways asked for."""
     (samples, physics), (part, start) = known, plan
     out = [(np.empty((len(samples), 6)), np.empty((len(samples), 6))) for _ in ways]
     for k in np.unique(part):
-        told = {False: samples} if physics is None else {False: samples, True: physics.without(part == k)}
+        samples_by_physics = {False: samples} if physics is None else {False: samples, True: physics.without(part == k)}
         plain = {
-            asked: _geometry(told[asked].take(part != k), nominal, instrument, start)
-            for asked in {way.physics for way in ways}
+            with_physics: _geometry(samples_by_physics[with_physics].take(part != k), nominal, instrument, start)
+            for with_physics in {method.physics for method in ways}
         }
         for (before, after), (requested, profiled) in zip(out, ways):
             correction, found = plain[requested]
             if profiled:
-                correction, _ = _profiled(told[requested].take(part != k), correction, found)
+                correction, _ = _profiled(samples_by_physics[requested].take(part != k), correction, found)
             before[part == k], _ = errors_before_and_after_correction(correction, samples.take(part == k))
-            _, after[part == k] = errors_before_and_after_correction(correction, told[requested].take(part == k))
-        said(
-            "cross-validating configurations" + (", joints corrected" if any(way.profiles for way in ways) else ""),
+            _, after[part == k] = errors_before_and_after_correction(
+                correction, samples_by_physics[requested].take(part == k)
+            )
+        progress(
+            "cross-validating configurations"
+            + (", joints corrected" if any(method.profiles for method in ways) else ""),
             int(k) + 1,
             part.max() + 1,
         )

@@ -41,14 +41,17 @@ def _solution_from_start(T_base_platform: RigidTransform, arm: Arm, start: Float
     """
     q = np.array(start, float)
     begin = mechanism.forward(q, arm)
-    way = pose_difference(begin, T_base_platform)
+    displacement = pose_difference(begin, T_base_platform)
     length = np.stack(
-        [np.linalg.norm(way[:, part], axis=1) / size for part, size in zip((slice(0, 3), slice(3, 6)), BRANCH_STEP)]
+        [
+            np.linalg.norm(displacement[:, part], axis=1) / size
+            for part, size in zip((slice(0, 3), slice(3, 6)), BRANCH_STEP)
+        ]
     )
     steps = np.clip(np.ceil(length.max(axis=0)), 1, MOST)
     for k in range(1, int(steps.max(initial=0)) + 1):
         going = np.flatnonzero(steps >= k)
-        at = begin[going] * exp((k / steps[going])[:, None] * way[going])
+        at = begin[going] * exp((k / steps[going])[:, None] * displacement[going])
         for _ in range(REPEATS):
             J = mechanism.jacobian(q[going], arm)
             error = pose_difference(mechanism.forward(q[going], arm), at)

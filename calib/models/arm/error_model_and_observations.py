@@ -306,18 +306,18 @@ NAMED = 0.1  # share of the greatest coefficient from which a parameter is named
 @dataclass(frozen=True, slots=True, eq=False)
 class Rank:
     """free : (p,) bool, parameters fitted; dependent : pairs (held parameter, those it cannot be distinguished from)
-    condition : of the columns that were fitted, scaled by what is plausible; asked : parameters asked for."""
+    condition : of the columns that were fitted, scaled by what is plausible; requested : parameters asked for."""
 
     free: Booleans
     dependent: tuple[tuple[str, tuple[str, ...]], ...]
     condition: float
-    asked: int
+    requested: int
 
     def report(self) -> list[str]:
         """Lines for a reader."""
-        if not self.asked:
+        if not self.requested:
             return ["no parameters were fitted"]
-        lines = [f"{self.free.sum()} of {self.asked} parameters fitted; condition number {self.condition:.0f}"]
+        lines = [f"{self.free.sum()} of {self.requested} parameters fitted; condition number {self.condition:.0f}"]
         lines += [
             f"{name} cannot be distinguished from {', '.join(others)} and remains as stated"
             if others

@@ -193,9 +193,9 @@ def _settle(
     W = np.linalg.inv(np.linalg.cholesky(observations.covariance + np.diag(scatter**2)))[inliers]
     J = observations.jacobian(arm)
     B = W @ J[inliers]
-    beside = None if tilts is None else whitened_tilt_rows_and_columns(observations, arm, tilts)
+    tilt_columns = None if tilts is None else whitened_tilt_rows_and_columns(observations, arm, tilts)
     rank = independent(
-        _with_tilt_columns(B.reshape(-1, B.shape[-1]), beside, tilts),
+        _with_tilt_columns(B.reshape(-1, B.shape[-1]), tilt_columns, tilts),
         free,
         error_model_and_observations.parameter_names(arm),
         error_model_and_observations.parameter_units(arm),
@@ -203,10 +203,10 @@ def _settle(
     for iteration in range(MAX_ITERATIONS):
         if iteration:
             J = observations.jacobian(arm)
-            beside = None if tilts is None else whitened_tilt_rows_and_columns(observations, arm, tilts)
+            tilt_columns = None if tilts is None else whitened_tilt_rows_and_columns(observations, arm, tilts)
         below = None
-        if beside is not None and tilts is not None:
-            rows, columns = beside
+        if tilt_columns is not None and tilts is not None:
+            rows, columns = tilt_columns
             below = (columns[:, rank.free], rows.whitened_mounting(tilts), rows.whitened_residuals(tilts))
         fit = _solve(observations.residuals(arm), J[..., rank.free], observations.common, W, inliers, below)
         step = np.zeros(len(free))
@@ -220,12 +220,12 @@ def _settle(
     )
 
 
-def _with_tilt_columns(B: Floats, beside: tuple[TiltRows, Floats] | None, tilts: TiltWeights | None) -> Floats:
+def _with_tilt_columns(B: Floats, tilt_columns: tuple[TiltRows, Floats] | None, tilts: TiltWeights | None) -> Floats:
     """Whitened columns (rows, p) of the parameters with those that tilt sensors add, their mounting projected out."""
-    if beside is None or tilts is None:
+    if tilt_columns is None or tilts is None:
         return B
-    Q = np.linalg.qr(beside[0].whitened_mounting(tilts))[0]
-    return np.concatenate([B, beside[1] - Q @ (Q.T @ beside[1])])
+    Q = np.linalg.qr(tilt_columns[0].whitened_mounting(tilts))[0]
+    return np.concatenate([B, tilt_columns[1] - Q @ (Q.T @ tilt_columns[1])])
 
 
 def _solve(

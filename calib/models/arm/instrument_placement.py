@@ -299,8 +299,8 @@ def _from_orientations(observations: Observations, arm: Arm, base: bool, tool: b
     assert isinstance(value, RigidTransform)
     M, X, Z = value.rotation.as_matrix(), arm.base.rotation.as_matrix(), arm.tool.rotation.as_matrix()
     if base and tool:
-        X, Z, told = solve_rotation_placement(M, F)
-        if told < TELLS:
+        X, Z, determined = solve_rotation_placement(M, F)
+        if determined < TELLS:
             raise RigError(
                 "orientations of a hand that turns about one axis only leave a family of poses of base and "
                 "target; move more joints, or "

@@ -62,7 +62,7 @@ class History:
     commands: Commands
     sensors: Sensors | None
 
-    def told(self, samples: Samples, effects: tuple[Effect, ...], arm: Arm) -> Samples:
+    def with_effects(self, samples: Samples, effects: tuple[Effect, ...], arm: Arm) -> Samples:
         """Samples as measured, with what effects do to their commands on an arm."""
         return samples_with_effects(replace(self.design, mechanism=arm), samples, self.commands, effects, self.sensors)
 
@@ -127,7 +127,7 @@ class JointFit:
     samples: Samples = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "samples", self.history.told(self.measured, self.effects, self.arm))
+        object.__setattr__(self, "samples", self.history.with_effects(self.measured, self.effects, self.arm))
 
     def without(self, held: Booleans) -> Samples:
         """All samples, with what effects of this structure do to their commands, fitted to those alone that are not
@@ -136,7 +136,7 @@ class JointFit:
         rest = _refined(
             self.measured.take(~held), self.history, self.arm, self.effects, self.before, self.columns.take(~held)
         )
-        return self.history.told(self.measured, rest.effects, rest.arm)
+        return self.history.with_effects(self.measured, rest.effects, rest.arm)
 
     def response(self, found: Identified) -> Floats:
         """(p, c) by which the geometry's parameters follow the effects' coordinates, of an arm identified on these
@@ -159,7 +159,7 @@ def fit_geometry_and_effects(
     """
     arm, columns = start, None
     for _ in range(ROUNDS):
-        arm = history.identified(history.told(measured, effects, arm), arm).arm
+        arm = history.identified(history.with_effects(measured, effects, arm), arm).arm
         columns = _columns(measured, history, effects, arm, columns)
         done = _refined(measured, history, arm, effects, prior, columns)
         effects, arm, columns = done.effects, done.arm, done.columns
@@ -242,25 +242,25 @@ class WhitenedSamples:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Prior:
     """What is known of c coordinates. values, weight : (c,) of each, 0 where nothing is; ends : (c, 2) bounds;
-    kept : (k, c) sums that stay.
+    conserved : (k, c) sums that stay.
     """
 
     values: Floats
     weight: Floats
     ends: Floats
-    kept: Floats
+    conserved: Floats
 
     @staticmethod
     def of(coordinates: list[Coordinate], effects: tuple[Effect, ...], before: Prior | None) -> "_Prior":
         loose = np.array([c.loose for c in coordinates]) ** 2
-        told, values = np.zeros(len(loose)), np.zeros(len(loose))
+        weight, values = np.zeros(len(loose)), np.zeros(len(loose))
         if before is not None:  # of the first: what was added since is of these samples alone
             count = len(before.sigma)
-            told[:count] = np.maximum(before.sigma, 1e-300) ** -2.0
-            values[:count] = told[:count] * before.values / np.maximum(loose + told, 1e-300)[:count]
+            weight[:count] = np.maximum(before.sigma, 1e-300) ** -2.0
+            values[:count] = weight[:count] * before.values / np.maximum(loose + weight, 1e-300)[:count]
         return _Prior(
             values,
-            loose + told,
+            loose + weight,
             np.array([c.ends for c in coordinates], float).reshape(-1, 2),
             conserved_coordinate_sums(coordinates, effects),
         )
@@ -274,7 +274,7 @@ def _refined(
 ) -> JointFit:
     """Together from where effects and an Arm stand, with the geometry that is left in the end."""
     coordinates = coordinates_of_effects(effects)
-    samples = history.told(measured, effects, arm)
+    samples = history.with_effects(measured, effects, arm)
     seen = WhitenedSamples.of(samples, history.identified(samples, arm))
     prior, own = _Prior.of(coordinates, effects, before), np.zeros((0, 0))
     values, left = _values(coordinates, effects), seen.left(samples)
@@ -286,14 +286,14 @@ def _refined(
             C.T @ C + np.diag(prior.weight),
             values,
             prior.ends,
-            prior.kept,
+            prior.conserved,
         )
         cost, gain = left @ left + prior.cost(values), 0.0
         for halving in range(HALVINGS):
             tried = effects_with_coordinates(effects, coordinates, values + 0.5**halving * step)
             if tried is None:
                 continue
-            new, after = _values(coordinates, tried), seen.left(history.told(measured, tried, arm))
+            new, after = _values(coordinates, tried), seen.left(history.with_effects(measured, tried, arm))
             gain = float(cost - after @ after - prior.cost(new))
             if gain >= 0:
                 effects, values, left = tried, new, after
@@ -301,7 +301,7 @@ def _refined(
         if gain < SETTLED * max(cast(float, cost / len(left)), 1.0):
             break
         columns = _columns(measured, history, effects, arm, columns)
-    found = history.identified(history.told(measured, effects, arm), arm)
+    found = history.identified(history.with_effects(measured, effects, arm), arm)
     return JointFit(measured, history, effects, found.arm, own, columns, before)
 
 

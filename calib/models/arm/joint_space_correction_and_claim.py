@@ -115,8 +115,12 @@ def commanded_minus_joint_values_of_measured_poses(samples: Samples, arm: Arm, s
     q, away, V = o.q.copy(), np.einsum("mkj,j->mk", o.common, shared), np.swapaxes(Vt, 1, 2)
     across, along = np.swapaxes(U[..., : s.shape[1]], 1, 2), V[..., : s.shape[1]]
     far = np.abs(across @ (W @ (o.residuals(arm) - away)[..., None]))[..., 0]
-    told = (s * limit >= 1) & (far <= s * PLAUSIBLE["rad"])
-    across, along, untold = across * told[..., None], along * told[:, None], np.eye(s.shape[1]) * ~told[:, None]
+    determined = (s * limit >= 1) & (far <= s * PLAUSIBLE["rad"])
+    across, along, untold = (
+        across * determined[..., None],
+        along * determined[:, None],
+        np.eye(s.shape[1]) * ~determined[:, None],
+    )
     for _ in range(STEPS):  # Newton along the directions that are told
         now = replace(o, q=q)
         rest = (
@@ -135,7 +139,7 @@ def commanded_minus_joint_values_of_measured_poses(samples: Samples, arm: Arm, s
             "values; is it that machine's?"
         )
     variances = np.full((len(q), Vt.shape[1]), limit**2)
-    variances[:, : s.shape[1]] = np.where(told, 1 / np.maximum(s, 1 / limit) ** 2, limit**2)
+    variances[:, : s.shape[1]] = np.where(determined, 1 / np.maximum(s, 1 / limit) ** 2, limit**2)
     return CorrectionSummands(o.q - q, (V * variances[:, None]) @ np.swapaxes(V, 1, 2))
 
 
@@ -258,17 +262,17 @@ def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.ra
     each = mean_sample_per_configuration(
         samples, certified.label, error_model_and_observations.joint_jacobian(samples.commanded, correction.fitted)
     )
-    way = "nothing at all" if correction.extension is None else correction.extension.kind
-    told = ConfigurationInformation(
-        len(each), 0, 0, 0, f"no parameters were fitted: the summands are extended by {way}"
+    extension = "nothing at all" if correction.extension is None else correction.extension.kind
+    information = ConfigurationInformation(
+        len(each), 0, 0, 0, f"no parameters were fitted: the summands are extended by {extension}"
     )
     middle = f"the middle {FILL * 100:.0f} % of the recorded angles, all joints independent"
     if len(each) < LEAST:
-        return empty_claim_of_too_few_configurations(told, middle)
+        return empty_claim_of_too_few_configurations(information, middle)
     q = _places(correction)
     T = correction.predict(q)
     if certified.left is None:
-        return empty_claim_without_held_out_data(told, middle)
+        return empty_claim_without_held_out_data(information, middle)
     stated = float(
         mean_square_pose_errors_of_extension(
             correction, q, error_model_and_observations.joint_jacobian(q, correction.fitted)
@@ -281,7 +285,7 @@ def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.ra
         Workspace(error_model_and_observations.parameter_jacobian(q, correction.fitted), offset, own, middle),
         np.zeros((DRAWS, len(known))),
         each,
-        told,
+        information,
         rng,
     )
 
@@ -326,7 +330,7 @@ def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.rando
             int(certified.label.max()) + 1,
             fitted,
             fitted,
-            found.rank.asked,
+            found.rank.requested,
             "all determined parameters are fitted without one",
             "none",
             None,
@@ -342,11 +346,11 @@ def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.rando
     words = f"the middle {FILL * 100:.0f} % of the recorded angles, all joints independent"
     fitted = int(found.rank.free.sum())
     configurations = len(np.unique(certified.label[good]))
-    told = ConfigurationInformation(
-        configurations, fitted, fitted, found.rank.asked, "all determined parameters are fitted without one"
+    information = ConfigurationInformation(
+        configurations, fitted, fitted, found.rank.requested, "all determined parameters are fitted without one"
     )
     if certified.held_out is None:
-        return empty_claim_of_too_few_configurations(told, words)
+        return empty_claim_of_too_few_configurations(information, words)
     seen = np.stack([each.commanded.min(axis=0), each.commanded.max(axis=0)], axis=1)
     q = sobol_configurations(seen, PLACES, FILL)
     hand = None if retained.hand is None else np.arange(len(q)) % hands  # the hands in turn
@@ -375,6 +379,6 @@ def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.rando
     draws = rng.multivariate_normal(np.zeros(len(repeated.covariance)), repeated.covariance, DRAWS, method="eigh")
     draws *= np.sqrt(draw_variance_ratio(float((whitened**2).sum()), freedom, DRAWS, rng))[:, None]
     return replace(
-        claim_from_machine_draws(workspace, draws, each, told, rng),
+        claim_from_machine_draws(workspace, draws, each, information, rng),
         unexplained=unexplained_scatter_sentences(repeated.scatter, observed.covariance),
     )

@@ -133,7 +133,7 @@ def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.r
     each = mean_sample_per_configuration(retained, label, mechanism.jacobian(retained.commanded, nominal))
     words = f"the middle {FILL * 100:.0f} % of every travel, all axes independent"
     requested = int((error_model_and_identification.parameter_tolerances(nominal) > 0).sum())
-    told = ConfigurationInformation(
+    information = ConfigurationInformation(
         len(each),
         requested - len(found.undetermined),
         requested - len(found.undetermined),
@@ -141,7 +141,7 @@ def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.r
         "parameters that no pose determines remain as stated",
     )
     if len(each) < LEAST:
-        return empty_claim_of_too_few_configurations(told, words)
+        return empty_claim_of_too_few_configurations(information, words)
     values, T = solvable_commands_and_poses(
         sobol_configurations(mechanism.travel_ranges(nominal), PLACES, FILL), certified.correction
     )
@@ -158,7 +158,7 @@ def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.r
     )
     draws = rng.multivariate_normal(np.zeros(len(found.covariance)), found.covariance, DRAWS, method="eigh")
     return replace(
-        claim_from_machine_draws(workspace, draws, each, told, rng),
+        claim_from_machine_draws(workspace, draws, each, information, rng),
         unexplained=unexplained_scatter_sentences(found.scatter, each.covariance),
     )
 

@@ -196,7 +196,7 @@ def noise_leverage(linear: Linear, inliers: Booleans, sigma: Floats) -> Floats:
 
 ROUNDS = 4  # of weighing anew by what scatters beyond the instrument's own
 SETTLED = 1e-3  # share by which the scatter may still change
-TOLD = 0.25  # share of its plausible variance below which a combination is told: half of its size
+DETERMINED = 0.25  # share of its plausible variance below which a combination is told: half of its size
 NAMED = 0.25  # share of a combination's largest part from which a parameter is named
 ALIKE = 0.05  # share of a combination that need not be the motion of a base
 LISTED = 4  # parameters that a combination is told by
@@ -248,8 +248,8 @@ class Identified:
     def report(self) -> list[str]:
         """Lines for a reader, stage by stage, then what cannot be told apart."""
         lines = [
-            f"stage {k + 1} ({stage.kind}): {told} of {asked} combinations of its parameters are determined"
-            for k, (stage, (told, asked)) in enumerate(zip(self.chain.stages, self.determined_by_stage))
+            f"stage {k + 1} ({stage.kind}): {determined} of {requested} combinations of its parameters are determined"
+            for k, (stage, (determined, requested)) in enumerate(zip(self.chain.stages, self.determined_by_stage))
         ]
         lines += [f"stage {k}: {agree} of {of} of its own poses are used" for k, agree, of in self.below]
         for upper, lower in sorted({one.base_stages for one in self.undetermined if one.base_stages is not None}):
@@ -322,8 +322,8 @@ def identify_chain(samples: Samples, nominal: Chain) -> Identified:
         chain_with_parameter_step(nominal, step),
         step,
         covariance,
-        _told(covariance, sigma, nominal),
-        _untold(covariance, sigma, nominal),
+        _determined_by_stage(covariance, sigma, nominal),
+        _undetermined(covariance, sigma, nominal),
         scatter[0],
         found.inliers[rows[0]],
         below,
@@ -344,17 +344,17 @@ def _agreeing(linear: Linear, rows: list[Integers]) -> Booleans:
     return near
 
 
-def _told(covariance: Floats, sigma: Floats, chain: Chain) -> tuple[tuple[int, int], ...]:
+def _determined_by_stage(covariance: Floats, sigma: Floats, chain: Chain) -> tuple[tuple[int, int], ...]:
     """(told, asked) combinations of each stage: those left with less than half of what is plausible."""
     out = []
     for part in stage_parameter_slices(chain):
         own = np.flatnonzero(sigma[part] > 0) + part.start
         left = np.linalg.eigvalsh(covariance[np.ix_(own, own)] / np.outer(sigma[own], sigma[own]))
-        out.append((int((left < TOLD).sum()), len(own)))
+        out.append((int((left < DETERMINED).sum()), len(own)))
     return tuple(out)
 
 
-def _untold(covariance: Floats, sigma: Floats, chain: Chain) -> tuple[UndeterminedParameters, ...]:
+def _undetermined(covariance: Floats, sigma: Floats, chain: Chain) -> tuple[UndeterminedParameters, ...]:
     """The combinations of all parameters that keep more than half of what is plausible, the least told first."""
     free = np.flatnonzero(sigma > 0)
     values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free]))
@@ -363,7 +363,7 @@ def _untold(covariance: Floats, sigma: Floats, chain: Chain) -> tuple[Undetermin
         [np.full(part.stop - part.start, k + 1) for k, part in enumerate(stage_parameter_slices(chain))]
     )[free]
     for i in np.argsort(-values):
-        if values[i] <= TOLD:
+        if values[i] <= DETERMINED:
             break
         v = vectors[:, i] * np.sign(vectors[np.argmax(np.abs(vectors[:, i])), i])
         order = np.argsort(-np.abs(v))

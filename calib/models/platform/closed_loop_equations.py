@@ -264,10 +264,10 @@ def linearised_loops_of_more_than_six_struts(
 
 def loop_covariance(A: Floats, covariance: Floats) -> Floats:
     """Covariance (n, axes, axes) m^2 that poses' covariance (n, 6, 6) gives loops of a Jacobian A (n, axes, 6)."""
-    return with_reading(A @ covariance @ np.swapaxes(A, 1, 2))
+    return covariance_with_length_resolution(A @ covariance @ np.swapaxes(A, 1, 2))
 
 
-def with_reading(covariance: Floats) -> Floats:
+def covariance_with_length_resolution(covariance: Floats) -> Floats:
     """Covariance (n, axes, axes) m^2 of loops with how finely lengths are known: READING where more loops than six have
     combinations that no pose moves, which nothing else bounds.
     """

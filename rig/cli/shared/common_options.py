@@ -308,9 +308,9 @@ def worker_pool() -> Iterator[Executor]:
 
     Calls not begun are dropped at its end.
     """
-    there = parallel_map_and_dask_cluster.current_cluster()
-    if there is not None:
-        yield there.executor()
+    cluster = parallel_map_and_dask_cluster.current_cluster()
+    if cluster is not None:
+        yield cluster.executor()
         return
     threads = ThreadPoolExecutor(worker_count())
     try:

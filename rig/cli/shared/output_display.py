@@ -128,7 +128,7 @@ class Progress:
         self.label: str | None = None
         self.timer: threading.Timer | None = None
         self.every, self.began = every, time.monotonic()
-        self.from_then, self.said = self.began + silent, self.began
+        self.from_then, self.last_line_at = self.began + silent, self.began
 
     def __call__(self, label: str, done: int, of: int) -> None:
         if self.shown == "none":
@@ -157,8 +157,8 @@ class Progress:
         now = time.monotonic()
         if label != self.label:
             self.label, self.began = label, now
-        if now - self.said >= self.every:
-            self.said = now
+        if now - self.last_line_at >= self.every:
+            self.last_line_at = now
             print(progress_line(label, done, of, now - self.began), file=sys.stderr, flush=True)
 
     def close(self) -> None:

@@ -8,8 +8,8 @@ from typing import Any, TextIO
 import numpy as np
 
 from calib.online.live_learner_and_run_state import MeasuredFrame, RunDisplay, RunState
-from calib.online.live_run_page import RunPage
 from calib.online.observer_of_run_frames import RunObserver
+from calib.online.web_page_of_ongoing_run import RunPage
 from rig.array_and_json_types import Floats
 from rig.cli.shared.output_display import unescaped_stream
 from rig.driving.controller_status_and_limits import ControllerStatus

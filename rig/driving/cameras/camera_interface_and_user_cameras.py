@@ -297,16 +297,16 @@ class UserSource:
         return guard_call(call, self._path, CameraError, self._owner.__name__)
 
     def grab(self) -> Frame:
-        asked = self._clock.now()
+        before = self._clock.now()
         given = self._guarded(self._user.grab)()
         after = self._clock.now()
         if not isinstance(given, tuple):
-            return Frame(checked_image(given, self._camera), (asked + after) / 2, (after - asked) / UNIFORM)
+            return Frame(checked_image(given, self._camera), (before + after) / 2, (after - before) / UNIFORM)
         image, t, sigma = self._guarded(_stamped)(given)
-        if not (asked - ELSEWHERE <= t <= after + ELSEWHERE and 0 <= sigma < ELSEWHERE):
+        if not (before - ELSEWHERE <= t <= after + ELSEWHERE and 0 <= sigma < ELSEWHERE):
             raise CameraError(
                 f"camera {self.name!r} states t = {t:.3f} s with t_sigma = {sigma:g} s of an image requested "
-                f"at {asked:.3f} s and was there at {after:.3f} s: is t in seconds since 1970?"
+                f"at {before:.3f} s and was there at {after:.3f} s: is t in seconds since 1970?"
             )
         return Frame(checked_image(image, self._camera), t, sigma)
 
@@ -337,7 +337,7 @@ class CommandSource:
         self._words = words
 
     def grab(self) -> Frame:
-        asked = self._clock.now()
+        before = self._clock.now()
         try:
             done = subprocess.run(self._words, capture_output=True, timeout=self._wait, stdin=subprocess.DEVNULL)
         except OSError as error:
@@ -346,13 +346,13 @@ class CommandSource:
             raise CameraError(f"camera {self.name!r}: {self._words[0]} gave no image in {self._wait:g} s") from None
         after = self._clock.now()
         if done.returncode:
-            said = done.stderr.decode("utf-8", "replace").strip()[-SHOWN:]
-            raise CameraError(f"camera {self.name!r}: {self._words[0]} ended with {done.returncode}: {said}")
+            message = done.stderr.decode("utf-8", "replace").strip()[-SHOWN:]
+            raise CameraError(f"camera {self.name!r}: {self._words[0]} ended with {done.returncode}: {message}")
         try:
             image = decode_image(done.stdout, Path(f"output of {self._words[0]}"))
         except FileError as error:
             raise CameraError(f"camera {self.name!r}: {error}") from None
-        return Frame(checked_image(image, self._camera), (asked + after) / 2, (after - asked) / UNIFORM)
+        return Frame(checked_image(image, self._camera), (before + after) / 2, (after - before) / UNIFORM)
 
     def set_exposure(self, seconds: float) -> float:
         """Raises CameraError: the program exposes."""

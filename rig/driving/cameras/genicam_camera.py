@@ -24,7 +24,7 @@ WAIT = 5.0  # s for a frame after its trigger
 STAMP = 1e-9  # s; GenICam counts nanoseconds unless the device says its tick frequency
 LATCH = "TimestampLatch"
 DRAIN = 1e-3  # s for an image that an earlier edge exposed
-PTP_LOCKS, PTP_AGAIN = 30.0, 0.5  # s in which a camera follows PTP; s between looks
+PTP_LOCKS, PTP_POLL = 30.0, 0.5  # s in which a camera follows PTP; s between looks
 PTP_NODES = (
     ("PtpEnable", "PtpDataSetLatch", "PtpStatus"),
     ("GevIEEE1588", "GevIEEE1588DataSetLatch", "GevIEEE1588Status"),
@@ -146,9 +146,9 @@ class SharedHarvester:
             if self._harvester is None:
                 self._harvester = _harvester_of_producers(name)
             try:
-                there = [info.serial_number for info in self._harvester.device_info_list]
-                if serial not in there:
-                    known = ", ".join(map(repr, there)) or "none"
+                serial_numbers = [info.serial_number for info in self._harvester.device_info_list]
+                if serial not in serial_numbers:
+                    known = ", ".join(map(repr, serial_numbers)) or "none"
                     raise CameraError(f"camera {name!r}: no GenICam camera {serial!r}; there are {known}")
                 acquirer = self._harvester.create({"serial_number": serial})
             except BaseException:
@@ -239,7 +239,7 @@ class GenicamSource:
             status = str(getattr(self._nodes, nodes[2]).value)
             if status in ("Slave", "Master"):
                 return
-            self._clock.sleep(PTP_AGAIN)
+            self._clock.sleep(PTP_POLL)
         raise CameraError(
             f"camera {self.name!r} does not follow PTP within {PTP_LOCKS:g} s: its {nodes[2]} is {status}; does the "
             "network have a PTP master, and does its switch pass PTP on?"

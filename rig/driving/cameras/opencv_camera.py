@@ -99,8 +99,8 @@ class VideoSource:
         """Set a control of the camera, its automatic one off. Raises CameraError where it is not so afterwards."""
         if automatic is not None:
             self._capture.set(automatic, 0)
-        taken = self._capture.set(control, value)
-        if not taken or abs(self._capture.get(control) - value) > 0.5:
+        accepted = self._capture.set(control, value)
+        if not accepted or abs(self._capture.get(control) - value) > 0.5:
             raise CameraError(
                 f"camera {self.name!r} does not take a {name} of {value:g}; it has {self._capture.get(control):g}"
             )

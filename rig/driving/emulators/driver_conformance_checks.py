@@ -210,7 +210,7 @@ def _fault(design: Design, protocol: str, seed: int, kind: str) -> str:
     done, struck, stopped = 0, 0, Counter[str]()
     for k in range(ONCE):
         counts = move_counts_with_faults(design, protocol, [kind], 2, seed + k)
-        _require(not counts.failures, _told(counts.failures))
+        _require(not counts.failures, _failure_text(counts.failures))
         done, struck, stopped = done + counts.done, struck + counts.struck[kind], stopped + counts.stopped
     ended = ", ".join(f"{count} {name}" for name, count in stopped.items())
     _require(kind not in RECOVERED or not stopped, f"a fault that can be recovered from ended moves: {ended}")
@@ -218,7 +218,7 @@ def _fault(design: Design, protocol: str, seed: int, kind: str) -> str:
         _require(kind in ON_RESETS, "the emulator never showed this fault: does it begin its moves by self.move?")
         return "not a fault of this controller"
     counts = move_counts_with_faults(design, protocol, [f"{kind}:0.2"], EACH, seed)
-    _require(not counts.failures, _told(counts.failures))
+    _require(not counts.failures, _failure_text(counts.failures))
     done, stopped = done + counts.done, stopped + counts.stopped
     ended = ", ".join(f"{count} {name}" for name, count in stopped.items())
     return f"{done} done" + (f", stopped: {ended}" if stopped else "")
@@ -259,7 +259,7 @@ def _small_buffer(design: Design, protocol: str, seed: int, kind: str) -> str:
 
 def _many(design: Design, protocol: str, seed: int, moves: int) -> str:
     counts = move_counts_with_faults(_at_speed(design, FAST), protocol, ["all:0.05", "homes-on:0.05"], moves, seed)
-    _require(not counts.failures, _told(counts.failures))
+    _require(not counts.failures, _failure_text(counts.failures))
     return f"{counts.done} done, {counts.recovered} of them after a fault, {counts.stopped.total()} stopped"
 
 
@@ -270,7 +270,7 @@ def _at_speed(design: Design, speed: tuple[float, float]) -> Design:
     return replace(design, controller=replace(design.driver(), max_speed=top, max_acceleration=ramp))
 
 
-def _told(failures: dict[str, int]) -> str:
+def _failure_text(failures: dict[str, int]) -> str:
     words = {
         "twice": "moves carried out twice",
         "unacknowledged": "moves reported as done that were not",

@@ -154,8 +154,8 @@ class MovingAxes:
         """
         t = max(t, self.until)
         start = self.at(t)
-        way = np.asarray(target, float) - start
-        far = np.abs(way)
+        travel = np.asarray(target, float) - start
+        far = np.abs(travel)
         if not far.any():
             return t
         on = far > 0
@@ -167,11 +167,11 @@ class MovingAxes:
         up, cruise = top / ramp, 1 / top - top / ramp
         end = t + 2 * up + cruise
         with self._lock:
-            self._piece_from(t, start, 0 * way, ramp * way)
+            self._piece_from(t, start, 0 * travel, ramp * travel)
             if cruise > 0:
-                self._piece_from(t + up, start + ramp * up**2 / 2 * way, top * way, 0 * way)
-            self._piece_from(t + up + cruise, start + (1 - ramp * up**2 / 2) * way, top * way, -ramp * way)
-            self._piece_from(end, np.asarray(target, float), 0 * way, 0 * way)
+                self._piece_from(t + up, start + ramp * up**2 / 2 * travel, top * travel, 0 * travel)
+            self._piece_from(t + up + cruise, start + (1 - ramp * up**2 / 2) * travel, top * travel, -ramp * travel)
+            self._piece_from(end, np.asarray(target, float), 0 * travel, 0 * travel)
         return end
 
     def halt(self, t: float) -> float:
@@ -306,8 +306,8 @@ class EmulatedMachine:
             end = self.axes.go(t, target - short, duration)
             self._lie, self._error = (end - 0.1, short), (end, f"{MOTOR} {worst + 1}")
         elif take("early-stop"):
-            way = target - start
-            rest = way * min(FINE_APPROACH[0] / max(np.abs(way).max(), 1e-9), 0.5)
+            travel = target - start
+            rest = travel * min(FINE_APPROACH[0] / max(np.abs(travel).max(), 1e-9), 0.5)
             self._busy_until = self.axes.go(t, target - rest, duration)
             self.axes.go(t, target, FINE_APPROACH[1])
         else:
@@ -327,13 +327,13 @@ class EmulatedMachine:
         self.axes.halt(t)
         self.homed, self._error, self._lie, self._busy_until = False, (0.0, ""), None, None
         speed = HOMING_SHARE * self.axes.speed
-        way = self.home - self.axes.at(t)
+        travel = self.home - self.axes.at(t)
         if self.faults.take("homes-on"):
-            way = way * (np.arange(len(way)) > 0)  # the first axis does not move
-            end = self.axes.go(t, self.axes.at(t) + way, float((np.abs(way) / speed).max()))
+            travel = travel * (np.arange(len(travel)) > 0)  # the first axis does not move
+            end = self.axes.go(t, self.axes.at(t) + travel, float((np.abs(travel) / speed).max()))
             self._homing = (end, None)
             return t + 0.5 * (end - t), False
-        end = self.axes.go(t, self.home, float((np.abs(way) / speed).max()))
+        end = self.axes.go(t, self.home, float((np.abs(travel) / speed).max()))
         self._homing = (end, self.home)
         return end, True
 

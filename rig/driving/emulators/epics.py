@@ -121,5 +121,5 @@ class EpicsMotors(Emulator):
         if refused or not self.machine.homed and self.busy:
             return set()
         self._goal[at] = values
-        way = np.abs(target - counters)[at]
-        return self.start_move(target, float((way / (self._speed[at] / MM)).max()))
+        travel = np.abs(target - counters)[at]
+        return self.start_move(target, float((travel / (self._speed[at] / MM)).max()))

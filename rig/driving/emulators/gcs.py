@@ -309,8 +309,8 @@ class GCSHexapod(GCS):
         """s that a move to counters (6,) m takes at the platform's velocity."""
         start = self.machine.counters(self.now)
         ends = [mechanisms.hexapod.forward(one + self.machine.zero, self.geometry) for one in (start, target)]
-        way = np.linalg.norm(ends[1].translation - ends[0].translation)
-        return float(max(way, np.abs(target - start).max()) / self.platform_velocity)
+        distance = np.linalg.norm(ends[1].translation - ends[0].translation)
+        return float(max(distance, np.abs(target - start).max()) / self.platform_velocity)
 
     def _ask(self, word: str, arguments: list[str]) -> None:
         if word not in ("POS?", "PUN?"):

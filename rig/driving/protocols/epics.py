@@ -145,7 +145,9 @@ class Epics:
 
     def _state(self) -> Dialogue[State]:
         names = [f"{motor}.{field}" for motor in self.motors for field in STATE]
-        values = np.array([float(word) for word in (yield from self._asked(names))]).reshape(len(self.motors), -1)
+        values = np.array([float(word) for word in (yield from self._values_of_fields(names))]).reshape(
+            len(self.motors), -1
+        )
         forward, reverse, done, status, severity, mode, positions = values.T
         bits = status.astype(int)
         faults = [
@@ -168,14 +170,16 @@ class Epics:
         return State(activity, positions / self._unit, bool((bits >> HOMED & 1).all()), "; ".join(faults), report)
 
     def _texts(self, field: str) -> Dialogue[list[str]]:
-        return [unquote(word) for word in (yield from self._asked([f"{motor}.{field}" for motor in self.motors]))]
+        return [
+            unquote(word) for word in (yield from self._values_of_fields([f"{motor}.{field}" for motor in self.motors]))
+        ]
 
     def _read(self, field: str) -> Dialogue[Floats]:
         """(n,) of a field, in the record's own unit."""
-        words = yield from self._asked([f"{motor}.{field}" for motor in self.motors])
+        words = yield from self._values_of_fields([f"{motor}.{field}" for motor in self.motors])
         return np.array([float(word) for word in words])
 
-    def _asked(self, names: list[str]) -> Dialogue[tuple[str, ...]]:
+    def _values_of_fields(self, names: list[str]) -> Dialogue[tuple[str, ...]]:
         """Values of fields as words. Raises NoAnswer, ControllerFault for one that there is not."""
         for _ in range(TRIES):
             kind, words = yield from self._exchanged(f"GET {' '.join(names)}")

@@ -358,9 +358,9 @@ class GCSHexapod(GCS):
     def move(self, segment: Segment) -> Dialogue[Verdict]:
         ends = np.stack([segment.start, segment.target]) + self.zero
         start, T = mechanisms.hexapod.forward(ends, self.hexapod)
-        way = max(np.linalg.norm(T.translation - start.translation), np.abs(np.diff(ends, axis=0)).max())
-        if way > 0:  # the platform's velocity, with which the fastest strut has the speed that is asked for
-            verdict = yield from self._command(f"VLS {MM * way / segment.duration:.6f}")
+        distance = max(np.linalg.norm(T.translation - start.translation), np.abs(np.diff(ends, axis=0)).max())
+        if distance > 0:  # the platform's velocity, with which the fastest strut has the speed that is asked for
+            verdict = yield from self._command(f"VLS {MM * distance / segment.duration:.6f}")
             if not verdict.accepted:
                 return verdict
         values = gcs_values_of_pose(self.frames.command_of_pose(T))

@@ -35,9 +35,12 @@ INCH = 25.4  # mm
 LINE = 78  # characters that every Grbl takes in a line
 BUFFER = 64  # bytes of the receive buffer, where the controller does not say
 REPORTS = 12  # within which a controller says whether it is homed, if it ever does
-STANDS, AGAIN = 60.0, 0.1  # s in which a move that another process began may end; s between looks
+STANDS, STANDSTILL_POLL = 60.0, 0.1  # s in which a move that another process began may end; s between looks
 HOLD = 10.0  # s that a feed hold may take
-ASKED = (0.5, 2)  # s, times: a status report in order to stop; a controller that homes gives none and heeds no hold
+STATUS_REQUESTS = (
+    0.5,
+    2,
+)  # s, times: a status report in order to stop; a controller that homes gives none and heeds no hold
 READY = "G21G90G94"
 UNCONFIRMED, CONFIRMED = "F1", "F100"  # mm/min; of a position since the controller started
 SLOWEST = 2.0  # mm/min, of a move, so that its feed word is no F0 or F1
@@ -219,7 +222,9 @@ class GrblHAL:
         yield Exchange(b"!", is_never_complete, 0.0)
         for _ in range(int(HOLD / POLL) if word != "Home" else 0):
             try:
-                lines = yield from query_dialogue(b"?", lambda lines: _STATUS.search(lines[-1]) is not None, *ASKED)
+                lines = yield from query_dialogue(
+                    b"?", lambda lines: _STATUS.search(lines[-1]) is not None, *STATUS_REQUESTS
+                )
             except NoAnswer:
                 break
             status = _STATUS.search(lines[-1])
@@ -351,12 +356,12 @@ def _answer_lines(data: bytes, locked: bool = False, patience: float = 0.0) -> D
     locked : error:9 will do; patience : s for which it is asked again where the axes still move (error:8), as whoever
         came before told them
     """
-    for _ in range(1 + int(patience / AGAIN)):
+    for _ in range(1 + int(patience / STANDSTILL_POLL)):
         lines = yield from query_dialogue(data, lambda lines: _END.fullmatch(lines[-1].strip()) is not None)
         end = lines[-1].strip()
         if end != "error:8":
             break
-        yield from pause_dialogue(AGAIN)
+        yield from pause_dialogue(STANDSTILL_POLL)
     if end != "ok" and not (locked and end == "error:9"):
         raise ControllerFault(f"the controller refuses {data.decode().strip()}: {_reason(end)}")
     return tuple(line.strip() for line in lines)

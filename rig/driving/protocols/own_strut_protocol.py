@@ -59,14 +59,14 @@ class Struts:
         self.started_anew = False  # its state says so itself
 
     def hello(self) -> Dialogue[str]:
-        words = (yield from self._told("HELLO")).split()
+        words = (yield from self._query("HELLO")).split()
         match = re.fullmatch(r"axes=(\d+) boot=(\w+) line=(\d+)", " ".join(words[1:4]))
         if match is None or words[0] != VERSION:
             raise ControllerFault(f"not a controller of {VERSION}: {' '.join(words)!r}")
         if int(match[1]) != self.count:
             raise ControllerFault(f"the controller has {match[1]} axes, the rig {self.count}")
         self._boot, self._line = match[2], int(match[3])
-        yield from self._told(f"WATCH {round(1e3 * self.watchdog)}")
+        yield from self._query(f"WATCH {round(1e3 * self.watchdog)}")
         return f"{' '.join(words[4:]) or 'a controller'}, {VERSION}, {self.count} axes"
 
     def fence(self) -> Dialogue[bool]:
@@ -98,7 +98,7 @@ class Struts:
         return (yield from await_homed((yield from self._command("HOME")), self.state, timeout))
 
     def stop(self) -> Dialogue[Verdict]:
-        yield from self._told("STOP")
+        yield from self._query("STOP")
         return (yield from await_stopped(self.state, "STOP"))
 
     def unlock(self) -> Dialogue[Verdict]:
@@ -121,7 +121,7 @@ class Struts:
     def _read(self) -> Dialogue[tuple[State, str]]:
         """State, and which start of the controller it belongs to."""
         for _ in range(TRIES):
-            text = yield from self._told("STATE")
+            text = yield from self._query("STATE")
             words = text.split()
             if (
                 len(words) == 4 + self.count
@@ -134,7 +134,7 @@ class Struts:
                 return State(_ACTIVITY[words[0]], positions, words[1] == "1", fault, text), words[2]
         raise NoAnswer(f"a state that cannot be read: {text!r}")
 
-    def _told(self, text: str) -> Dialogue[str]:
+    def _query(self, text: str) -> Dialogue[str]:
         """What the controller answers to a request that moves nothing, asked again under a new number. Raises NoAnswer,
         ControllerFault.
         """

@@ -55,15 +55,15 @@ class Verdict:
 class State:
     """activity : one of ACTIVITIES; positions : (n,) m as the controller counts, None while it has not said
     homed : all axes, None where it does not say
-    fault : why it cannot be moved, or ""; said : its own words; homing_required : whether it is in alarm for no other
-        reason than that it must be homed first, as after power-on
+    fault : why it cannot be moved, or ""; controller_text : its own words; homing_required : whether it is in alarm
+        for no other reason than that it must be homed first, as after power-on
     """
 
     activity: str
     positions: Floats | None
     homed: bool | None
     fault: str
-    said: str
+    controller_text: str
     homing_required: bool = False
 
 
@@ -145,7 +145,7 @@ def await_homed(begun: Verdict, state: Callable[[], Dialogue[State]], timeout: f
             return begun
         now = yield from state()
         if now.fault or now.activity == "alarm":
-            return Verdict(False, now.fault or now.said)
+            return Verdict(False, now.fault or now.controller_text)
         if now.activity == "idle":
             return Verdict(bool(now.homed), "" if now.homed else "it is at rest and not homed")
         yield from pause_dialogue()

@@ -162,8 +162,8 @@ def effect_description_dict(effect: type[Effect]) -> Json:
         "places": list(effect.places),
         "model": _flat(effect.__doc__ or ""),
         "parameters": [_parameter(p) for p in effect.parameters],
-        "exposed_by": _said(effect.experiment),
-        "action": _said(effect.action),
+        "exposed_by": _flat_text(effect.experiment),
+        "action": _flat_text(effect.action),
     }
 
 
@@ -181,8 +181,8 @@ def effect_table(effects: Iterable[type[Effect]], width: int) -> str:
                     effect.stage,
                     ", ".join(effect.places),
                     sizes,
-                    _said(effect.experiment),
-                    _said(effect.action),
+                    _flat_text(effect.experiment),
+                    _flat_text(effect.action),
                 ),
                 widths,
             ),
@@ -203,8 +203,8 @@ def effect_description(effect: type[Effect], width: int) -> str:
         )
     first = f"--effect {effect.name}:PLACE:" + ",".join(f"{p.name}=.." for p in effect.parameters)
     parts += [
-        f"Exposed by: {_said(effect.experiment)}",
-        f"What to do: {_said(effect.action)}",
+        f"Exposed by: {_flat_text(effect.experiment)}",
+        f"What to do: {_flat_text(effect.action)}",
         f"To simulate it: rig simulate RIG.toml {first}",
     ]
     return (
@@ -247,7 +247,7 @@ def _row(cells: Iterable[str], widths: list[int]) -> list[str]:
     ]
 
 
-def _said(text: str) -> str:
+def _flat_text(text: str) -> str:
     return _flat(replace_axis_placeholder_in_text(text))
 
 

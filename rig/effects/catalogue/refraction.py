@@ -65,7 +65,7 @@ class Refraction(Effect):
             slope = new
         return across * (slope * z / np.where(r > 0, r, 1))[..., None] + z[..., None] * normal
 
-    def kept(self) -> tuple[dict[tuple[str, int | None], float], ...]:
+    def conserved_sums(self) -> tuple[dict[tuple[str, int | None], float], ...]:
         return ({("normal", i): value for i, value in enumerate(self.normal)},)
 
     def fitted(self, parameter: Parameter) -> tuple[int | None, ...]:

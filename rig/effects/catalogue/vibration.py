@@ -71,7 +71,7 @@ class Vibration(Effect):
     def direction(self, motion: Motion) -> Floats:
         return np.tile(self.direction_, (len(motion.t), 1))
 
-    def kept(self) -> tuple[dict[tuple[str, int | None], float], ...]:
+    def conserved_sums(self) -> tuple[dict[tuple[str, int | None], float], ...]:
         size = 3 if np.any(self.mode[:3]) else 6
         return ({("mode", i): self.mode[i] for i in range(size)},)
 

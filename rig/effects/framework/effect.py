@@ -208,7 +208,7 @@ class Effect:
         """(n, 6) tangents along which the residuals show it; None where each axis shows it for itself."""
         return None
 
-    def kept(self) -> tuple[dict[tuple[str, int | None], float], ...]:
+    def conserved_sums(self) -> tuple[dict[tuple[str, int | None], float], ...]:
         """Sums of its parameters that a fit must keep, {(name, index): weight}."""
         return ()
 

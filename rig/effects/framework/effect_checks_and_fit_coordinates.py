@@ -168,7 +168,7 @@ def conserved_coordinate_sums(coordinates: list[Coordinate], effects: tuple[Effe
     rows = [
         [row.get((c.name, c.index), 0.0) * (c.effect == number) for c in coordinates]
         for number, effect in enumerate(effects)
-        for row in effect.kept()
+        for row in effect.conserved_sums()
     ]
     rows = [row for row in rows if any(row)]
     return np.array(rows).reshape(len(rows), len(coordinates))

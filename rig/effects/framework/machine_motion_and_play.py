@@ -85,7 +85,7 @@ class Path:
         return np.sign(self.since_reversal)
 
     @property
-    def way(self) -> Floats:
+    def travel(self) -> Floats:
         """(n, axes) m or rad that the axes have travelled by the exposures, whichever way."""
         return np.abs(self._steps).cumsum(axis=0)[self.at]
 
@@ -151,7 +151,7 @@ class Motion:
     t : (n,) s from the recording's start, on the commands' clock; path : Path of the commands, clock and lags applied
     sensors : Sensors or None; home : (axes,) m or rad, commanded values from which strokes count
     T : T_base_platform (n,), the present estimate, for effects that depend on the pose
-    kept : what several effects (or an effect again and again) ask for, worked out once
+    cached : what several effects (or an effect again and again) ask for, worked out once
     """
 
     mechanism: Commanded
@@ -163,7 +163,7 @@ class Motion:
     sensors: Sensors | None
     home: Floats
     T: RigidTransform | None
-    kept: dict[tuple[object, ...], Floats] = field(default_factory=dict, init=False, repr=False)
+    cached: dict[tuple[object, ...], Floats] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def kind(self) -> MechanismKinematics[Commanded]:
@@ -210,9 +210,9 @@ class Motion:
 
     def once(self, key: tuple[object, ...], make: Callable[[], Floats]) -> Floats:
         """What `make` makes, kept under a key for as long as this Motion lasts."""
-        if key not in self.kept:
-            self.kept[key] = make()
-        return self.kept[key]
+        if key not in self.cached:
+            self.cached[key] = make()
+        return self.cached[key]
 
     def recent_travel(self, time_constant: float) -> Floats:
         """(n, axes) m or rad of travel, whichever way, that is remembered for a time constant, s, at the exposures."""
@@ -299,7 +299,9 @@ class Motion:
         m = self.mechanism
         if has_links(m) and m.hands:
             return self.once(("loads",), lambda: loads_by_weight_of_hands(self.lengths, m, self.gravity_in_base()))
-        return self.once(("loads",), lambda: self.kind.axis_loads(self.T, self.lengths, m, self.platform_wrench()))
+        return self.once(
+            ("loads",), lambda: self.kind.axis_forces_and_torques(self.T, self.lengths, m, self.platform_wrench())
+        )
 
     def no_loads(self) -> str | None:
         """Why the loads of the axes are not known, or None."""

@@ -103,7 +103,7 @@ class Parameter:
             self, unit=TURNED.get(self.unit, self.unit), bounds=self.joint[0], usual=self.joint[1], joint=None
         )
 
-    def said(self, value: float | tuple[float, ...]) -> str:
+    def value_text(self, value: float | tuple[float, ...]) -> str:
         """Its name and a value, in a unit that people read."""
         numbers = value if isinstance(value, tuple) else (value,)
         more = f", the first {MOST_SHOWN} of {len(numbers)}" if len(numbers) > MOST_SHOWN else ""

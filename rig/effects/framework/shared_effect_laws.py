@@ -87,7 +87,7 @@ class WeightedSum(Effect):
     def _member_once(self, motion: Motion, scale: float, number: int, count: int) -> Floats:
         return motion.once((self.name, scale, number, count), lambda: self.member(motion, scale, number, count))
 
-    def kept(self) -> tuple[dict[tuple[str, int | None], float], ...]:
+    def conserved_sums(self) -> tuple[dict[tuple[str, int | None], float], ...]:
         return ({("shares", k): 1.0 for k in range(len(self.shares))},) if self.shares else ()
 
     def written(self) -> Self:

@@ -130,7 +130,7 @@ def place_and_values_text(effect: Effect) -> str:
         [
             effect.place,
             *(
-                p.said(value)
+                p.value_text(value)
                 for p, value in shown
                 if isinstance(value, float) and np.isfinite(value) and value != default[p.name]
             ),
@@ -220,35 +220,35 @@ def draw_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     factor : of its largest usual size
     """
     place = str(Place.axis("strut", AXIS)) if "axis" in kind.places else kind.places[0]
-    way = example_run_with_effect(kind, place, factor)
-    error = _strut_errors(way)
-    first = _displaced(way) if kind.stage == "structure" or kind.on_pose else _through_time(way, error)
-    return Sketch(place_and_values_text(way.effect), (first, _over_covariate(way, error)))
+    run = example_run_with_effect(kind, place, factor)
+    error = _strut_errors(run)
+    first = _displaced(run) if kind.stage == "structure" or kind.on_pose else _through_time(run, error)
+    return Sketch(place_and_values_text(run.effect), (first, _over_covariate(run, error)))
 
 
-def _strut_errors(way: ExampleRun) -> Floats:
-    """(n,) m by which the strut shown is beyond its command, at the exposures of a Way."""
-    T = way.motion.T
+def _strut_errors(run: ExampleRun) -> Floats:
+    """(n,) m by which the strut shown is beyond its command, at the exposures of an ExampleRun."""
+    T = run.motion.T
     assert T is not None
-    found = motion_simulation.effective_commands(way.design, way.commands, way.t, T, [way.effect], way.sensors)
-    return found[:, AXIS] - way.motion.lengths[:, AXIS]
+    found = motion_simulation.effective_commands(run.design, run.commands, run.t, T, [run.effect], run.sensors)
+    return found[:, AXIS] - run.motion.lengths[:, AXIS]
 
 
-def _through_time(way: ExampleRun, error: Floats) -> str:
+def _through_time(run: ExampleRun, error: Floats) -> str:
     """Commanded and actual position of the strut, its error enlarged."""
-    told = way.motion.stroke[:, AXIS]
+    commanded = run.motion.stroke[:, AXIS]
     much = enlargement_factor(np.abs(error).max(), SHARE * FAR)
-    scale, unit = largest_suitable_unit(way.t[-1], TIMES)
+    scale, unit = largest_suitable_unit(run.t[-1], TIMES)
     series = [
-        Series(way.t / scale, told * 1e3, "told", "line", -1),
-        Series(way.t / scale, (told + much * error) * 1e3, enlargement_text("done", much), "line", 1),
+        Series(run.t / scale, commanded * 1e3, "told", "line", -1),
+        Series(run.t / scale, (commanded + much * error) * 1e3, enlargement_text("done", much), "line", 1),
     ]
     return plot_panel_svg(f"Strut {AXIS + 1}", (f"time, {unit}", "stroke, mm"), series, high=HIGH)
 
 
-def _over_covariate(way: ExampleRun, error: Floats) -> str:
+def _over_covariate(run: ExampleRun, error: Floats) -> str:
     """The error over what gives the effect away."""
-    shown = way.effect.covariate(way.motion)
+    shown = run.effect.covariate(run.motion)
     across = np.asarray(shown.values)
     scale, unit = largest_suitable_unit(np.abs(error).max(), UNITS)
     values = across[:, AXIS] if across.ndim == 2 else across
@@ -260,21 +260,21 @@ def _over_covariate(way: ExampleRun, error: Floats) -> str:
     )
 
 
-def _displaced(way: ExampleRun) -> str:
+def _displaced(run: ExampleRun) -> str:
     """The platform at its commanded and at its actual pose, at the exposure at which these differ most,
     enlarged.
     """
-    T = way.motion.T
+    T = run.motion.T
     assert T is not None
     found = motion_simulation.simulate_machine_run(
-        way.design, way.commands, way.t, [way.effect], way.sensors
+        run.design, run.commands, run.t, [run.effect], run.sensors
     ).T_base_platform
     shift = pose_difference(T, found)
     far = np.linalg.norm(shift[:, :3], axis=1)
     at = int(np.argmax(far))
     much = enlargement_factor(float(far[at]), OUT)
     pair = RigidTransform.concatenate([T[at], T[at] * exp(much * shift[at])])
-    ends = way.motion.kind.strut_ends(pair, way.motion.mechanism)
+    ends = run.motion.kind.strut_ends(pair, run.motion.mechanism)
     assert ends is not None
     base, tips = (_seen(np.broadcast_to(points, (2, 6, 3))) for points in ends)
     low, high = (pick(np.concatenate([base, tips]).reshape(-1, 2), axis=0) for pick in (np.min, np.max))
@@ -292,7 +292,7 @@ def _displaced(way: ExampleRun) -> str:
         parts.append(f'<path class="{style}" d="{struts}{_ring(tips[k])}"/>')
     parts.append(f'<path class="axis" d="{_ring(base[0])}"/>')
     return svg_figure(
-        int(top + scale * (high - low)[1] + 12), f"the platform displaced, {place_and_values_text(way.effect)}", parts
+        int(top + scale * (high - low)[1] + 12), f"the platform displaced, {place_and_values_text(run.effect)}", parts
     )
 
 

@@ -112,7 +112,9 @@ class Written:
 
     def text(self, prefix: str = "") -> str:
         """The formula by its parameters and the quantities' symbols. prefix : before each parameter"""
-        return ", ".join(f"{way}: {total}" if way else total for way, total in self._totals(prefix).items())
+        return ", ".join(
+            f"{direction}: {total}" if direction else total for direction, total in self._totals(prefix).items()
+        )
 
     def _totals(self, prefix: str) -> dict[str | None, str]:
         """{which way the platform goes, None where axes lengthen: its terms}"""
@@ -126,7 +128,7 @@ class Written:
                 parts.setdefault(term.along, []).append(
                     f"{prefix}{name}{product}" + (f" * {function}({turn})" if turn else "")
                 )
-        return {way: " + ".join(terms) for way, terms in parts.items()}
+        return {direction: " + ".join(terms) for direction, terms in parts.items()}
 
     def _symbol(self, name: str) -> str:
         return quantity_by_name(name, self.word).symbol
@@ -162,7 +164,8 @@ class Written:
             "",
             "import numpy as np",
             "",
-            f"from rig.effects.base import {'REFERENCE_TEMPERATURE, ' if uses else ''}Effect, Motion, Parameter",
+            "from rig.effects.user_base_classes import "
+            f"{'REFERENCE_TEMPERATURE, ' if uses else ''}Effect, Motion, Parameter",
             "",
             "",
             "@dataclass(frozen=True, slots=True)",
@@ -229,7 +232,9 @@ class Written:
             body[-1] += ")"
             return ["    def deviation(self, motion: Motion) -> np.ndarray:", *given, *body]
         rows = [
-            f"        moved[:, [{POSE.index(way)}]] = {total}" for way, total in self._totals("self.").items() if way
+            f"        moved[:, [{POSE.index(direction)}]] = {total}"
+            for direction, total in self._totals("self.").items()
+            if direction
         ]
         return [
             "    def sway(self, motion: Motion) -> np.ndarray:",

@@ -92,8 +92,8 @@ def named_effect(name: str, text: str, known: Kinds) -> type[Effect]:
     if name not in known:
         near = nearest_known_word(name, known)
         every = f"there are {', '.join(known)}; user-defined ones are in files named by --effects"
-        told = f"is {near!r} meant? `rig effects` lists them" if near else every
-        raise RigError(f"effect {short_repr(text)}: there is no effect {short_repr(name)}; {told}")
+        hint = f"is {near!r} meant? `rig effects` lists them" if near else every
+        raise RigError(f"effect {short_repr(text)}: there is no effect {short_repr(name)}; {hint}")
     return known[name]
 
 
@@ -173,23 +173,23 @@ def require_existing_place(effect: Effect, design: Design) -> Effect:
             + (f"; is {near!r} meant?" if near else "")
             + f"; it has {', '.join(names)}"
         )
-    there = {
+    existing = {
         **{word: [axis.name for axis in places if axis.kind == word] for word in AXES},
         "camera": [c.name for c in design.cameras],
         "target": [t.name for t in design.targets],
         "marker": [str(i) for t in design.targets for i in t.ids],
     }
-    requested = [(kind, name)] if name and kind in there else []
+    requested = [(kind, name)] if name and kind in existing else []
     other = getattr(effect, "other", -1.0) if effect.discrete else -1.0
     if other >= 0:
         requested.append(("marker", f"{other:g}"))
     for what, one in requested:
-        if one not in there[what]:
-            near = nearest_known_word(one, there[what])
+        if one not in existing[what]:
+            near = nearest_known_word(one, existing[what])
             raise RigError(
                 f"{effect.name} at {effect.place}: this rig has no {what} {short_repr(one)}"
                 + (f"; is {near!r} meant?" if near else "")
-                + f"; it has {', '.join(there[what]) or 'none'}"
+                + f"; it has {', '.join(existing[what]) or 'none'}"
             )
     return effect
 
@@ -228,15 +228,15 @@ def effects_of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
     """
     found: list[type[Effect]] = UserModule(path, text, "", run_user_text(text, path)).classes(Effect)
     if not found:
-        raise FileError(path, "defines no effect: a dataclass derived from rig.effects.base.Effect")
+        raise FileError(path, "defines no effect: a dataclass derived from rig.effects.user_base_classes.Effect")
     for kind in found:
-        taken = next((name for name in _field_names(kind) if name in RESERVED), None)
-        if taken is not None:
+        reserved = next((name for name in _field_names(kind) if name in RESERVED), None)
+        if reserved is not None:
             raise FileError(
                 path,
-                f"{kind.__name__} has a parameter {taken!r}, which every effect has as a hook or an attribute: "
+                f"{kind.__name__} has a parameter {reserved!r}, which every effect has as a hook or an attribute: "
                 "take another name",
-                line_of_class(text, kind.__name__, taken),
+                line_of_class(text, kind.__name__, reserved),
             )
         problem = _problem(kind)
         if problem:

@@ -158,8 +158,8 @@ def _moved(stream: RecordingStream, rr: ModuleType, recording: Recording) -> Non
         if m.plates is not None:
             low, high = m.plates[0], T.apply(m.plates[1])
             stream.log("base/struts", rr.LineStrips3D([[base, end] for base, end in zip(low, high)], radii=0.004))
-    way = poses.T_base_platform.translation.reshape(-1, 3)[order]
-    stream.log("base/way", rr.LineStrips3D([way], radii=0.001), static=True)
+    path = poses.T_base_platform.translation.reshape(-1, 3)[order]
+    stream.log("base/way", rr.LineStrips3D([path], radii=0.001), static=True)
 
 
 def _curves(stream: RecordingStream, rr: ModuleType, recording: Recording) -> None:

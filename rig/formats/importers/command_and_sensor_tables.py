@@ -63,7 +63,7 @@ class ImportedSensors:
     t: list[Decimal]
     channels: tuple[tuple[str, Floats], ...]
     table: ForeignTable
-    said: tuple[str, ...]
+    remarks: tuple[str, ...]
 
 
 def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool], mechanism: Mechanism) -> ImportedSensors:
@@ -104,7 +104,7 @@ def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool], m
         read_times.seconds,
         tuple(channels),
         replace(cells.table, columns=tuple(retained), time_unit=read_times.unit, zone=read_times.zone),
-        (*cells.said, *read_times.said, *lines),
+        (*cells.remarks, *read_times.remarks, *lines),
     )
 
 
@@ -146,7 +146,7 @@ class ImportedCommands:
     values: Floats
     frame: Integers | None
     table: ForeignTable
-    said: tuple[str, ...]
+    remarks: tuple[str, ...]
 
 
 def read_commands(table: ForeignTable, design: Design) -> ImportedCommands:
@@ -163,17 +163,17 @@ def read_commands(table: ForeignTable, design: Design) -> ImportedCommands:
         names = {axis: (*names[axis], *words) for axis, words in zip(axes, DIRECTION.values())}
     units = dict(zip(axes, mechanisms.axis_units(design.mechanism)))
     found = find_columns(cells, "commands", {**TIME, **FRAME, **names}, axes, units)
-    values, table, told = _values(
+    values, table, value_remarks = _values(
         cells,
         [found[name] for name in axes],
         replace(cells.table, columns=column_headers_for_import_recipe(table, cells, found)),
         design,
     )
     frame = None if "frame" not in found else np.array(cells.numbers(found["frame"]))
-    t, lines = None, (*cells.said, *told)
+    t, lines = None, (*cells.remarks, *value_remarks)
     if "t" in found:
         read_times = cells.times(found["t"], "commands", table, _pace(values, design))
-        t, lines = read_times.seconds, (*lines, *read_times.said)
+        t, lines = read_times.seconds, (*lines, *read_times.remarks)
         table = replace(table, time_unit=read_times.unit, zone=read_times.zone)
     return _once(ImportedCommands(t, values, frame, table, lines), cells)
 
@@ -194,7 +194,7 @@ def _once(commanded: ImportedCommands, cells: Cells) -> ImportedCommands:
     if not repeated:
         return commanded
     keep = np.setdiff1d(np.arange(len(t)), repeated)
-    told = (
+    remarks = (
         f"{cells.path.name}: {len(repeated)} rows occur twice, with their times, and are used once; the "
         f"first is line {cells.lines[repeated[0]]}",
     )
@@ -202,7 +202,7 @@ def _once(commanded: ImportedCommands, cells: Cells) -> ImportedCommands:
         commanded,
         t=[t[k] for k in keep],
         values=values[keep],
-        said=(*commanded.said, *told),
+        remarks=(*commanded.remarks, *remarks),
         frame=None if commanded.frame is None else commanded.frame[keep],
     )
 
@@ -241,7 +241,7 @@ def _of_axes(
     header, or in that stated for the table; others in SI, or in degrees and mm where SI is beyond their travel.
     Angles of a machine without slides that fit in both are refused.
     """
-    q, ranges, told = values.copy(), mechanisms.kinematics_of(m).travel_ranges(m), []
+    q, ranges, remarks = values.copy(), mechanisms.kinematics_of(m).travel_ranges(m), []
     kinds = mechanisms.axis_units(m)
     if table.unit is not None and table.unit not in (*ANGLES, *LENGTHS):
         raise RigError(f"{table.file}: {table.unit} is not a unit of angles or lengths of axes")
@@ -261,14 +261,14 @@ def _of_axes(
             units |= dict.fromkeys(open_, found)
             if "m" not in kinds or found == usual:
                 what, limits = ("angles", "joints'") if si == "rad" else ("slides", "slides'")
-                told.append(
+                remarks.append(
                     f"{table.file.name}: {what} are in {found}, as they are beyond the {limits} limits otherwise"
                 )
             if len(open_) == len(m.axes):
                 table = replace(table, unit=found)
         for i, unit in units.items():
             q[:, i] /= known[unit or si]
-    return q, table, tuple(told)
+    return q, table, tuple(remarks)
 
 
 def _unit_within_travel(
@@ -322,7 +322,7 @@ def _lengths(
         )
     u, r = fit[0] if fit else (requested[0], table.relative or "zero")
     q = values / LENGTHS[u] + (home if r == "home" else 0.0)
-    told = (
+    remarks = (
         ()
         if unit and table.relative
         else (
@@ -330,7 +330,7 @@ def _lengths(
             f"{'' if unit else ', as within strut_range and about its size in no other'}",
         )
     )
-    return q, replace(table, unit=unit or u, relative=r), told
+    return q, replace(table, unit=unit or u, relative=r), remarks
 
 
 def _pace(values: Floats, design: Design) -> Callable[[Floats], bool]:

@@ -58,10 +58,10 @@ def _read_cells(table: ForeignTable, section: str) -> Cells:
     if is_yaml(table.file) or is_matlab(table.file):
         read = read_yaml_rows(table.file, section) if is_yaml(table.file) else read_matlab_rows(table.file)
         header, rows = add_time_column(table, read.header, read.rows)
-        return Cells(table.file, header, rows, read.lines, table, read.said)
+        return Cells(table.file, header, rows, read.lines, table, read.remarks)
     content, words = _decoded(table.file)
     with_header = lines_with_missing_header_added(table, section, _lines(table.file, content, table.header is None))
-    lines, table, words = with_header.lines, with_header.table, (*words, *with_header.said)
+    lines, table, words = with_header.lines, with_header.table, (*words, *with_header.remarks)
     fits = _fitting(table, lines)
     if not fits:
         whole = _fitting(table, lines[:-1]) if len(lines) > 2 else []
@@ -101,7 +101,7 @@ def _read_cells(table: ForeignTable, section: str) -> Cells:
         )
     _no_groups(table, first, lines, section)
     header, rows = add_time_column(table, first.header, first.rows)
-    return Cells(first.path, header, rows, first.lines, first.table, (*words, *first.said))
+    return Cells(first.path, header, rows, first.lines, first.table, (*words, *first.remarks))
 
 
 def _no_names(table: ForeignTable, name: str, lines: list[tuple[int, str]]) -> None:
@@ -205,7 +205,7 @@ def _parsed(table: ForeignTable, lines: list[tuple[int, str]], separator: str, d
         k for k, name in enumerate(header) if name or any(row[k] for row in body)
     ]  # a separator at the ends of lines makes an empty column
     body = [[_point(row[k], decimal) for k in retained] for row in body]
-    told = (
+    remarks = (
         ()
         if table.separator and table.decimal
         else (f"{table.file.name}: {separator}s between the cells, decimal {decimal}s",)
@@ -216,7 +216,7 @@ def _parsed(table: ForeignTable, lines: list[tuple[int, str]], separator: str, d
         body,
         numbers,
         replace(table, separator=separator, decimal=decimal),
-        told,
+        remarks,
     )
 
 

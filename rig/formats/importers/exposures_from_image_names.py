@@ -54,7 +54,7 @@ class ImportedExposures:
     camera: list[str]
     path: list[Path]
     images: Images
-    said: tuple[str, ...]
+    remarks: tuple[str, ...]
 
     def times(self) -> list[Decimal]:
         """t. Raises RigError where it is not stated."""
@@ -99,13 +99,13 @@ def image_files_of_folder(
     say which, and where a name does not tell frame or time
     """
     unknown: dict[str, Path] = {}
-    told = []
+    remarks = []
     for path in files:
         word, rest, parts = _camera(path, folder, cameras, name_pattern, rig_cameras)
         if word is None or word.lower() not in cameras:
             unknown.setdefault(word or (rest.rsplit("/", 1)[0] if "/" in rest else rest), path)
         else:
-            told.append((path, word, rest, parts))
+            remarks.append((path, word, rest, parts))
     if unknown:
         meant = [
             f"images.cameras.{theirs}={rig_cameras[k % len(rig_cameras)] if rig_cameras else 'cam0'}"
@@ -121,7 +121,7 @@ def image_files_of_folder(
         )
     return [
         _picture(path, cameras[word.lower()], word, rest, parts if name_pattern else None)
-        for path, word, rest, parts in told
+        for path, word, rest, parts in remarks
     ]
 
 
@@ -241,7 +241,7 @@ def group_images_into_exposures(
             images.shift,
             lambda t: are_plausible(np.sort(t)),
         )
-        t, message, images = read.seconds, read.said, replace(images, time_unit=read.unit, zone=read.zone)
+        t, message, images = read.seconds, read.remarks, replace(images, time_unit=read.unit, zone=read.zone)
     numbers = [p.frame for p in image_files if p.frame is not None]
     if len(numbers) < len(image_files):
         if t is None:
@@ -274,10 +274,10 @@ def _once(rows: list[tuple[int, str, Path]]) -> None:
         seen[frame, camera] = path
 
 
-def _grouped(found: list[ImageFile], t: list[Decimal], images: Images, said: tuple[str, ...]) -> ImportedExposures:
+def _grouped(found: list[ImageFile], t: list[Decimal], images: Images, remarks: tuple[str, ...]) -> ImportedExposures:
     """Exposures that are at most a tolerance apart become one frame, at the middle of its times."""
     order = sorted(range(len(found)), key=lambda k: (t[k], found[k].camera))
-    within, told = _tolerance(found, t, order, images)
+    within, tolerance_remarks = _tolerance(found, t, order, images)
     groups: list[list[int]] = []
     for k in order:
         if groups and float(t[k] - t[groups[-1][0]]) <= within:
@@ -298,9 +298,9 @@ def _grouped(found: list[ImageFile], t: list[Decimal], images: Images, said: tup
         frame += [number] * len(group)
         at += [t[group[0]] + (t[group[-1]] - t[group[0]]) / 2] * len(group)
     flat = [k for group in groups for k in group]
-    said = (
-        *said,
-        *told,
+    remarks = (
+        *remarks,
+        *tolerance_remarks,
         f"images within {within:g} s of each other are one frame, at the middle of their times (the widest "
         f"{widest * 1e3:.3g} ms)",
     )
@@ -310,7 +310,7 @@ def _grouped(found: list[ImageFile], t: list[Decimal], images: Images, said: tup
         [found[k].camera for k in flat],
         [found[k].path for k in flat],
         replace(images, tolerance=within),
-        said,
+        remarks,
     )
 
 

@@ -83,14 +83,14 @@ NUMBER = {
 class Cells:
     """A table as text. path; header : n names; rows : lists of n texts, decimals with a point; lines : of the file,
     from 1
-    table : ForeignTable with separator and decimal; said : sentences about what was found out."""
+    table : ForeignTable with separator and decimal; remarks : sentences about what was found out."""
 
     path: Path
     header: tuple[str, ...]
     rows: list[list[str]]
     lines: list[int]
     table: ForeignTable
-    said: tuple[str, ...]
+    remarks: tuple[str, ...]
 
     def column(self, at: int) -> list[str]:
         """A column's texts. at : index"""
@@ -302,11 +302,11 @@ FIGURES = re.compile(r"[-+0-9.eE]+( +[-+0-9.eE]+){7}")
 
 @dataclass(frozen=True, slots=True)
 class TableWithHeader:
-    """lines : (number, text) pairs, a header first; table : ForeignTable with the header; said : sentences."""
+    """lines : (number, text) pairs, a header first; table : ForeignTable with the header; remarks : sentences."""
 
     lines: list[tuple[int, str]]
     table: ForeignTable
-    said: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 def lines_with_missing_header_added(table: ForeignTable, section: str, lines: list[tuple[int, str]]) -> TableWithHeader:

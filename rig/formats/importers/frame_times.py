@@ -81,7 +81,7 @@ def exposures_with_times(
             "belongs to which? Give a table "
             "of the frames' times: --frames FILE.csv (frame or image, t)"
         )
-    return replace(exposed, t=[at[n] for n in exposed.frame], said=(*exposed.said, message)), recipe
+    return replace(exposed, t=[at[n] for n in exposed.frame], remarks=(*exposed.remarks, message)), recipe
 
 
 def _by_table(
@@ -131,8 +131,10 @@ def _by_table(
         if gone
         else ()
     )
-    lines = (*exposed.said, *cells.said, *t.said, *absent)
-    return replace(exposed, t=[first[frame] for frame in exposed.frame], said=lines), replace(recipe, frames=resolved)
+    lines = (*exposed.remarks, *cells.remarks, *t.remarks, *absent)
+    return replace(exposed, t=[first[frame] for frame in exposed.frame], remarks=lines), replace(
+        recipe, frames=resolved
+    )
 
 
 def _times_of_image_names(

@@ -24,7 +24,7 @@ TIMES = ("s", "ms", "us", "ns", "iso")
 ROTATIONS = ("rotvec", "quaternion", "quaternion-wxyz", "quaternion-xyzw")
 EULER = tuple(a + b + c for letters in ("xyz", "XYZ") for a in letters for b in letters for c in letters if a != b != c)
 TABLES = ("commands", "poses", "sensors", "frames")
-UNPACKED = ("folder", "said")  # of a Bag, what is found out
+UNPACKED = ("folder", "remarks")  # of a Bag, what is found out
 FROM_BAG = Path()  # in place of the file of a table that a bag holds
 NUMBERS = ("steps_per_mm", "shift", "tolerance", "period")
 
@@ -85,14 +85,14 @@ class Cameras:
 class Bag:
     """Bags of ROS. topics : pairs (commands or poses, topic); cameras : pairs (ours, topic); sensors : pairs (channel,
     topic)
-    folder : what they hold as files, once unpacked; said : sentences about that"""
+    folder : what they hold as files, once unpacked; remarks : sentences about that"""
 
     files: tuple[Path, ...]
     topics: tuple[tuple[str, str], ...] = ()
     cameras: tuple[tuple[str, str], ...] = ()
     sensors: tuple[tuple[str, str], ...] = ()
     folder: Path | None = None
-    said: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +107,7 @@ class Recipe:
     frames: ForeignTable | None = None
     cameras: Cameras | None = None
     bag: Bag | None = None
-    said: tuple[str, ...] = field(default=(), compare=False)
+    remarks: tuple[str, ...] = field(default=(), compare=False)
 
 
 def load_recipe(path: Path, settings: tuple[str, ...] = ()) -> Recipe:
@@ -282,7 +282,7 @@ def recipe_toml(recipe: Recipe, folder: Path) -> str:
         return os.path.relpath(os.path.realpath(given), os.path.realpath(folder))
 
     document = tomlkit.document()
-    for line in ("`rig import --recipe THIS --out REC` repeats it. Determined from the files:", *recipe.said):
+    for line in ("`rig import --recipe THIS --out REC` repeats it. Determined from the files:", *recipe.remarks):
         document.add(tomlkit.comment(" ".join(line.split())))
     document.add("schema", SCHEMA)
     document.add("rig", path(recipe.rig))

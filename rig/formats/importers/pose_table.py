@@ -73,17 +73,17 @@ class ImportedPoses:
     frame: Integers | None
     t: list[Decimal] | None
     table: ForeignTable
-    said: tuple[str, ...]
+    remarks: tuple[str, ...]
     hand: Integers | None = None
 
 
-Asked = Callable[[list[Decimal] | None, Floats | None, int], Floats | None]
+CommandsAt = Callable[[list[Decimal] | None, Floats | None, int], Floats | None]
 
 
 def read_poses(
     table: ForeignTable,
     design: Design,
-    commands_of_rows: Asked,
+    commands_of_rows: CommandsAt,
     are_plausible: Callable[[Floats], bool],
     of_commands: Collection[str] = (),
 ) -> ImportedPoses:
@@ -113,7 +113,7 @@ def read_poses(
         read_times = cells.times(found["t"], "poses", table, are_plausible)
         t, lines, table = (
             read_times.seconds,
-            (*lines, *read_times.said),
+            (*lines, *read_times.remarks),
             replace(table, time_unit=read_times.unit, zone=read_times.zone),
         )
     frame = np.array(cells.numbers(found["frame"])) if "frame" in found else None
@@ -123,7 +123,7 @@ def read_poses(
         q = np.where((hand == 0)[:, None], q, np.nan)  # turns are compared of one hand
     if kind in ("direction", "distance"):
         T, table, more = (_directions if kind == "direction" else _distances)(cells, found, table)
-        return ImportedPoses(T, False, frame, t, table, (*cells.said, *lines, *more), hand)
+        return ImportedPoses(T, False, frame, t, table, (*cells.remarks, *lines, *more), hand)
     rotations, table, more = _rotations(cells, found, table, design, q)
     alone = rotations is None
     if alone and (design.instrument is None or kind == "orientation"):
@@ -132,7 +132,7 @@ def read_poses(
             "[instrument] that measures positions alone: base, tool and position_sigma, without rotation_sigma"
         )
     T = RigidTransform.from_components(p, Rotation.identity(len(p)) if alone else rotations)
-    return ImportedPoses(T, alone, frame, t, table, (*cells.said, *lines, *more), hand)
+    return ImportedPoses(T, alone, frame, t, table, (*cells.remarks, *lines, *more), hand)
 
 
 def _columns_of_kind(cells: Cells, kind: str) -> tuple[Headers, tuple[str, ...]]:
@@ -181,9 +181,9 @@ def _directions(cells: Cells, found: dict[str, int], table: ForeignTable) -> Rea
         message = f"an azimuth or elevation is beyond the circle in {both}: {row}"
         raise FileError(cells.path, message, cells.lines[k], value=row)
     guessed = table.rotation_unit is None and not any(stated)
-    told = (f"{table.file.name}: azimuth and elevation are in {units[0]}",) if guessed else ()
+    remarks = (f"{table.file.name}: azimuth and elevation are in {units[0]}",) if guessed else ()
     unit = units[0] if units[0] == units[1] else table.rotation_unit
-    return poses_pointing_along(directions_of_angles(angles)), replace(table, rotation_unit=unit), told
+    return poses_pointing_along(directions_of_angles(angles)), replace(table, rotation_unit=unit), remarks
 
 
 def _distances(cells: Cells, found: dict[str, int], table: ForeignTable) -> ReadPoses:
@@ -261,8 +261,8 @@ def _rotations(
         )
     if len(ways) == 1:
         rotation, unit, R = ways[0]
-        told = () if table.rotation else (f"{table.file.name}: rotations are {_name(rotation, unit)}",)
-        return R, replace(table, rotation=rotation, rotation_unit=unit), told
+        remarks = () if table.rotation else (f"{table.file.name}: rotations are {_name(rotation, unit)}",)
+        return R, replace(table, rotation=rotation, rotation_unit=unit), remarks
     return _by_commands(ways, table, design, q)
 
 
@@ -278,7 +278,9 @@ def _quaternions(values: Floats, names: list[str], named: bool, table: ForeignTa
     if named:
         return [("quaternion-wxyz", None, Rotation.from_quat(values[:, [1, 2, 3, 0]]))]
     ways = {"quaternion-wxyz": values[:, [1, 2, 3, 0]], "quaternion-xyzw": values}
-    return [(way, None, Rotation.from_quat(v)) for way, v in ways.items() if table.rotation in (None, way)]
+    return [
+        (notation, None, Rotation.from_quat(v)) for notation, v in ways.items() if table.rotation in (None, notation)
+    ]
 
 
 def _angles(
@@ -294,11 +296,17 @@ def _angles(
         v = values / ANGLES[u]
         if np.abs(v).max() > (7.0 if unit is None else 1e3):
             continue
-        for way in requested:
-            if way == "rotvec":
-                found.append((way, u, Rotation.from_rotvec(v)))
-            elif way in EULER:
-                found.append((way, u, Rotation.from_euler(way, v[:, ["xyz".index(letter) for letter in way.lower()]])))
+        for notation in requested:
+            if notation == "rotvec":
+                found.append((notation, u, Rotation.from_rotvec(v)))
+            elif notation in EULER:
+                found.append(
+                    (
+                        notation,
+                        u,
+                        Rotation.from_euler(notation, v[:, ["xyz".index(letter) for letter in notation.lower()]]),
+                    )
+                )
     return found
 
 
@@ -339,12 +347,12 @@ def _by_commands(ways: list[Reading], table: ForeignTable, design: Design, q: Fl
     first counts.
     """
     distinct: list[Reading] = []
-    for way in ways:
-        if not any((way[2] * other[2].inv()).magnitude().max() < 1e-9 for other in distinct):
-            distinct.append(way)
+    for reading in ways:
+        if not any((reading[2] * other[2].inv()).magnitude().max() < 1e-9 for other in distinct):
+            distinct.append(reading)
     miss = _disagreement_with_commands(design, q)
     if miss is not None:
-        ranked = sorted(distinct, key=lambda way: miss(way[2])[0])
+        ranked = sorted(distinct, key=lambda reading: miss(reading[2])[0])
         if len(ranked) == 1 or miss(ranked[0][2])[0] < BETTER * miss(ranked[1][2])[0]:
             rotation, unit, R = ranked[0]
             return (
@@ -363,16 +371,17 @@ def _by_commands(ways: list[Reading], table: ForeignTable, design: Design, q: Fl
             (f"{table.file.name}: rotations are {_name(rotation, unit)}",),
         )
     units_too = [
-        f"' --set 'poses.rotation_unit={way[1]}" if way[1] and not table.rotation_unit else "" for way in distinct
+        f"' --set 'poses.rotation_unit={reading[1]}" if reading[1] and not table.rotation_unit else ""
+        for reading in distinct
     ]
     raise ambiguity_error(
         f"{table.file}: its rotations can be read in {len(distinct)} ways, and nothing here decides (the "
         "first pose turned by)",
         [
             (
-                f"{_name(way[0], way[1])} ({np.degrees(way[2][0].magnitude()):.4g} degrees)",
-                f"poses.rotation={way[0]}{unit}",
+                f"{_name(reading[0], reading[1])} ({np.degrees(reading[2][0].magnitude()):.4g} degrees)",
+                f"poses.rotation={reading[0]}{unit}",
             )
-            for way, unit in zip(distinct, units_too)
+            for reading, unit in zip(distinct, units_too)
         ],
     )

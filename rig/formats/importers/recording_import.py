@@ -61,7 +61,7 @@ class ImportedRecording:
     posed: ImportedPoses | None
     logged: ImportedSensors | None
     recipe: Recipe
-    said: tuple[str, ...]
+    remarks: tuple[str, ...]
     rig: str | None = None  # rig.toml with other cameras or another instrument; None: as its owner has it
 
 
@@ -130,7 +130,7 @@ def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
     """The same, up to the first error."""
     design, rig, of_cameras = design_with_imported_cameras(recipe)
     if recipe.bag is not None:
-        of_cameras = (*of_cameras, *recipe.bag.said)
+        of_cameras = (*of_cameras, *recipe.bag.remarks)
     if recipe.images is None and recipe.poses is None:
         raise RigError("there are no observations: give folders of images, or --poses FILE.csv")
     commanded = read_commands(recipe.commands, design) if recipe.commands else None
@@ -169,9 +169,9 @@ def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
     )
     lines = (
         *of_cameras,
-        *dict.fromkeys(line for part in (commanded, exposed, posed, logged) if part for line in part.said),
+        *dict.fromkeys(line for part in (commanded, exposed, posed, logged) if part for line in part.remarks),
     )
-    return ImportedRecording(design, exposed, commanded, posed, logged, replace(recipe, said=lines), lines, rig)
+    return ImportedRecording(design, exposed, commanded, posed, logged, replace(recipe, remarks=lines), lines, rig)
 
 
 def _without_rotation_sigma(recipe: Recipe, text: str | None) -> str:
@@ -221,7 +221,7 @@ def _usable(exposed: ImportedExposures, design: Design, skip: bool) -> ImportedE
         t=[t[k] for k in keep],
         camera=[exposed.camera[k] for k in keep],
         path=[exposed.path[k] for k in keep],
-        said=(*exposed.said, *(f"left out: {line}" for line in bad)),
+        remarks=(*exposed.remarks, *(f"left out: {line}" for line in bad)),
     )
 
 
@@ -268,7 +268,7 @@ def _placed_by_hand(
     once = replace(posed, T=posed.T[rows], frame=None if frame is None else np.array(frame), t=t)
     exposed, placed = _placed(exposed, once, commanded)
     assert placed.frame is not None
-    return exposed, replace(posed, frame=placed.frame[back], said=placed.said)
+    return exposed, replace(posed, frame=placed.frame[back], remarks=placed.remarks)
 
 
 def _placed(
@@ -280,7 +280,11 @@ def _placed(
         t = posed.t or (
             commanded.t if commanded is not None and commanded.t is not None and len(commanded.t) == n else None
         )
-        lines = posed.said if posed.t else (*posed.said, f"the {n} poses belong to the {n} rows of commands, in order")
+        lines = (
+            posed.remarks
+            if posed.t
+            else (*posed.remarks, f"the {n} poses belong to the {n} rows of commands, in order")
+        )
         if t is None and commanded is not None and commanded.t is None and len(commanded.values) == n:
             t = [Decimal(k) for k in range(n)]
             lines = (
@@ -307,7 +311,7 @@ def _placed(
         empty = ImportedExposures(
             [numbers[k] for k in order], [t[k] for k in order], [""] * n, [Path()] * n, Images(()), ()
         )
-        return empty, replace(posed, frame=np.array(numbers), said=lines)
+        return empty, replace(posed, frame=np.array(numbers), remarks=lines)
     known = dict(zip(exposed.frame, exposed.times()))
     if posed.frame is None and posed.t is not None:
         known_frames, at = list(known), list(known.values())
@@ -328,7 +332,7 @@ def _placed(
         posed = replace(
             posed,
             frame=np.array(sorted(known)),
-            said=(*posed.said, f"the {n} poses belong to the {n} frames, in order"),
+            remarks=(*posed.remarks, f"the {n} poses belong to the {n} frames, in order"),
         )
     return exposed, posed
 
@@ -348,7 +352,7 @@ def _clocked(exposed: ImportedExposures, commanded: ImportedCommands | None) -> 
     return replace(
         commanded,
         t=list(at.values()),
-        said=(*commanded.said, f"the rows of {commanded.table.file.name} are the frames', in order"),
+        remarks=(*commanded.remarks, f"the rows of {commanded.table.file.name} are the frames', in order"),
     )
 
 

@@ -72,7 +72,7 @@ def unpack_bags(recipe: Recipe, design: Design, folder: Path) -> Recipe:
     lines = (f"{bare}: messages have no stamps, so their times are those at which they were received",) if bare else ()
     return _recipe(
         recipe,
-        replace(bag, folder=folder, said=lines + tuple(f"{topic} is {part}" for part, topic in _parts(bag))),
+        replace(bag, folder=folder, remarks=lines + tuple(f"{topic} is {part}" for part, topic in _parts(bag))),
         wanted,
         design,
     )
@@ -129,22 +129,22 @@ def _resolved(bag: Bag, kinds: dict[str, str], design: Design, recipe: Recipe) -
                 bag.files[0],
                 f"has no topic {short_repr(topic)} for {part}; it has {', '.join(sorted(kinds)) or 'none'}",
             )
-    for stated, taken in (
+    for stated, permitted in (
         (bag.cameras, IMAGES),
         (bag.sensors, TEMPERATURES),
         *(((pair,), JOINTS if pair[0] == "commands" else POSES) for pair in bag.topics),
     ):
         for name, topic in stated:
-            if kinds[topic] not in taken:
+            if kinds[topic] not in permitted:
                 raise FileError(
-                    bag.files[0], f"topic {topic} is of type {kinds[topic]}, and {name} takes {', '.join(taken)}"
+                    bag.files[0], f"topic {topic} is of type {kinds[topic]}, and {name} takes {', '.join(permitted)}"
                 )
     found = dict(bag.topics)
-    for part, taken in (("commands", JOINTS if design.mechanism.axes else ()), ("poses", POSES)):
+    for part, permitted in (("commands", JOINTS if design.mechanism.axes else ()), ("poses", POSES)):
         table = getattr(recipe, part)
         if part in found or (table is not None and table.file != FROM_BAG):
             continue
-        topics = sorted(topic for topic, kind in kinds.items() if kind in taken)
+        topics = sorted(topic for topic, kind in kinds.items() if kind in permitted)
         if len(topics) > 1:
             raise ambiguity_error(
                 f"{bag.files[0]}: several topics can be {part}",

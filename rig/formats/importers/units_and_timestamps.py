@@ -146,13 +146,13 @@ NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nano
 @dataclass(frozen=True, slots=True)
 class Times:
     """seconds : exact; unit : one of s, ms, us, ns, iso; zone : of ISO times that state none, or None;
-    said : sentences.
+    remarks : sentences.
     """
 
     seconds: list[Decimal]
     unit: str
     zone: str | None
-    said: tuple[str, ...]
+    remarks: tuple[str, ...]
 
 
 def read_times(
@@ -200,7 +200,7 @@ def _unit(
     )
 
 
-def _iso(cells: list[str], name: str, what: str, zone: str | None, by: Decimal, said: tuple[str, ...]) -> Times:
+def _iso(cells: list[str], name: str, what: str, zone: str | None, by: Decimal, remarks: tuple[str, ...]) -> Times:
     read = [ISO.fullmatch(cell) for cell in cells]
     found = [one for one in read if one is not None]
     if len(found) < len(cells):
@@ -212,12 +212,12 @@ def _iso(cells: list[str], name: str, what: str, zone: str | None, by: Decimal, 
     if len(zones) > 1:
         raise RigError(f"{what}: some times state a time zone and some do not")
     if zones == {True} and zone is None:
-        zone, said = (
+        zone, remarks = (
             "UTC",
-            (*said, f"{what}: times state no time zone and are read as UTC (--set {name}.zone=+01:00 changes it)"),
+            (*remarks, f"{what}: times state no time zone and are read as UTC (--set {name}.zone=+01:00 changes it)"),
         )
     seconds = [_seconds(one, zone, what) for one in found]
-    return Times([DIGITS.add(t, by) for t in seconds], "iso", zone if zones == {True} else None, said)
+    return Times([DIGITS.add(t, by) for t in seconds], "iso", zone if zones == {True} else None, remarks)
 
 
 def _seconds(found: re.Match[str], zone: str | None, what: str) -> Decimal:

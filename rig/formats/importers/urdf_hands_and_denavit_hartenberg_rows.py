@@ -162,9 +162,9 @@ def _with_hand(arm: Arm, chain: JointChain, names: list[str], hands: list[Hand])
     if not own:
         hands.append(Hand(chain.tip, parent, here.inv() * T))
         return arm
-    there = here.inv()
+    inverse = here.inv()
     rows = denavit_hartenberg_rows_of_joint_axes(
-        there.apply(points[len(shared) :]), there.rotation.apply(directions[len(shared) :]), there * T
+        inverse.apply(points[len(shared) :]), inverse.rotation.apply(directions[len(shared) :]), inverse * T
     )
     branch = Branch(len(names), parent, rows.base)
     names += [joint.name for joint in own]

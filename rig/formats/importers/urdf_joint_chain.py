@@ -133,15 +133,15 @@ def load_joint_chain(path: Path, tip: str | None = None, root: str | None = None
     ends = [name for name in links if name not in parents]
     tip = _known(path, "--tip", tip, links) if tip is not None else _only_end(path, ends, above, links)
     start = None if root is None else _known(path, "--root", root, links)
-    way, link = list[Element](), tip
+    joints_to_tip, link = list[Element](), tip
     while link != start and link in above:
-        if len(way) > len(above):
+        if len(joints_to_tip) > len(above):
             raise FileError(path, f"the links above {tip!r} make a loop, not a tree", above[tip].line)
-        way.insert(0, above[link])
+        joints_to_tip.insert(0, above[link])
         link = _link(path, above[link], "parent", links)
     if start is not None and link != start:
         raise FileError(path, f"--root {start!r} is not above --tip {tip!r}, whose first link is {link!r}")
-    joints = tuple(_joint(path, one, links) for one in way)
+    joints = tuple(_joint(path, one, links) for one in joints_to_tip)
     if not any(joint.kind in MOVING for joint in joints):
         raise FileError(
             path, f"no joint between {link!r} and {tip!r} moves; {_ends_in_words(path, ends, above, links)}"

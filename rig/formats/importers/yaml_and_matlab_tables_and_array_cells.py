@@ -62,7 +62,7 @@ def cells_with_arrays_as_columns(cells: Cells, section: str) -> Cells:
         return cells
     header: list[str] = []
     columns: list[list[str]] = []
-    table, messages = cells.table, list(cells.said)
+    table, messages = cells.table, list(cells.remarks)
     for k, name in enumerate(cells.header):
         if k not in arrays:
             header.append(name)
@@ -88,7 +88,7 @@ def cells_with_arrays_as_columns(cells: Cells, section: str) -> Cells:
     if twice is not None:
         raise FileError(cells.path, f"two columns are {twice}, one of a list of numbers in {_listed(cells, arrays)}")
     rows = [list(row) for row in zip(*columns)]
-    return replace(cells, header=tuple(header), rows=rows, table=table, said=tuple(messages))
+    return replace(cells, header=tuple(header), rows=rows, table=table, remarks=tuple(messages))
 
 
 def _is_of_joints(name: str) -> bool:
@@ -219,13 +219,13 @@ SAVED = "save('FILE.mat', '-v7', ..)"
 @dataclass(frozen=True, slots=True)
 class FileRows:
     """header : n names; rows : of n texts, arrays in brackets; lines : of the file, or numbers of rows, from 1;
-    said : sentences on what was read
+    remarks : sentences on what was read
     """
 
     header: tuple[str, ...]
     rows: list[list[str]]
     lines: list[int]
-    said: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 def is_yaml(path: Path) -> bool:

@@ -154,19 +154,19 @@ def write_bytes(path: str | PathLike[str], data: bytes) -> None:
     where that cannot be done; what stood there then stands there still and no temporary is left.
     """
     try:
-        there = path_status(path)
-        own = _own_stream(there) if there is not None or Path(path) != STANDARD_OUTPUT else 1
-        if there is not None and stat.S_ISDIR(there.st_mode):
+        status = path_status(path)
+        own = _own_stream(status) if status is not None or Path(path) != STANDARD_OUTPUT else 1
+        if status is not None and stat.S_ISDIR(status.st_mode):
             raise FileError(path, "is a folder, not a file to write")
         if own is not None:
             for stream in (sys.stdout, sys.stderr):
                 if stream is not None:  # a process may be started without
                     stream.flush()
             _all(own, data)
-        elif there is not None and not stat.S_ISREG(there.st_mode):
+        elif status is not None and not stat.S_ISREG(status.st_mode):
             _straight(path, data)
         else:
-            _replace(Path(os.path.realpath(path)), data, there)
+            _replace(Path(os.path.realpath(path)), data, status)
     except BrokenPipeError:
         raise  # who read has gone away, which is no fault of the file
     except OSError as error:
@@ -189,21 +189,21 @@ def is_written_directly(path: str | PathLike[str]) -> bool:
     A device, a pipe, or this process's standard output.
     """
     try:
-        there = path_status(path)
+        status = path_status(path)
     except OSError:
         return False
-    return there is not None and (
-        _own_stream(there) is not None or not (stat.S_ISREG(there.st_mode) or stat.S_ISDIR(there.st_mode))
+    return status is not None and (
+        _own_stream(status) is not None or not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode))
     )
 
 
-def _own_stream(there: os.stat_result | None) -> int | None:
+def _own_stream(status: os.stat_result | None) -> int | None:
     """1 or 2 where a file is what that descriptor goes to: renaming over it would leave the shell's redirection with a
     file nobody sees.
     """
     for descriptor in (1, 2):
         with suppress(OSError):  # a closed descriptor is nothing's
-            if there is not None and os.path.samestat(there, os.fstat(descriptor)):
+            if status is not None and os.path.samestat(status, os.fstat(descriptor)):
                 return descriptor
     return None
 
@@ -216,20 +216,20 @@ def _straight(path: str | PathLike[str], data: bytes) -> None:
         os.close(descriptor)
 
 
-def _replace(place: Path, data: bytes, there: os.stat_result | None) -> None:
-    """Put data at a place that is no link. there : status of the regular file that it takes the place of, or None"""
-    if there is not None and not os.access(place, os.W_OK):
+def _replace(place: Path, data: bytes, status: os.stat_result | None) -> None:
+    """Put data at a place that is no link. status : status of the regular file that it takes the place of, or None"""
+    if status is not None and not os.access(place, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     folder = _open_folder(place.parent)
     base = place.parent if folder is None else Path()
     part = base / PART.format(secrets.token_hex(8))
     try:
-        mode = 0o666 if there is None else stat.S_IMODE(there.st_mode)
+        mode = 0o666 if status is None else stat.S_IMODE(status.st_mode)
         descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_LINK | BINARY, mode, dir_fd=folder)
         try:
             try:
-                if there is not None:
-                    _alike(descriptor, there)
+                if status is not None:
+                    _alike(descriptor, status)
                 _all(descriptor, data)
                 os.fsync(descriptor)
             finally:
@@ -252,14 +252,14 @@ def _open_folder(folder: Path) -> int | None:
     return os.open(folder, os.O_RDONLY | os.O_DIRECTORY) if os.open in os.supports_dir_fd else None
 
 
-def _alike(descriptor: int, there: os.stat_result) -> None:
+def _alike(descriptor: int, status: os.stat_result) -> None:
     """Give a new file the owner and the mode of the one whose place it takes; who is not root makes files of his own
     only.
     """
     if hasattr(os, "geteuid") and os.geteuid() == 0:
-        os.fchown(descriptor, there.st_uid, there.st_gid)
+        os.fchown(descriptor, status.st_uid, status.st_gid)
     if hasattr(os, "fchmod"):  # elsewhere (Windows) a mode says no more than whether a file may be written
-        os.fchmod(descriptor, stat.S_IMODE(there.st_mode))
+        os.fchmod(descriptor, stat.S_IMODE(status.st_mode))
 
 
 def _all(descriptor: int, data: bytes) -> None:

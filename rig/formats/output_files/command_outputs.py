@@ -94,7 +94,7 @@ class CommandOutputs:
         self._no_input(path, "the recording itself")
         if path.exists() and not path.is_dir():
             raise RigError(f"{path} is a file; --out names a folder")
-        staged = self._beside(Path(os.path.realpath(path)), path)
+        staged = self._staged_folder(Path(os.path.realpath(path)), path)
         if not self.force and not staged.whole:
             self._own(path)
         for given in self.inputs:
@@ -132,7 +132,7 @@ class CommandOutputs:
             place.parent == Path(os.path.realpath(given)) for given in self.inputs
         ):
             raise RigError(f"{path} is a file of the recording, which remains unchanged; name another")
-        staged = self._beside(place.parent, path)
+        staged = self._staged_folder(place.parent, path)
         if (
             place.exists()
             and not self.force
@@ -182,7 +182,7 @@ class CommandOutputs:
         write_text(path / MANIFEST, FolderManifest(self._origin(False), load_manifest(path).files).text())
         return path
 
-    def _beside(self, place: Path, path: Path) -> StagedFolder:
+    def _staged_folder(self, place: Path, path: Path) -> StagedFolder:
         """The StagedFolder of a folder. path : as the user named what is written there"""
         self.in_use = True
         if place not in self._staged:
@@ -198,11 +198,11 @@ class CommandOutputs:
         return FolderOrigin(self.command, self.arguments, done, self.data)
 
     def _no_input(self, path: Path, what: str) -> None:
-        there = path_status(path)
+        status = path_status(path)
         for given in self.inputs:
             other = path_status(given)
             if os.path.realpath(path) == os.path.realpath(given) or (
-                there and other and os.path.samestat(there, other)
+                status and other and os.path.samestat(status, other)
             ):
                 raise RigError(f"{path} is {what}; it remains unchanged, name another place to write to")
 

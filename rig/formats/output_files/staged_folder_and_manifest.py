@@ -276,10 +276,10 @@ class StagedFolder:
             path = self.place / name
             if not Path(os.path.realpath(path.parent)).is_relative_to(self.place):
                 raise FileError(path, "lies behind a link that leads out of the folder; name another place to write to")
-            there = path_status(path)
-            if there is None:
+            status = path_status(path)
+            if status is None:
                 continue
-            if any(os.path.samestat(there, other) for other in given) or any(
+            if any(os.path.samestat(status, other) for other in given) or any(
                 real in (path, *path.parents) for real in inner
             ):
                 raise FileError(path, "is read by this command; it remains unchanged, name another place to write to")

@@ -17,7 +17,7 @@ from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import camera_instrument_and_cube_entries
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table, user_program_entry
 from rig.formats.rig_toml.mechanism_entries import (
-    bodies_by_word,
+    bodies_by_name_in_rig_toml,
     mechanism_of_table,
     refuse_tables_unsuited_to_several_hands,
 )
@@ -117,7 +117,7 @@ def design_of_entries(root: Entries) -> Design:
     mechanism, actuator = mechanism_of_table(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
     cameras, targets = (
         camera_instrument_and_cube_entries.cameras_of_tables(root.tables("camera")),
-        _targets(root.tables("target"), bodies_by_word(mechanism)),
+        _targets(root.tables("target"), bodies_by_name_in_rig_toml(mechanism)),
     )
     targets = camera_instrument_and_cube_entries.turned_targets(root.table("turned", optional=True), targets)
     camera_instrument_and_cube_entries.check_hand_mounted_cameras(root, cameras, targets, mechanism)

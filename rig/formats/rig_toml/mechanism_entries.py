@@ -40,7 +40,7 @@ def refuse_tables_unsuited_to_several_hands(root: Entries) -> None:
         instrument.fail("the poses or positions of several hands are calibrated, no other part of a pose", "kind")
 
 
-def bodies_by_word(mechanism: Mechanism) -> dict[str, str]:
+def bodies_by_name_in_rig_toml(mechanism: Mechanism) -> dict[str, str]:
     """{word in rig.toml: body of a Target}: of an arm with several hands the hand's name; the first one's targets are
     the platform's, those of others are measured as the stages of a chain are.
     """
@@ -166,10 +166,10 @@ def joint_rows_and_kinds(table: Entries) -> tuple[Floats, Booleans]:
     if not rows:
         table.fail(f"{table.name('joints')} is empty", "joints")
     slides = np.array([_slides(table, i, row) for i, row in enumerate(rows)])
-    told = [isinstance(row[0], str) if row else False for row in rows]
-    columns = len(rows[0]) - told[0]
+    has_kind = [isinstance(row[0], str) if row else False for row in rows]
+    columns = len(rows[0]) - has_kind[0]
     columns = columns if columns in (4, 5) else 4
-    for i, (row, word) in enumerate(zip(rows, told)):
+    for i, (row, word) in enumerate(zip(rows, has_kind)):
         if len(row) - word != columns:
             table.fail(
                 f"{table.name('joints')}[{i + 1}] must have {columns} numbers, theta, d, a, "
@@ -180,7 +180,7 @@ def joint_rows_and_kinds(table: Entries) -> tuple[Floats, Booleans]:
             )
         for j in range(columns):
             table.numbers(row[j + word], (), "joints", (i, j + word), LARGEST_RIG if j in (1, 2) else None)
-    stated = np.array([row[word:] for row, word in zip(rows, told)], float)
+    stated = np.array([row[word:] for row, word in zip(rows, has_kind)], float)
     return table.units.si(stated, ROW_UNITS[:columns]), slides
 
 

@@ -190,7 +190,7 @@ def home_values(arm: Arm) -> Floats:
     return np.zeros(len(arm.joints))
 
 
-def axis_loads(T: RigidTransform, q: Floats, arm: Arm, wrench: Floats) -> Floats:
+def axis_forces_and_torques(T: RigidTransform, q: Floats, arm: Arm, wrench: Floats) -> Floats:
     """Loads (m, n) N m (slides: N) of the joints that hold a wrench (m, 6) on the platform, the hand."""
     return -np.einsum("mij,mi->mj", jacobian(q, arm), wrench)
 
@@ -275,8 +275,8 @@ def link_points(q: Floats, arm: Arm) -> Floats:
         frames, moving = joint_frames(q, seen), seen.moving
         along = np.stack([part[..., :3, 3][..., moving, :] for part in (frames.before, frames.after)], axis=-2)
         base = np.broadcast_to(arm.base.translation, (*along.shape[:-3], 1, 3))
-        way = [base, along.reshape(*along.shape[:-3], -1, 3), frames.tip[..., None, :3, 3]]
-        ways += [*way, *(part[..., ::-1, :] for part in way[1::-1])]
+        points = [base, along.reshape(*along.shape[:-3], -1, 3), frames.tip[..., None, :3, 3]]
+        ways += [*points, *(part[..., ::-1, :] for part in points[1::-1])]
     return np.concatenate(ways, axis=-2)
 
 

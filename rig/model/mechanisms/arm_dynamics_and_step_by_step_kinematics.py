@@ -120,7 +120,7 @@ def torque_free_momentum_rate(q: Floats, speed: Floats, arm: Arm, links: LinkMas
     """
     still, ahead = np.zeros(np.shape(q)), STEP * np.asarray(speed, float)
     pull = joint_torques(q, speed, still, arm, links, gravity)  # C v + g
-    momentum = [joint_torques(q + way * ahead, still, speed, arm, links, NO_GRAVITY) for way in (1, -1)]
+    momentum = [joint_torques(q + sign * ahead, still, speed, arm, links, NO_GRAVITY) for sign in (1, -1)]
     return (momentum[0] - momentum[1]) / (2 * STEP) - pull  # C^T v = (dM/dt) v - C v
 
 
@@ -168,31 +168,37 @@ def steps_of_closed_form_inverse(
 
     q : of closed_form_inverse: of two readings the one near it is taken, and what a singular pose leaves free
     """
-    way = _PathToZero(six_arm, np.asarray(q, float), T_base_platform)
-    way.back(0, way.shoulder())
+    path = _PathToZero(six_arm, np.asarray(q, float), T_base_platform)
+    path.back(0, path.shoulder())
     if six_arm.kind == "spherical":
-        way.elbow(way.abc[0])
-        way.back(1, _angle(six_arm.points[2] - six_arm.points[1], way.extra["E"] - six_arm.points[1], six_arm.axes[1]))
-        way.back(2, _angle(six_arm.key - six_arm.points[2], way.abc[0] - six_arm.points[2], six_arm.axes[2]))
-        fifth = way.fifth(six_arm.axes[3])
-        way.back(
-            3, way.about(3, _rotate_vectors(six_arm.axes[5], six_arm.axes[4], fifth), way.carried(six_arm.axes[5]))
+        path.elbow(path.abc[0])
+        path.back(
+            1, _angle(six_arm.points[2] - six_arm.points[1], path.extra["E"] - six_arm.points[1], six_arm.axes[1])
+        )
+        path.back(2, _angle(six_arm.key - six_arm.points[2], path.abc[0] - six_arm.points[2], six_arm.axes[2]))
+        fifth = path.fifth(six_arm.axes[3])
+        path.back(
+            3, path.about(3, _rotate_vectors(six_arm.axes[5], six_arm.axes[4], fifth), path.carried(six_arm.axes[5]))
         )
     else:
-        fifth = way.fifth(six_arm.axes[1])
-        turn = way.about(None, _rotate_vectors(six_arm.axes[5], six_arm.axes[4], fifth), way.carried(six_arm.axes[5]))
+        fifth = path.fifth(six_arm.axes[1])
+        turn = path.about(None, _rotate_vectors(six_arm.axes[5], six_arm.axes[4], fifth), path.carried(six_arm.axes[5]))
         last = six_arm.key - six_arm.points[3]
-        way.extra["D"] = way.abc[0] - _rotate_vectors(last, six_arm.axes[1], turn)
-        way.elbow(way.extra["D"])
-        way.back(1, _angle(six_arm.points[2] - six_arm.points[1], way.extra["E"] - six_arm.points[1], six_arm.axes[1]))
-        way.back(2, _angle(six_arm.points[3] - six_arm.points[2], way.extra["D"] - six_arm.points[2], six_arm.axes[2]))
-        way.back(
-            3, way.about(3, _rotate_vectors(six_arm.axes[5], six_arm.axes[4], fifth), way.carried(six_arm.axes[5]))
+        path.extra["D"] = path.abc[0] - _rotate_vectors(last, six_arm.axes[1], turn)
+        path.elbow(path.extra["D"])
+        path.back(
+            1, _angle(six_arm.points[2] - six_arm.points[1], path.extra["E"] - six_arm.points[1], six_arm.axes[1])
         )
-    way.back(4, _angle(six_arm.axes[5], way.carried(six_arm.axes[5]), six_arm.axes[4]))
+        path.back(
+            2, _angle(six_arm.points[3] - six_arm.points[2], path.extra["D"] - six_arm.points[2], six_arm.axes[2])
+        )
+        path.back(
+            3, path.about(3, _rotate_vectors(six_arm.axes[5], six_arm.axes[4], fifth), path.carried(six_arm.axes[5]))
+        )
+    path.back(4, _angle(six_arm.axes[5], path.carried(six_arm.axes[5]), six_arm.axes[4]))
     mark = np.cross(six_arm.axes[5], six_arm.axes[4])
-    way.back(5, _angle(mark, way.carried(mark), six_arm.axes[5]))
-    return way.steps
+    path.back(5, _angle(mark, path.carried(mark), six_arm.axes[5]))
+    return path.steps
 
 
 def joint_by_joint_inverse_steps(T_base_platform: RigidTransform, arm: Arm, q: Floats) -> list[KinematicsStep]:
@@ -270,14 +276,14 @@ class _PathToZero:
         o, u = self.six.points[1:3], self.six.axes[1]
         far = self.six.key if self.six.kind == "spherical" else self.six.points[3]
         arm, fore, d = (v - (u @ v) * u for v in (o[1] - o[0], far - o[1], point - o[0]))
-        there = [o[0] + _rotate_vectors(o[1] - o[0], u, self.q[1])]  # where joint 2 is free
+        elbows = [o[0] + _rotate_vectors(o[1] - o[0], u, self.q[1])]  # where joint 2 is free
         reach = np.linalg.norm(d)
         if reach > FREE:
             x = (arm @ arm - fore @ fore + reach**2) / (2 * reach)
             h = np.sqrt(max(arm @ arm - x * x, 0.0))
             foot, side = o[0] + u * (u @ (o[1] - o[0])) + x * d / reach, np.cross(u, d / reach)
-            there = [foot + h * side, foot - h * side]
-        self.extra["E"] = min(there, key=lambda e: abs(_wrap_angle(_angle(arm, e - o[0], u) - self.q[1])))
+            elbows = [foot + h * side, foot - h * side]
+        self.extra["E"] = min(elbows, key=lambda e: abs(_wrap_angle(_angle(arm, e - o[0], u) - self.q[1])))
         self.steps[-1] = self.steps[-1]._replace(**self.seen())
 
     def about(self, i: int | None, start: Floats, end: Floats) -> float:
@@ -350,7 +356,9 @@ def loads_by_weight_of_hands(q: Floats, arm: Arm, gravity: Floats) -> Floats:
     for number, hand in enumerate(arm.hands):
         seen = arm.of_hand(number)
         T = mechanism.forward(q, seen)
-        out += mechanism.axis_loads(T, q, seen, weight_wrench(T, gravity, hand.mass or 0.0, hand.centre_of_mass))
+        out += mechanism.axis_forces_and_torques(
+            T, q, seen, weight_wrench(T, gravity, hand.mass or 0.0, hand.centre_of_mass)
+        )
     return out
 
 

@@ -69,13 +69,13 @@ class SixJointArm:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InverseBranches:
-    """All inverse solutions. q : (..., 8, 6) rad in -pi .. pi, NaN where a branch is not there; there : (..., 8) bool
+    """All inverse solutions. q : (..., 8, 6) rad in -pi .. pi, NaN where a branch is not there; exists : (..., 8) bool
     singular : (..., 8) sums of 1 shoulder, 2 elbow, 4 wrist, where two branches meet or a joint is free (then `near`
         was taken)
     reason : (...) 0 or why there is no branch at all (REASONS); gap : (...) m or rad by which it fails."""
 
     q: Floats
-    there: Booleans
+    exists: Booleans
     singular: Integers
     reason: Integers
     gap: Floats
@@ -85,7 +85,7 @@ class InverseBranches:
         reason = int(self.reason.ravel()[index])
         if reason:
             return f"out of reach: {REASONS[reason]} {self.gap.ravel()[index] * 1e3:.3g} mm or mrad"
-        flags = np.bitwise_or.reduce(np.where(self.there, self.singular, 0).reshape(-1, 8)[index])
+        flags = np.bitwise_or.reduce(np.where(self.exists, self.singular, 0).reshape(-1, 8)[index])
         names = [name for bit, name in SINGULAR.items() if flags & bit]
         return f"singular: {', '.join(names)}" if names else "regular"
 
@@ -186,10 +186,10 @@ def closed_form_inverse(
         six_arm.key,
         free_joint_values,
     )
-    there = flags >= 0
+    exists = flags >= 0
     return InverseBranches(
         q.reshape(*shape, 8, 6),
-        there.reshape(*shape, 8),
+        exists.reshape(*shape, 8),
         np.maximum(flags, 0).reshape(*shape, 8),
         reason.reshape(shape),
         gap.reshape(shape),

@@ -17,7 +17,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, Unreachable
 from rig.model.mechanism_geometry_classes import FileMechanism
 from rig.model.user_kinematics_file import KinematicsFile, freedom_columns, parameter_columns
-from rig.model.user_kinematics_file_checks import kinematics_of_source, locked_poses
+from rig.model.user_kinematics_file_checks import kinematics_of_source, poses_with_locked_coordinates_at_home
 
 AXIS, UNIT = "axis", "m"
 SCALE = 5e-4  # m that a parameter's tolerance counts as, so that lengths and angles share one scale
@@ -42,7 +42,7 @@ def inverse(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Floats
     Axis values (..., axes) m or rad of poses (...), of the nearest that the platform can take.
     Raises Unreachable with the index of poses for which the file has no values
     """
-    poses = locked_poses(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
+    poses = poses_with_locked_coordinates_at_home(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
     values = mechanism.stated.inverse(poses, mechanism.parameters).astype(float)
     failed = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(failed):
@@ -75,7 +75,9 @@ def forward(values: Floats, mechanism: FileMechanism, guess: RigidTransform | No
     start = mechanism.stated.home if guess is None else guess.as_matrix()
     if start.ndim > 2:
         start = np.broadcast_to(start, (*values.shape[:-1], 4, 4))
-    poses = locked_poses(mechanism.stated, np.array(np.broadcast_to(start.reshape(-1, 4, 4), (len(flat), 4, 4))))
+    poses = poses_with_locked_coordinates_at_home(
+        mechanism.stated, np.array(np.broadcast_to(start.reshape(-1, 4, 4), (len(flat), 4, 4)))
+    )
     columns = _columns_at_starts(poses, mechanism)
     before = _side(columns)
     left = _newton(poses, flat, columns, mechanism)
@@ -104,19 +106,19 @@ def _newton(poses: Floats, values: Floats, columns: Floats, mechanism: FileMecha
     for _ in range(MAX_ITERATIONS):
         error = values[going] - file.inverse(poses[going], mechanism.parameters).astype(float)
         worst = np.abs(error).max(axis=1)
-        there, slow = np.isfinite(worst), ~(worst < CONTRACTS * left[going])
-        keep = ~there | ((worst > TOLERANCE) & ((worst < left[going]) | (worst > GOOD)))
-        left[going[there]] = worst[there]
-        going, error, there, slow = going[keep], error[keep], there[keep], slow[keep]
+        finite, slow = np.isfinite(worst), ~(worst < CONTRACTS * left[going])
+        keep = ~finite | ((worst > TOLERANCE) & ((worst < left[going]) | (worst > GOOD)))
+        left[going[finite]] = worst[finite]
+        going, error, finite, slow = going[keep], error[keep], finite[keep], slow[keep]
         if not len(going):
             break
-        step[going[~there]] /= 2
-        fresh = going[there]
+        step[going[~finite]] /= 2
+        fresh = going[finite]
         start[fresh] = poses[fresh]
-        renewed = going[there & slow]
+        renewed = going[finite & slow]
         if len(renewed):
             columns[renewed] = freedom_columns(file, poses[renewed], mechanism.parameters)
-        step[fresh] = _step(columns[fresh], error[there], file)
+        step[fresh] = _step(columns[fresh], error[finite], file)
         poses[going] = _moved(start[going], step[going], file)
     return left
 
@@ -170,7 +172,7 @@ def nearest_reachable(T_base_platform: RigidTransform, mechanism: FileMechanism)
     """
     matrices = T_base_platform.as_matrix()
     return RigidTransform.from_matrix(
-        locked_poses(mechanism.stated, matrices.reshape(-1, 4, 4)).reshape(matrices.shape)
+        poses_with_locked_coordinates_at_home(mechanism.stated, matrices.reshape(-1, 4, 4)).reshape(matrices.shape)
     )
 
 
@@ -189,7 +191,7 @@ def jacobian(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Float
 
     0 along what is no freedom.
     """
-    poses = locked_poses(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
+    poses = poses_with_locked_coordinates_at_home(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
     columns = freedom_columns(mechanism.stated, poses, mechanism.parameters)
     out = columns @ np.swapaxes(_free_directions(poses, mechanism), 1, 2)
     return cast(Floats, out.reshape(*T_base_platform.shape, *out.shape[1:]))
@@ -232,7 +234,7 @@ def loop_jacobian(T_base_platform: RigidTransform, mechanism: FileMechanism) -> 
 
     Change of minus the axis values with the scaled parameters, at poses (...).
     """
-    poses = locked_poses(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
+    poses = poses_with_locked_coordinates_at_home(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
     free = identified_parameters(mechanism)
     out = -parameter_columns(mechanism.stated, poses, mechanism.parameters, free)
     out *= mechanism.stated.tolerances[free] / SCALE
@@ -273,7 +275,7 @@ def home_values(mechanism: FileMechanism) -> Floats:
     return inverse(mechanism.home_pose, mechanism)
 
 
-def axis_loads(T: RigidTransform, values: Floats, mechanism: FileMechanism, wrench: Floats) -> Floats:
+def axis_forces_and_torques(T: RigidTransform, values: Floats, mechanism: FileMechanism, wrench: Floats) -> Floats:
     """Axis loads (n, axes) N or N m that hold a wrench.
 
     A wrench (n, 6) on the platform. Guides take the rest.

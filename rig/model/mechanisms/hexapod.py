@@ -124,7 +124,7 @@ def home_values(hexapod: Hexapod) -> Floats:
     return inverse(hexapod.home, hexapod)
 
 
-def axis_loads(T: RigidTransform, lengths: Floats, hexapod: Hexapod, wrench: Floats) -> Floats:
+def axis_forces_and_torques(T: RigidTransform, lengths: Floats, hexapod: Hexapod, wrench: Floats) -> Floats:
     """Axis loads (n, struts) N of the struts that hold a wrench.
 
     Pushing, with a wrench (n, 6) on the platform: J^T f + w = 0. Of more than six struts the least squares of all

@@ -169,7 +169,7 @@ def home_values(chain: Chain) -> Floats:
     return np.concatenate([KINDS[stage.kind].home_values(stage) for stage in chain.stages])
 
 
-def axis_loads(T: RigidTransform, values: Floats, chain: Chain, wrench: Floats) -> Floats:
+def axis_forces_and_torques(T: RigidTransform, values: Floats, chain: Chain, wrench: Floats) -> Floats:
     """Axis loads (n, axes of all) N or N m that hold a wrench.
 
     Those that hold a wrench (n, 6) on the platform, each alone.

@@ -98,15 +98,13 @@ def is_redundant(mechanism: Mechanism) -> TypeIs[Hexapod]:
     return is_hexapod(mechanism) and len(mechanism.axes) > 6
 
 
-def require_struts(
-    mechanism: Mechanism, refusal: str = "this requires a platform on struts, not a mechanism of kind {kind!r}"
-) -> Struts:
+def require_struts(mechanism: Mechanism) -> Struts:
     """Require that a mechanism has struts (hexapod or planar), and return it.
 
     Raises RigError for another kind.
     """
     if not has_struts(mechanism):
-        raise RigError(refusal.format(kind=mechanism.kind))
+        raise RigError(f"this requires a platform on struts, not a mechanism of kind {mechanism.kind!r}")
     return mechanism
 
 
@@ -123,13 +121,13 @@ def require_parallel(
     return mechanism
 
 
-def require_arm(mechanism: Mechanism, refusal: str = "this requires an arm, not a mechanism of kind {kind!r}") -> Arm:
+def require_arm(mechanism: Mechanism) -> Arm:
     """Require that a mechanism is an arm, and return it.
 
     Raises RigError for another kind.
     """
     if not has_links(mechanism):
-        raise RigError(refusal.format(kind=mechanism.kind))
+        raise RigError(f"this requires an arm, not a mechanism of kind {mechanism.kind!r}")
     return mechanism
 
 
@@ -151,15 +149,13 @@ def target_bodies(mechanism: Mechanism) -> tuple[str, ...]:
     return ("platform", "base", *mechanism.bodies)
 
 
-def require_axes(
-    mechanism: Mechanism, refusal: str = "this requires a machine with axes, not a body that is moved by hand"
-) -> Commanded:
+def require_axes(mechanism: Mechanism) -> Commanded:
     """Require that a mechanism has axes to command, and return it.
 
     Raises RigError for a free body.
     """
     if not has_axes(mechanism):
-        raise RigError(refusal.format(kind=mechanism.kind))
+        raise RigError("this requires a machine with axes, not a body that is moved by hand")
     return mechanism
 
 
@@ -200,7 +196,7 @@ class MechanismKinematics(Protocol[M]):
         """(axes,) commanded values from which strokes count."""
         ...
 
-    def axis_loads(self, T: RigidTransform, values: Floats, mechanism: M, wrench: Floats, /) -> Floats:
+    def axis_forces_and_torques(self, T: RigidTransform, values: Floats, mechanism: M, wrench: Floats, /) -> Floats:
         """(n, axes) force or torque that the axes exert, in the direction of growing values, to hold a wrench (n, 6) on
         the platform.
         """

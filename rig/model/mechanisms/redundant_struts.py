@@ -231,7 +231,7 @@ def leg_closures(legs: RedundantLegs, lengths: Floats, chosen_six: Integers) -> 
     """
     checks = np.setdiff1d(np.arange(len(legs.names)), chosen_six)
     T = kinematics.forward(lengths[:, chosen_six], legs.six(chosen_six))
-    told, J, to_base = leg_lengths_and_pose_and_base_jacobians(legs, T)
+    predicted, J, to_base = leg_lengths_and_pose_and_base_jacobians(legs, T)
     values = np.linalg.svd(J[:, chosen_six], compute_uv=False)
     if (values[:, -1] < SINGULAR * values[:, 0]).any():
         raise RigError(
@@ -246,7 +246,7 @@ def leg_closures(legs: RedundantLegs, lengths: Floats, chosen_six: Integers) -> 
     G = by[:, :, :, None] * slope[:, None]  # with base joint, platform joint and zero of every leg
     G = G.reshape(len(lengths), len(checks), -1)
     covariance = (by * legs.sigma**2) @ np.swapaxes(by, 1, 2) + G @ legs.covariance @ np.swapaxes(G, 1, 2)
-    error = lengths[:, checks] - told[:, checks]
+    error = lengths[:, checks] - predicted[:, checks]
     return LegClosures(T, checks, error, covariance, *_off(by, error, covariance))
 
 

@@ -91,7 +91,7 @@ def home_values(planar: Planar2) -> Floats:
     return planar.strut_range.mean(axis=1)
 
 
-def axis_loads(T: RigidTransform, lengths: Floats, planar: Planar2, wrench: Floats) -> Floats:
+def axis_forces_and_torques(T: RigidTransform, lengths: Floats, planar: Planar2, wrench: Floats) -> Floats:
     """Axis loads (n, 2) N of the struts that hold a wrench.
 
     Pushing, with a wrench (n, 6) on the hinge; a guide takes the rest.

@@ -188,19 +188,19 @@ def view_3d_html(scene: Scene) -> list[str]:
     """HTML of the 3-D view of a scene, once in a page, which needs `view_3d_scripts_if_needed`."""
     chosen = np.arange(0, len(scene.frames), max(-(-len(scene.frames) // MOST_FRAMES), 1))
     data = json.dumps(_tree(scene, chosen), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    told = [
+    legend = [
         f'<span class="box {colour}"></span>{inline_html(name)}' for name, colour in zip([*scene.errors], ("c1", "c2"))
     ]
-    told += ['<span class="box c3"></span>what the effect does'] if scene.effects else []
+    legend += ['<span class="box c3"></span>what the effect does'] if scene.effects else []
     thinned = "" if len(chosen) == len(scene.frames) else f" Of {len(scene.frames)} frames {len(chosen)} are shown."
-    enlarged = " Errors and effects are enlarged by the factor of the slider." if told else ""
+    enlarged = " Errors and effects are enlarged by the factor of the slider." if legend else ""
     return [
         note_html(f"Drag or use the arrow keys to turn, the wheel or + and - to zoom.{enlarged}{thinned}"),
         '<figure class="stage">'
         '<canvas id="stage-view" role="img" tabindex="0" aria-label="the rig in three dimensions; arrow keys '
         'turn it"></canvas>'
         f'<div class="controls">{_controls(scene, len(chosen))}</div>'
-        + f"<figcaption>{' '.join([inline_html(_caption(scene)), *told])}</figcaption>"
+        + f"<figcaption>{' '.join([inline_html(_caption(scene)), *legend])}</figcaption>"
         + f'</figure><script type="application/json" id="stage-data">{data}</script>',
     ]
 
@@ -218,7 +218,7 @@ def _caption(scene: Scene) -> str:
         f"coloured lines {hand} lead from a pose to where its error or the effect takes it": scene.errors
         or scene.effects,
     }
-    parts = "; ".join(text for text, there in seen.items() if there)
+    parts = "; ".join(text for text, is_shown in seen.items() if is_shown)
     return f"The rig in the base frame at {len(scene.frames)} poses, one after another. {parts.capitalize()}."
 
 

@@ -137,7 +137,7 @@ NAME = "index.html"
 KIND = "index"
 DEPTH = 3  # folders down to which pages are looked for, and up to which an index is
 HEAD = 8192  # characters in which a page says what it is
-SAID = re.compile(
+PAGE_HEAD = re.compile(
     '<meta name="generator" content="rig ([a-z]+)"><meta name="description" content="([^:"]*): '
     '([^"]*)"><title>([^<]*)</title>'
 )
@@ -165,7 +165,7 @@ def read_page_summary(path: Path) -> PageSummary | None:
     """
     try:
         with path.open(encoding="utf-8") as file:
-            found = SAID.search(file.read(HEAD))
+            found = PAGE_HEAD.search(file.read(HEAD))
         changed = path.stat().st_mtime
     except (OSError, UnicodeDecodeError):
         return None

@@ -64,7 +64,7 @@ class Scale:
         ]
         return [v for v in found if self.low <= v * (1 + 1e-9) and v <= self.high * (1 + 1e-9)]
 
-    def said(self) -> str:
+    def script_text(self) -> str:
         """For the page's script: low, high, start, end, and log where it is."""
         return f"{self.low:.6g} {self.high:.6g} {self.start:.1f} {self.end:.1f}" + (" log" if self.log else "")
 
@@ -156,7 +156,7 @@ def plot_panel_svg(
     if level is not None:
         parts.append(f'<path class="level" d="M{LEFT} {float(y.at(level)):.1f}H{RIGHT}"/>')
     parts += [_drawn(s, x, y) for s in series]
-    attributes = f' data-x="{x.said()}" data-y="{y.said()}" data-labels="{escape_html("|".join(labels))}"'
+    attributes = f' data-x="{x.script_text()}" data-y="{y.script_text()}" data-labels="{escape_html("|".join(labels))}"'
     return svg_figure(
         int(bottom + BELOW + 17 * len(_below(labels[0]))), f"{title}: {labels[1]} over {labels[0]}", parts, attributes
     )

@@ -43,14 +43,14 @@ OWN = np.array([6e-6, 6e-6, 6e-6, 4e-5, 4e-5, 4e-5])  # m, rad
 
 def rig(*arguments, ok=True):
     """What a command of `rig` says, errors and all, which ends as expected."""
-    said = io.StringIO()
-    with redirect_stdout(said), redirect_stderr(said):
+    output = io.StringIO()
+    with redirect_stdout(output), redirect_stderr(output):
         try:
             status = main([str(one) for one in arguments])
         except SystemExit as end:  # a wrong call
             status = end.code
-    assert (status == 0) == ok, said.getvalue()
-    return said.getvalue()
+    assert (status == 0) == ok, output.getvalue()
+    return output.getvalue()
 
 
 def _made(folder, secret, rig_text, design, route, seed):
@@ -147,9 +147,9 @@ def test_the_claim_is_compared_with_the_held_out_recording(held):
 
 @pytest.mark.slow
 def test_a_folder_of_all_lacks_the_pdf_where_nothing_draws_it_and_says_so(held, monkeypatch):
-    there = importlib.util.find_spec
+    find_spec = importlib.util.find_spec
     monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name, *rest: None if name == "matplotlib" else there(name, *rest)
+        importlib.util, "find_spec", lambda name, *rest: None if name == "matplotlib" else find_spec(name, *rest)
     )
     rig("certify", held.folder / "cal.json", held.folder / "other", "--out", held.folder / "plain")
     assert {path.name for path in (held.folder / "plain").glob("cert*")} == {
@@ -190,8 +190,8 @@ def test_stamps_of_another_clock_are_shifted_as_verification_shifts_them(held, d
     for folder in (right, stamped):
         rig("certify", held.folder / "cal.json", folder, "--out", tmp_path / f"{folder.name}.json")
         made[folder.name] = json.loads((tmp_path / f"{folder.name}.json").read_text())
-    (said,) = [line for line in made["stamped"]["displacement"] if "clock" in line]
-    found = re.search(r"times are ([0-9.]+) ms (early|late)", said)
+    (clock_line,) = [line for line in made["stamped"]["displacement"] if "clock" in line]
+    found = re.search(r"times are ([0-9.]+) ms (early|late)", clock_line)
     assert found[2] == ("early" if offset < 0 else "late") and abs(float(found[1]) - 400) < 2
     assert made["stamped"]["conditions"]["moving"] == made["right"]["conditions"]["moving"]
     promises = [made[name]["promise"] for name in ("stamped", "right")]
@@ -468,7 +468,7 @@ def test_paper_has_every_page(held):
 
 
 @pytest.mark.parametrize(
-    "words, said",
+    "words, message",
     [
         (("--tolerance", "20"), "is not a tolerance"),
         (("--tolerance", "20um", "3mm"), "one length and one angle"),
@@ -477,7 +477,7 @@ def test_paper_has_every_page(held):
         (("--out", "made.txt"), "is written as"),
     ],
 )
-def test_what_makes_no_sense_is_refused(held, tmp_path, words, said):
-    assert said in rig(
+def test_what_makes_no_sense_is_refused(held, tmp_path, words, message):
+    assert message in rig(
         "certify", held.folder / "cal.json", held.folder / "other", "--out", tmp_path / "c.json", *words, ok=False
     )

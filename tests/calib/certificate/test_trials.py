@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from calib.certification.pose_error_promise_and_conformity import CONFORMS, FAILS, OPEN, Bound, tolerance_conformity
-from tests.calib.certificate.trials import share_kept, trial, wrong_decisions
+from tests.calib.certificate.trials import share_of_claims_that_hold, trial, wrong_decisions
 
 
 def test_a_few_rigs_keep_what_is_promised(design):
     trials = [trial(design, seed) for seed in (2, 11)]
-    assert share_kept(trials) == 1 and wrong_decisions(trials) == 0
+    assert share_of_claims_that_hold(trials) == 1 and wrong_decisions(trials) == 0
     assert {len(t.effects) for t in trials} >= {0, 1}
     for t in trials:
         assert all(0.9 * p <= m for p, m in zip(t.promise, t.measured)) or not t.effects
@@ -42,7 +42,7 @@ def test_nothing_is_accepted_in_lengths_that_nobody_certified():
 @pytest.mark.slow
 def test_three_hundred_rigs(design):
     trials = [trial(design, seed) for seed in range(300)]
-    assert share_kept(trials) >= 0.93
+    assert share_of_claims_that_hold(trials) >= 0.93
     assert sum(t.verdict in (CONFORMS, FAILS) for t in trials) > 20
     assert wrong_decisions(trials) <= 0.025 * sum(t.verdict != "" for t in trials)
 
@@ -52,5 +52,5 @@ def test_three_hundred_rigs(design):
 @pytest.mark.parametrize("kinds", [("backlash",), ("hysteresis", "base_expansion")])
 def test_left_out_physics_that_is_seen_sharply(design, kinds, level, sizes):
     """Where measuring is the smaller part, promises are kept as often as stated and no oftener."""
-    share = np.mean([trial(design, seed, level, sizes, kinds, 0.1).kept for seed in range(300)])
+    share = np.mean([trial(design, seed, level, sizes, kinds, 0.1).holds for seed in range(300)])
     assert share == pytest.approx(level[1], abs=0.02 + 2 * np.sqrt(level[1] * (1 - level[1]) / 300))

@@ -74,7 +74,7 @@ class Trial:
     measured: tuple
 
     @property
-    def kept(self):
+    def holds(self):
         """Whether the promise, of position and rotation at once, is so."""
         return self.share >= self.coverage
 
@@ -170,9 +170,9 @@ def _samples(route, goals, true, at, rng, factor):
     return Samples(at, route.t[at], goals[at], true[at] * exp(noise), own, common)
 
 
-def share_kept(trials):
+def share_of_claims_that_hold(trials):
     """Share of Trials whose promise, of position and rotation both, is kept."""
-    return float(np.mean([t.kept for t in trials]))
+    return float(np.mean([t.holds for t in trials]))
 
 
 def wrong_decisions(trials):

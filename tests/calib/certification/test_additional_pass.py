@@ -153,10 +153,10 @@ def test_maps_of_both_spaces_are_kept_and_read_again(machine, tmp_path):
     )
     text = (tmp_path / "c.json").read_text()
     assert '"calibration/3"' in text
-    again = calibration_file.load(tmp_path / "c.json")
+    loaded = calibration_file.load(tmp_path / "c.json")
     commands = samples.commanded[:40]
-    assert np.abs(pose_difference(again.correction.predict(commands), done.correction.predict(commands))).max() < 1e-14
-    assert again.provenance["pass"]["space"] == "both" and again.provenance["passes"] == [
+    assert np.abs(pose_difference(loaded.correction.predict(commands), done.correction.predict(commands))).max() < 1e-14
+    assert loaded.provenance["pass"]["space"] == "both" and loaded.provenance["passes"] == [
         {"recording": "first", "created": "then"}
     ]
     (tmp_path / "c.json").write_text(text.replace('"rz"', '"ry"'))

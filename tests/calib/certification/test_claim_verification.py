@@ -121,9 +121,9 @@ def test_far_poses_excuse_neither_what_is_wrong_besides_nor_many(design, size, c
 
 def test_a_few_visits_of_one_configuration_count_once(design):
     predicted, samples = trial(design, 6, 0.9, count=4)
-    again = np.tile(np.arange(4), 15)
-    label, claim, rng = again, claimed(), np.random.default_rng(0)
-    few = verify_claim(predicted[again], samples.take(again), label, claim, rng)
+    configuration = np.tile(np.arange(4), 15)
+    label, claim, rng = configuration, claimed(), np.random.default_rng(0)
+    few = verify_claim(predicted[configuration], samples.take(configuration), label, claim, rng)
     many = held(*trial(design, 6, 0.9))
     assert few.position.limit > 1.25 * many.position.limit
 

@@ -111,16 +111,16 @@ def test_an_extended_calibration_is_kept_and_says_how_sure_it_is(gridded, design
         samples, design.mechanism, ExtensionRequest("linear", True), np.random.default_rng(0)
     )
     claim = claim_without_geometry(samples, done, np.random.default_rng(0))
-    kept = Calibration(
+    calibration = Calibration(
         done.correction, done.found.covariance, done.found.scatter, (1,), (), done.held_out, {"seed": 0}, claim
     )
-    calibration_file.save(tmp_path / "c.json", kept)
-    again = calibration_file.load(tmp_path / "c.json")
+    calibration_file.save(tmp_path / "c.json", calibration)
+    loaded = calibration_file.load(tmp_path / "c.json")
     inner = sobol_configurations(design.mechanism.strut_range, 80, 0.55, 3)
-    np.testing.assert_allclose(again.correction.rho(inner), done.correction.rho(inner), atol=1e-18)
+    np.testing.assert_allclose(loaded.correction.rho(inner), done.correction.rho(inner), atol=1e-18)
     T = real(inner, true, coupled)
-    error = pose_difference(again.correction.predict(inner), T)
-    stated = platform_pose_covariance(again, T)
+    error = pose_difference(loaded.correction.predict(inner), T)
+    stated = platform_pose_covariance(loaded, T)
     ratio = (error[:, :3] ** 2).sum() / np.trace(stated[:, :3, :3], axis1=1, axis2=2).sum()
     assert 0.05 < ratio < 4
     top, _ = certify_extended_correction(
@@ -206,16 +206,16 @@ def test_a_second_pass_takes_what_the_first_one_left(gridded, design, tmp_path):
     np.testing.assert_allclose(
         second.correction.extension.gradient(inner), sum(f.gradient(inner) for f in second.correction.extension.fields)
     )
-    kept = Calibration(
+    calibration = Calibration(
         second.correction, second.found.covariance, second.found.scatter, (1,), (), second.held_out, {"seed": 0}
     )
-    calibration_file.save(tmp_path / "c.json", kept)
+    calibration_file.save(tmp_path / "c.json", calibration)
     np.testing.assert_allclose(
         calibration_file.load(tmp_path / "c.json").correction.rho(inner), second.correction.rho(inner), atol=1e-18
     )
     source = calibration_file.additional_pass_provenance(
         {"recording": "b", "data": ["2"]},
-        replace(kept, provenance={"recording": "a", "data": ["1"], "created": "then"}),
+        replace(calibration, provenance={"recording": "a", "data": ["1"], "created": "then"}),
         {"number": 2},
     )
     assert source == {

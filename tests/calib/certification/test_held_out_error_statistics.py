@@ -74,13 +74,13 @@ def test_a_factor_is_finite_where_noise_explains_all_that_is_left(design, owners
         replace(claim, ratio=(1.0, np.nan, np.nan))
 
 
-@pytest.mark.parametrize("way", ["alone", "onto"])
-def test_a_claim_of_a_field_or_of_a_pass_holds_what_play_leaves(design, way):
+@pytest.mark.parametrize("method", ["alone", "onto"])
+def test_a_claim_of_a_field_or_of_a_pass_holds_what_play_leaves(design, method):
     m, inside, wide = design.mechanism, 0, []
     for seed in range(8):
         play, rng = playing(56e-6, seed), np.random.default_rng(seed)
         samples, true = sampled(design, seed, 40, play)
-        if way == "alone":
+        if method == "alone":
             done, _ = certify_extended_correction(samples, m, ExtensionRequest("radial", True), rng)
         else:
             before = Calibration(Correction(m, true, (None,) * 6), np.zeros((42, 42)), np.zeros(6), (), (), None, {})

@@ -68,13 +68,13 @@ def test_a_claim_holds_where_physics_is_left_out_and_the_claim_names_it(tmp_path
     off, wanted = driven(of, calibration)
     median, low, high = claim.after[0]
     assert 0.97 * low <= rms(off)[0] <= 1.03 * high and high < 3 * median  # 120 poses tell their own mean to some 3 %
-    said = " ".join(claim.unexplained)
+    text = " ".join(claim.unexplained)
     assert {
         "backlash": "direction of approach",
         "hysteresis": "residuals",
         "warm_up": "time",
         "cyclic_error": "residuals",
-    }[case[1]] in said
+    }[case[1]] in text
     assert calibration.scatter.max() > 5 * of.sigma[0]
     C = platform_pose_covariance(calibration, wanted)[:, :3, :3]
     assert (np.einsum("ni,nij,nj->n", off[:, :3], np.linalg.inv(C), off[:, :3]) < 7.815).mean() > 0.75
@@ -167,8 +167,8 @@ def test_components_have_a_mean_square_of_one_where_the_machine_is_used(design):
             mean, variance = part.use(places)
             assert np.mean(mean**2 + variance) == pytest.approx(1, rel=0.05)
         elif part.kernel is not None:
-            there, rest = part.at(places)
-            assert np.mean((there**2).sum(axis=1) + rest) == pytest.approx(1, rel=0.05)
+            basis, rest = part.at(places)
+            assert np.mean((basis**2).sum(axis=1) + rest) == pytest.approx(1, rel=0.05)
 
 
 @pytest.mark.parametrize(

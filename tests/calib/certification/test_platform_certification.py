@@ -42,8 +42,8 @@ def test_few_configurations_have_no_interval(count, where):
         np.arange(40) % count,
     )
     assert np.isnan(held.ratio[1:]).all() and held.configurations == count
-    said = verification_line(held, None, None)
-    assert f"(too few configurations for an interval) on {where}" in said and "nan" not in said
+    line = verification_line(held, None, None)
+    assert f"(too few configurations for an interval) on {where}" in line and "nan" not in line
 
 
 def test_held_out_poses_are_as_good_as_they_are_measured(design):

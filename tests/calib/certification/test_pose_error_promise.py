@@ -60,7 +60,7 @@ def lopsided(rng, n):
     return independent(rng, n) * np.repeat([1.0, 10.0], 3)
 
 
-def kept(draw, n, level, count, noise=0.0, seed=0):
+def share_kept_at_once(draw, n, level, count, noise=0.0, seed=0):
     """Share of `count` promises that true poses keep in position and rotation at once."""
     rng = np.random.default_rng([seed, n])
     real = np.linalg.norm(draw(rng, MANY).reshape(-1, 2, 3), axis=2)
@@ -78,7 +78,7 @@ def kept(draw, n, level, count, noise=0.0, seed=0):
 def test_both_are_kept_at_once_as_often_as_stated(draw, level):
     count = 120
     for n in (59, 120):
-        share = kept(draw, n, level, count)
+        share = share_kept_at_once(draw, n, level, count)
         assert binom.cdf(share * count, count, level[1]) > 1e-3, (
             n,
             share,
@@ -92,7 +92,7 @@ def test_both_are_kept_at_once_as_often_as_stated(draw, level):
 @pytest.mark.parametrize("level", [(0.95, 0.95), (0.9, 0.9)])
 def test_both_are_kept_at_once_to_two_hundredths(draw, n, level):
     """2000 promises, so that chance is a quarter of what is allowed."""
-    assert kept(draw, n, level, 2000) == pytest.approx(level[1], abs=TOLERANCE)
+    assert share_kept_at_once(draw, n, level, 2000) == pytest.approx(level[1], abs=TOLERANCE)
 
 
 @pytest.mark.slow
@@ -100,7 +100,7 @@ def test_both_are_kept_at_once_to_two_hundredths(draw, n, level):
 @pytest.mark.parametrize("noise", [0.2, 0.5])
 def test_noise_is_taken_off_and_both_are_kept(draw, noise):
     count = 100
-    assert binom.cdf(kept(draw, 93, (0.95, 0.95), count, noise) * count, count, 0.95) > 1e-2
+    assert binom.cdf(share_kept_at_once(draw, 93, (0.95, 0.95), count, noise) * count, count, 0.95) > 1e-2
 
 
 def test_the_least_number_is_that_of_one_limit():

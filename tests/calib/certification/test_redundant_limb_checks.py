@@ -107,8 +107,8 @@ def test_a_limb_that_slips_is_named_by_the_others_within_five_poses(machine, lim
     assert which == "chosen" or found.limb is not None
     assert found.limb is None or abs(found.size - 3e-5) < 1e-5
     source = LiveLimbPoses(accepted_limbs_file.Accepted(limbs, limbs.hexapod, None, None, {}), 10)
-    told = [source.is_closed(one) for one in slipped[38:44]]
-    assert told[0] is None and told[1] is None and any(told) and not source.in_force
+    closed = [source.is_closed(one) for one in slipped[38:44]]
+    assert closed[0] is None and closed[1] is None and any(closed) and not source.in_force
 
 
 def test_fewer_limbs_than_freedoms_are_refused_with_the_reason(tmp_path):
@@ -134,24 +134,24 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     limbs = tmp_path / "limbs.json"
     capsys.readouterr()
     rig("insitu", tmp_path / "rec", "--tolerance", "1e-4", "4e-4", "--out", limbs)
-    said = capsys.readouterr().out
-    rows = re.findall(r"^m(\d) +\S+ +(\S+) +(\S+)$", said, re.MULTILINE)
-    assert "give the pose; the others minus prediction, um:" in said and len(rows) == 2
+    output = capsys.readouterr().out
+    rows = re.findall(r"^m(\d) +\S+ +(\S+) +(\S+)$", output, re.MULTILINE)
+    assert "give the pose; the others minus prediction, um:" in output and len(rows) == 2
     assert all(0.3 < float(rms) / float(expected) < 2 for _, rms, expected in rows)
-    kept = accepted_limbs_file.load_limbs(limbs)
+    loaded = accepted_limbs_file.load_limbs(limbs)
     assert (
-        sorted([*(kept.limbs.chosen + 1), *(kept.limbs.checks.limbs + 1)]) == list(range(1, EIGHT + 1))
-        and kept.verdict == "accepted"
+        sorted([*(loaded.limbs.chosen + 1), *(loaded.limbs.checks.limbs + 1)]) == list(range(1, EIGHT + 1))
+        and loaded.verdict == "accepted"
     )
     rig("measure", tmp_path / "again", "--limbs", limbs, "--out", tmp_path / "measured")
     assert "at each of which 2 more limbs close" in capsys.readouterr().out
     assert (
         command_line.main(["closure", str(tmp_path / "again"), "--limbs", str(limbs), "--json"]) == 1
     )  # of struts as stated
-    told = json.loads(capsys.readouterr().out)
-    assert len(told["pose_from"]) == 6 and len(told["closures"]) == EIGHT
+    printed = json.loads(capsys.readouterr().out)
+    assert len(printed["pose_from"]) == 6 and len(printed["closures"]) == EIGHT
     read = recording_folder.load_recording(tmp_path / "again")
-    limb = kept.limbs.checks.limbs[1] + 1
+    limb = loaded.limbs.checks.limbs[1] + 1
     text = (tmp_path / "again" / "sensors.csv").read_text().splitlines()
     at, start = text[0].split(",").index(f"m{limb}"), float(read.exposures.times()[1][30]) - 0.5
     rows = [line.split(",") for line in text[1:]]
@@ -165,9 +165,9 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
         )
         == 1
     )
-    said = capsys.readouterr().err
-    assert "The measuring limbs no longer agree with one another: their acceptance is withdrawn" in said
-    assert 30 <= int(re.search(r"frame (\d+)", said)[1]) < 35 and f"limb {limb} is longer" in said
+    output = capsys.readouterr().err
+    assert "The measuring limbs no longer agree with one another: their acceptance is withdrawn" in output
+    assert 30 <= int(re.search(r"frame (\d+)", output)[1]) < 35 and f"limb {limb} is longer" in output
     assert accepted_limbs_file.load_limbs(limbs).verdict == "withdrawn"
     rig(
         "insitu",

@@ -44,7 +44,9 @@ def test_without_gravity_or_where_every_strut_pushes_there_is_no_sign(design):
     assert strut_load_signs(samples, design.mechanism) == [None] * 6
     known = Conditions(np.zeros((n, 6)), samples.t, {}, Weight(np.array([0, 0, -9.81]), None, None, None))
     T = samples.T_base_platform
-    pushing = hexapod.axis_loads(T, samples.effective, design.mechanism, known.weight.wrench(T, np.zeros(n)))
+    pushing = hexapod.axis_forces_and_torques(
+        T, samples.effective, design.mechanism, known.weight.wrench(T, np.zeros(n))
+    )
     for i, one in enumerate(strut_load_signs(replace(samples, conditions=known), design.mechanism)):
         assert one is not None or (pushing[:, i] > 0).all() or (pushing[:, i] < 0).all()
 

@@ -130,11 +130,11 @@ def test_few_configurations_claim_no_factor_and_say_why(design, distinct):
         and claim.distinct == distinct
         and claim.determined == min(6 * distinct, 42)
     )
-    said = claim_lines(claim)
+    lines = claim_lines(claim)
     assert (
-        said[0].startswith("no factor is claimed")
-        and "takes 8" in said[0]
-        and f"{min(6 * distinct, 42)} of 42 combinations" in said[1]
+        lines[0].startswith("no factor is claimed")
+        and "takes 8" in lines[0]
+        and f"{min(6 * distinct, 42)} of 42 combinations" in lines[1]
     )
 
 

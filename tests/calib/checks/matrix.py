@@ -373,11 +373,11 @@ def channel(name: str, change: Callable[[np.ndarray], np.ndarray]) -> Callable[[
 
 def add_payload(f: Path, kilograms: float) -> None:
     header, body = rows(f / "sensors.csv")
-    kept = [k for k, name in enumerate(header) if name != "payload_mass_kg"]
+    retained = [k for k, name in enumerate(header) if name != "payload_mass_kg"]
     write(
         f / "sensors.csv",
-        [*(header[k] for k in kept), "payload_mass_kg"],
-        [[*(row[k] for k in kept), repr(kilograms if i > len(body) / 2 else 0.0)] for i, row in enumerate(body)],
+        [*(header[k] for k in retained), "payload_mass_kg"],
+        [[*(row[k] for k in retained), repr(kilograms if i > len(body) / 2 else 0.0)] for i, row in enumerate(body)],
     )
 
 

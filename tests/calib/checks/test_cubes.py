@@ -17,7 +17,7 @@ from vision.checks.recording_refusal_and_cube_layout_remarks import uneven_cube_
 TEXT = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=3, width=1280, height=1024, cubes=4)
 
 
-def told(tmp_path, text):
+def remarks_of(tmp_path, text):
     path = tmp_path / "rig.toml"
     path.write_text(text)
     return "\n".join(uneven_cube_layout_remarks(design_from_rig_toml.load_design(path)))
@@ -33,21 +33,21 @@ def moved(name, by):
 
 
 def test_a_rig_laid_out_evenly_is_left_in_peace(tmp_path):
-    assert told(tmp_path, TEXT) == ""
+    assert remarks_of(tmp_path, TEXT) == ""
     for cubes in (3, 5, 6):
-        assert "circle" not in told(
+        assert "circle" not in remarks_of(
             tmp_path, hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cubes=cubes)
         )
 
 
 def test_a_cube_off_its_circle_is_told_with_radii_and_gaps(tmp_path):
-    said = told(tmp_path, moved("P2", [0.02, 0.03, 0.0]))
+    remarks = remarks_of(tmp_path, moved("P2", [0.02, 0.03, 0.0]))
     assert (
-        said.startswith("rig.toml: the cubes on the platform are not evenly on a circle about its centre: radii ")
-        and "(P2 is farthest" in said
+        remarks.startswith("rig.toml: the cubes on the platform are not evenly on a circle about its centre: radii ")
+        and "(P2 is farthest" in remarks
     )
-    assert "where 90.0 are even" in said and "heights" not in said
-    high = told(tmp_path, moved("B1", [0, 0, 0.05]))
+    assert "where 90.0 are even" in remarks and "heights" not in remarks
+    high = remarks_of(tmp_path, moved("B1", [0, 0, 0.05]))
     assert "the cubes on the base are at heights from" in high and "circle" not in high
 
 
@@ -77,25 +77,27 @@ def listed(name, aside):
 
 
 def test_a_face_that_is_not_centred_is_told_with_its_marker(tmp_path):
-    assert told(tmp_path, listed("P3", [0, 0])[0]) == ""
+    assert remarks_of(tmp_path, listed("P3", [0, 0])[0]) == ""
     text, number = listed("P3", [0.003, -0.002])
-    said = told(tmp_path, text)
-    assert f"faces of P3 are not centred: marker {number} by +" in said and "mm (right, up)" in said
+    remarks = remarks_of(tmp_path, text)
+    assert f"faces of P3 are not centred: marker {number} by +" in remarks and "mm (right, up)" in remarks
 
 
 def test_directions_and_cameras_that_see_nothing_are_told(tmp_path):
     blind = re.sub(r'faces = \{[^}]*"\+x" = (\d+)[^}]*\}', r'faces = { "+x" = \1 }', TEXT)
     one = "[[target]]".join(block for block in blind.split("[[target]]") if not re.search('name = "P[234]"', block))
-    said = told(tmp_path, one)
+    remarks = remarks_of(tmp_path, one)
     found = re.search(
         r"the platform shows no face towards (\d+) degrees \(level\): the nearest face there looks (\d+) "
         r"degrees away, (\d+)% of",
-        said,
+        remarks,
     )
     assert found and 175 <= int(found[2]) <= 180 and 60 <= int(found[3]) <= 68, (
         "a single face, seen within 65 degrees on either side"
     )
-    assert re.search(r"camera cam\d sees [01] of 1 markers of the platform", said) and "the base shows" not in said
+    assert (
+        re.search(r"camera cam\d sees [01] of 1 markers of the platform", remarks) and "the base shows" not in remarks
+    )
 
 
 def test_the_command_remarks_and_does_not_refuse(tmp_path, capsys):
@@ -105,8 +107,8 @@ def test_the_command_remarks_and_does_not_refuse(tmp_path, capsys):
     number = tail.split("position = [", 1)[1].split(",", 1)[0]
     (rec / "rig.toml").write_text(head + 'name = "P1"' + tail.replace(number, f"{float(number) + 0.006:.6f}", 1))
     assert main(["check", str(rec)]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith(
+    output = capsys.readouterr().out
+    assert output.startswith(
         "nothing wrong or unlikely was found\nremark: rig.toml: the cubes on the platform are not evenly on a circle"
     )
 
@@ -115,4 +117,4 @@ def test_the_command_remarks_and_does_not_refuse(tmp_path, capsys):
 def test_rigs_without_a_home_are_looked_at_too(tmp_path, mechanism):
     kind = 'kind = "free"' if mechanism == "free" else 'kind = "arm"\njoints = [[0, 0, 1, 0]]\nlimits = [[-1, 1]]'
     head, tail = TEXT.split("[mechanism]", 1)
-    assert told(tmp_path, f"{head}[mechanism]\n{kind}\n\n[actuator]{tail.split('[actuator]', 1)[1]}") == ""
+    assert remarks_of(tmp_path, f"{head}[mechanism]\n{kind}\n\n[actuator]{tail.split('[actuator]', 1)[1]}") == ""

@@ -59,7 +59,7 @@ def good(tmp_path_factory):
     return of
 
 
-def said(*words: object) -> tuple[int, str]:
+def run_in_process(*words: object) -> tuple[int, str]:
     """(exit status, what a command prints) of `rig` in this process."""
     out = io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
@@ -71,7 +71,7 @@ def first_line(case: Case, good, number: int, folder: Path) -> str:
     """What `rig check` says first of a good recording with one mistake made in it."""
     shutil.copytree(good(case.kind, number), folder)
     case.spoil(folder)
-    return said("check", folder)[1].splitlines()[0].replace(f"{folder}/", "")
+    return run_in_process("check", folder)[1].splitlines()[0].replace(f"{folder}/", "")
 
 
 @pytest.mark.parametrize("case", [case for case in CASES if case.name in QUICK], ids=lambda case: case.name)
@@ -91,7 +91,7 @@ def test_the_whole_matrix(number, good, tmp_path):
 
 @pytest.mark.parametrize("kind", ["corners", "images", "poses", "arm"])
 def test_good_recordings_are_left_in_peace(kind, good):
-    assert said("check", good(kind)) == (0, "nothing wrong or unlikely was found\n")
+    assert run_in_process("check", good(kind)) == (0, "nothing wrong or unlikely was found\n")
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_good_recordings_are_left_in_peace(kind, good):
 )
 def test_effects_are_no_mistakes(effect, tmp_path):
     recorded(tmp_path / "rec", 0, (effect,))
-    assert said("check", tmp_path / "rec") == (0, "nothing wrong or unlikely was found\n")
+    assert run_in_process("check", tmp_path / "rec") == (0, "nothing wrong or unlikely was found\n")
 
 
 @pytest.mark.slow
@@ -113,9 +113,9 @@ def test_measure_refuses_what_is_spoilt_and_does_it_anyway(good, tmp_path):
     folder = tmp_path / "rec"
     shutil.copytree(good("corners"), folder)
     next(case for case in CASES if case.name == "markers 1.5 % small").spoil(folder)
-    status, text = said("measure", folder, "--out", tmp_path / "out")
+    status, text = run_in_process("measure", folder, "--out", tmp_path / "out")
     assert status == 1 and "scale of print" in text.splitlines()[0] and not (tmp_path / "out" / "poses.csv").exists()
-    status, text = said("measure", folder, "--out", tmp_path / "out", "--anyway")
+    status, text = run_in_process("measure", folder, "--out", tmp_path / "out", "--anyway")
     assert status == 0 and "scale of print" in text.splitlines()[0] and (tmp_path / "out" / "poses.csv").exists()
 
 
@@ -124,7 +124,7 @@ def test_a_wrong_dictionary_is_named_before_anything_is_measured(command, good, 
     folder = tmp_path / "rec"
     shutil.copytree(good("images"), folder)
     next(case for case in CASES if case.name == "another dictionary for one cube").spoil(folder)
-    status, text = said(command, folder, "--out", tmp_path / "out")
+    status, text = run_in_process(command, folder, "--out", tmp_path / "out")
     assert (
         status == 1
         and "wrong dictionary: the markers of P2 are of DICT_5X5" in text.splitlines()[0]
@@ -138,7 +138,9 @@ def test_exchanged_faces_are_said_first_and_the_diagnosis_goes_on(good, tmp_path
     folder = tmp_path / "rec"
     shutil.copytree(good("corners"), folder)
     next(case for case in CASES if case.name == "faces +x and -x exchanged").spoil(folder)
-    status, text = said("diagnose", folder, "--out", tmp_path / "out", "--only", "backlash", "--only", "marker_swap")
+    status, text = run_in_process(
+        "diagnose", folder, "--out", tmp_path / "out", "--only", "backlash", "--only", "marker_swap"
+    )
     assert (
         status == 0
         and "are exchanged" in text.splitlines()[0]
@@ -150,10 +152,10 @@ def test_one_struts_zero_is_no_unit_of_all(design):
     """Taken for inches from home, the other five alone would be so as well."""
     middle, span = design.mechanism.strut_range.mean(axis=1), np.ptp(design.mechanism.strut_range, axis=1)
     q = middle + 0.4 * span * np.random.default_rng(0).uniform(-1, 1, (40, 6)) - 0.6 * span * (np.arange(6) == 3)
-    said = [
+    mistakes = [
         one.what for one in unit_and_convention_mistakes.command_unit_mistakes(Commands(np.arange(40.0), q), design)
     ]
-    assert len(said) == 1 and "lengths of strut 4 alone lie outside strut_range" in said[0]
+    assert len(mistakes) == 1 and "lengths of strut 4 alone lie outside strut_range" in mistakes[0]
     assert (
         "in millimetres"
         in next(
@@ -166,12 +168,12 @@ def test_an_unlikely_thing_is_a_remark(good, tmp_path):
     folder = tmp_path / "rec"
     shutil.copytree(good("corners"), folder)
     next(case for case in CASES if case.name == "camera poses exchanged").spoil(folder)
-    status, text = said("measure", folder, "--out", tmp_path / "out")
+    status, text = run_in_process("measure", folder, "--out", tmp_path / "out")
     assert status == 0 and "cameras are exchanged" in text.splitlines()[0]
 
 
 def test_measuring_says_first_how_well(good, tmp_path):
-    text = said("measure", good("corners"), "--out", tmp_path / "out")[1]
+    text = run_in_process("measure", good("corners"), "--out", tmp_path / "out")[1]
     assert text.splitlines()[0].startswith("good: 60 of 60 frames solved")
     assert "hardly separable (" not in text and "hardly separable (" in (tmp_path / "out" / "report.html").read_text()
 
@@ -184,7 +186,7 @@ def test_what_spoils_is_said_before_what_is_likely():
 def test_a_recording_is_only_read(good, tmp_path):
     folder = good("corners")
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    said("check", folder)
+    run_in_process("check", folder)
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
     assert np.isfinite(recording_folder.load_recording(folder).corners.uv).all()
 

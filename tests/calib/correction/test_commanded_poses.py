@@ -55,9 +55,9 @@ def test_a_turn_leaves_the_pivot_where_it_is():
     frames = PoseFrames(pivot=np.array([0.01, 0.02, 0.1]))
     turned = frames.pose_of_command(pose([0, 0, 0], [0.1, 0.2, 0.3]))
     np.testing.assert_allclose(turned.apply(frames.pivot), frames.pivot, atol=1e-15)
-    there = pose([0.3, 0.2, 0.1], [0.1, -0.2, 0.3])
-    again = FRAMES["frames"].pose_of_command(FRAMES["frames"].command_of_pose(there))
-    np.testing.assert_allclose(pose_difference(again, there), 0, atol=1e-15)
+    target = pose([0.3, 0.2, 0.1], [0.1, -0.2, 0.3])
+    round_trip = FRAMES["frames"].pose_of_command(FRAMES["frames"].command_of_pose(target))
+    np.testing.assert_allclose(pose_difference(round_trip, target), 0, atol=1e-15)
 
 
 def test_lengths_that_no_pose_gives_are_refused(design):
@@ -136,9 +136,9 @@ def test_the_command_writes_poses_as_it_writes_lengths(design, rig_text, tmp_pat
     np.testing.assert_allclose(mechanisms.hexapod.inverse(commanded, design.mechanism), lengths, atol=1e-9)
     columns, values = written("gcs", "--pivot", "0,0,0.1", "--work", "0,0,0.2,0,0,0")
     frames = PoseFrames(work=pose([0, 0, 0.2], [0, 0, 0]), pivot=np.array([0, 0, 0.1]))
-    again = frames.pose_of_command(pose_of_gcs_values(values))
+    round_trip = frames.pose_of_command(pose_of_gcs_values(values))
     assert columns == "frame,X,Y,Z,U,V,W"
-    np.testing.assert_allclose(pose_difference(again, commanded), 0, atol=1e-9)
+    np.testing.assert_allclose(pose_difference(round_trip, commanded), 0, atol=1e-9)
     capsys.readouterr()
     for options in (["--pivot", "0,0,1"], ["--as", "gcs", "--work", "0,0,1"], ["--as", "poses", "--tool", "a"]):
         assert main([*words, str(tmp_path / "none.csv"), *options]) == 1

@@ -58,7 +58,7 @@ from tests.rig.arms import STANFORD
 
 SAME = 1e-9  # m
 FEW, MANY, AT_ONCE, TIMED = 2000, 1_000_000, 25_000, 50_000  # poses
-ASKED = ("plain", "simplices", "backlash", "thermal")
+COMPARED = ("plain", "simplices", "backlash", "thermal")
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def test_the_controller_commands_what_rig_correct_does(design, compiled, name):
 
 @needs_compiler
 @pytest.mark.slow
-@pytest.mark.parametrize("name, count", [*((name, MANY) for name in ASKED), ("radial", AT_ONCE), ("all", AT_ONCE)])
+@pytest.mark.parametrize("name, count", [*((name, MANY) for name in COMPARED), ("radial", AT_ONCE), ("all", AT_ONCE)])
 def test_very_many_poses_are_commanded_alike(design, compiled, name, count, capsys):
     """Runs of poses, each from home, in the middle of the play."""
     calibration, controller = compiled(name)
@@ -177,9 +177,9 @@ def test_what_cannot_be_commanded_is_refused_and_changes_nothing(design, compile
     for name in controller.channels:
         assert controller(T[1:2], WARM | {name: np.nan})[1] == SENSOR_MISSING
     assert np.isnan(controller(up, WARM)[0]).all() and (controller.state == before).all()
-    kept, controller.state = controller.state, None
+    state, controller.state = controller.state, None
     assert controller(T[1:2], WARM)[1] == NO_STATE and controller.start() == NO_STATE
-    controller.state = kept
+    controller.state = state
     controller.state[0] = np.nan
     assert controller(T[1:2], WARM)[1] == NO_STATE
     assert controller.start(np.full(6, np.nan)) == NO_STATE and controller.start() == OK

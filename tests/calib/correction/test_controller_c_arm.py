@@ -216,8 +216,10 @@ def test_play_and_gears_are_undone_in_the_order_of_the_moves(tmp_path, name):
     assert (status == OK).all() and np.abs(commands - done.values).max() < SAME
     half = q[len(q) // 2 :]
     assert controller.start(commands[len(q) // 2 - 1]) == OK
-    again = correct(visiting(calibration, half), wanted[len(q) // 2 :], CorrectOptions(start=commands[len(q) // 2 - 1]))
-    assert np.abs(controller(half)[0] - again.values).max() < SAME
+    second_half = correct(
+        visiting(calibration, half), wanted[len(q) // 2 :], CorrectOptions(start=commands[len(q) // 2 - 1])
+    )
+    assert np.abs(controller(half)[0] - second_half.values).max() < SAME
     controller.state = None
     assert (controller(q[:1])[1] == NO_STATE).all()
 

@@ -133,11 +133,13 @@ def test_the_command_line_gives_the_same_numbers(design, calibrations, tmp_path,
     calibration_file.save(tmp_path / "c.json", calibrations["all"])
     words = ["correct", str(tmp_path / "c.json"), "--poses", str(tmp_path / "poses.csv"), "--out"]
     assert main([*words, str(tmp_path / "out.csv"), "--skip-unreachable", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    output = json.loads(capsys.readouterr().out)
     found = answer_request(calibration_file.load(tmp_path / "c.json"), json.dumps({"poses": vectors}).encode())
     found = json.loads(json.dumps(found))
-    assert [found["commands"][one["frame"]] for one in told["commands"]] == [one["values"] for one in told["commands"]]
-    assert found["out_of_reach"] == [{"pose": one["frame"], "reason": one["reason"]} for one in told["out_of_reach"]]
+    assert [found["commands"][one["frame"]] for one in output["commands"]] == [
+        one["values"] for one in output["commands"]
+    ]
+    assert found["out_of_reach"] == [{"pose": one["frame"], "reason": one["reason"]} for one in output["out_of_reach"]]
     assert 0 < len(found["out_of_reach"]) < 60 and set(found["not_logged"]) == set(WARM)
 
 

@@ -52,8 +52,8 @@ def test_joint_tables_read_back_as_linuxcnc_reads_them_correct_as_we_do(additive
     commands, scale, zeros = (additive.inverse(T), geometry_and_camera_files.SCALE[units], additive.fitted.strut_zeros)
     for i in range(6):
         text = geometry_and_camera_files.linuxcnc_compensation_file(found.levels[i] + zeros[i], found.trims[i], units)
-        told = by_linuxcnc(text, (wanted[:, i] + zeros[i]) * scale) / scale - zeros[i]
-        np.testing.assert_allclose(told, commands[:, i], atol=3e-7)
+        corrected = by_linuxcnc(text, (wanted[:, i] + zeros[i]) * scale) / scale - zeros[i]
+        np.testing.assert_allclose(corrected, commands[:, i], atol=3e-7)
         assert np.abs(wanted[:, i] - commands[:, i]).max() > 1e-5
 
 

@@ -162,8 +162,8 @@ def test_the_feed_is_millimetres_or_degrees_of_the_pose_whichever_take_longer(de
         plug_in.line(home)
         before = plug_in.lengths
         ends, feeds, multipliers = plug_in.line(home + np.array(shift, np.float32), 600.0)
-        way = np.linalg.norm(np.diff(np.r_[before[None], ends], axis=0), axis=1) * 1e3  # mm, of the motors
-        assert np.isclose((way / feeds).sum(), longest / 600.0, rtol=1e-3)  # min
+        distance = np.linalg.norm(np.diff(np.r_[before[None], ends], axis=0), axis=1) * 1e3  # mm, of the motors
+        assert np.isclose((distance / feeds).sum(), longest / 600.0, rtol=1e-3)  # min
         assert np.allclose(feeds * multipliers, 600.0, rtol=1e-5)
         plug_in.line(home)
         ends, feeds, _ = plug_in.line(home + np.array(shift, np.float32), 12.0, INVERSE_TIME)

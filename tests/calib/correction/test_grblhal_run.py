@@ -27,7 +27,7 @@ AHEAD = 8  # lines
 LONGEST = 0.5, 0.1  # mm, degrees, of a segment
 STEP = 1e-3 / STEPS_PER_MM  # m
 SAME = 1e-6  # m, beyond a step
-PATIENCE, AGAIN = 60, 0.2  # s, for an answer, and for a report until it is asked for another
+PATIENCE, POLL_PERIOD = 60, 0.2  # s, for an answer, and for a report until it is asked for another
 
 
 def why_not():
@@ -81,13 +81,13 @@ class Simulator:
             lines.append(self.read())
         return lines
 
-    def asked(self):
+    def status_line(self):
         """The next line that it writes; one report is asked for, again after a while, as it may be dropped."""
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
             if not self.pending:
                 self.send("?")
-            line = self.read(AGAIN)
+            line = self.read(POLL_PERIOD)
             self.pending = bool(line) and not line.startswith("<")
             if line:
                 return line
@@ -105,10 +105,10 @@ class Simulator:
         """A report of motors at rest, asked for after all that was asked for before has been read."""
         line = ""
         while not line.startswith(("<Idle", "<Alarm")):
-            while self.read(AGAIN):
+            while self.read(POLL_PERIOD):
                 pass
             self.pending = False
-            line = self.asked()
+            line = self.status_line()
         return line
 
     def motors(self):
@@ -130,7 +130,7 @@ class Simulator:
             self.send(f"N{i}{line_to(goal)}\n" + "G4P0\n" * rests)
             left = 1 + rests
             while left:
-                line = self.asked()
+                line = self.status_line()
                 assert not line.startswith(("error:", "ALARM:", "[MSG:")), line
                 left -= line == "ok"
                 if running := re.match(r"<Run.*\|Ln:(\d+)", line):
@@ -195,12 +195,12 @@ def off_the_segments(ends, line_of, lines, lengths):
     AHEAD before: a report names the line whose steps are prepared, some ahead of the motors.
     """
     off = []
-    for line, there in zip(lines, lengths):
+    for line, position in zip(lines, lengths):
         near = np.flatnonzero((line_of >= line - AHEAD) & (line_of <= line + 1) & (np.arange(len(ends)) > 0))
-        begin, way = ends[near - 1], ends[near] - ends[near - 1]
-        share = ((there - begin) * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-30)
-        here = begin + np.clip(share, 0.0, 1.0)[:, None] * way
-        off.append(np.abs(there - here).max(axis=1).min())
+        begin, segment = ends[near - 1], ends[near] - ends[near - 1]
+        share = ((position - begin) * segment).sum(axis=1) / np.maximum((segment**2).sum(axis=1), 1e-30)
+        here = begin + np.clip(share, 0.0, 1.0)[:, None] * segment
+        off.append(np.abs(position - here).max(axis=1).min())
     return np.array(off)
 
 

@@ -156,11 +156,11 @@ def test_every_kind_keeps_the_interface(kind, axes, tmp_path):
     far = 0.45 + np.linspace(0, 0.3, 30001)[:, None] * rng.normal(size=axes)
     assert np.abs(np.diff(field.value(far), axis=0)).max() < 1e-6 and np.isfinite(field.value(far)).all()
     tree = json.loads(json.dumps(interpolation_methods_and_correction_summand_fields.field_to_dict(field)))
-    again = interpolation_methods_and_correction_summand_fields.field_from_entries(
+    reloaded = interpolation_methods_and_correction_summand_fields.field_from_entries(
         Entries(tree, (), Path("c.json"), {(): (1, 1)}), axes
     )
-    np.testing.assert_allclose(again.value(x), field.value(x), atol=1e-18)
-    np.testing.assert_allclose(again.error(x), field.error(x), atol=1e-15)
+    np.testing.assert_allclose(reloaded.value(x), field.value(x), atol=1e-18)
+    np.testing.assert_allclose(reloaded.error(x), field.error(x), atol=1e-15)
 
 
 @pytest.mark.parametrize("axes, count", [(2, 40), (3, 60), (6, 60)])

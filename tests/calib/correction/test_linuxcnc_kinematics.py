@@ -200,13 +200,13 @@ def test_what_is_refused_returns_below_zero_names_itself_and_changes_nothing(des
     assert module.pin("refused").value == OUT_OF_STROKE and count.value == 7  # stays to be read
     module.pin("ambient_temperature_C", ctypes.c_double).value = np.nan
     world = module.world(T)
-    kept = world.copy()
+    world_before = world.copy()
     assert module.inverse(T)[0] == -SENSOR_MISSING
     assert module.forward(hexapod.inverse(T, design.mechanism), world) == -SENSOR_MISSING
     module.warm(WARM)
     assert module.forward(np.full(6, np.nan), world) == -BAD_POSE
     assert module.forward(np.r_[0.1, 0.9, 0.1, 0.9, 0.1, 0.9], world) == -NOT_CONVERGED
-    assert module.pin("forward-status").value == NOT_CONVERGED and (world == kept).all()
+    assert module.pin("forward-status").value == NOT_CONVERGED and (world == world_before).all()
 
 
 def least_share(design, mechanism, T):

@@ -199,8 +199,8 @@ def test_what_nobody_remembers_is_approached_where_there_is_time_and_room(design
     T = hexapod.forward(home + np.array([[0, 2e-5, 0, 0, 0, 0], [1e-2, -3e-5, 0, 0, 0, 0], [0, 2e-2, 0, 0, 0, 0]]), m)
     t = np.array([30.0, 60.0, 90.0])
     never, auto, always = (
-        commands_along_route(calibration, T, home, Pace(t, 0.0, 0.02, 0.05), None, way)
-        for way in ("never", "auto", "always")
+        commands_along_route(calibration, T, home, Pace(t, 0.0, 0.02, 0.05), None, approach)
+        for approach in ("never", "auto", "always")
     )
     doubt = unknown_history_uncertainty(
         Machine(calibration.correction, calibration.physics, None), T, never.route, never.values
@@ -282,13 +282,15 @@ def test_physics_is_kept_whole_and_versioned(tmp_path, design):
         full, physics=replace(full.physics, unknown=(Unknown("strut 4", 3e-5, "m", ("strut 1's position",), True),))
     )
     calibration_file.save(tmp_path / "c.json", full)
-    again = calibration_file.load(tmp_path / "c.json").physics
+    loaded = calibration_file.load(tmp_path / "c.json").physics
     tree = json.loads((tmp_path / "c.json").read_text())
-    assert tree["schema"] == "calibration/2" and again.effects == effects and again.unknown == full.physics.unknown
+    assert tree["schema"] == "calibration/2" and loaded.effects == effects and loaded.unknown == full.physics.unknown
     assert (
-        again.channels == CHANNELS and again.actuator == design.actuator and again.platform.mass == design.platform.mass
+        loaded.channels == CHANNELS
+        and loaded.actuator == design.actuator
+        and loaded.platform.mass == design.platform.mass
     )
-    np.testing.assert_array_equal(again.own, full.physics.own)
+    np.testing.assert_array_equal(loaded.own, full.physics.own)
     assert tree["physics"]["parameter_order"][:2] == [
         "gap of backlash at strut 3",
         "1 / stiffness of compliance at rig",
@@ -321,8 +323,8 @@ def test_diagnosed_calibrated_corrected_driven_verified(tmp_path, seen, capsys):
     secret_machine_and_truth_file.write_truth(tmp_path / "truth.json", secret, design.mechanism.home)
     (tmp_path / "rig.toml").write_text(text)
     run(capsys, "diagnose", tmp_path / "rec", "--out", tmp_path / "d", "--only", "backlash")
-    said = run(capsys, "calibrate", tmp_path / "rec", "--diagnosis", tmp_path / "d", "--out", tmp_path / "c.json")
-    assert "compensated by commands: backlash at strut 5" in said
+    output = run(capsys, "calibrate", tmp_path / "rec", "--diagnosis", tmp_path / "d", "--out", tmp_path / "c.json")
+    assert "compensated by commands: backlash at strut 5" in output
     T, t, log = wanted(design, 20)
     clock = 1_700_000_000
     rows = [
@@ -407,9 +409,13 @@ def test_what_another_recording_told_counts_beside_this_one(tmp_path, seen):
     rec, _ = write(tmp_path / "rec", design, text, 31, (), "sobol:30")
     effects = (parse_effect("base_expansion:rig:coefficient=6e-5"),)
     sampled = sample_recording(rec)
-    alone, beside = (learnt(rec, sampled, Findings(effects, sigma, ()), "none") for sigma in (None, np.array([1e-6])))
-    assert abs(beside.physics.effects[0].coefficient - 6e-5) < 3e-6 < abs(alone.physics.effects[0].coefficient - 6e-5)
-    assert 0.5e-6 < np.sqrt(beside.physics.own[0, 0]) <= 1e-6 < np.sqrt(alone.physics.own[0, 0])
+    alone, with_prior = (
+        learnt(rec, sampled, Findings(effects, sigma, ()), "none") for sigma in (None, np.array([1e-6]))
+    )
+    assert (
+        abs(with_prior.physics.effects[0].coefficient - 6e-5) < 3e-6 < abs(alone.physics.effects[0].coefficient - 6e-5)
+    )
+    assert 0.5e-6 < np.sqrt(with_prior.physics.own[0, 0]) <= 1e-6 < np.sqrt(alone.physics.own[0, 0])
 
 
 def test_the_geometry_knows_that_the_physics_is_not_sure(tmp_path, seen):

@@ -15,7 +15,6 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
 from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
-from rig.cli import command_line
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Candidate, Linear
 from rig.formats.rig_toml import design_from_rig_toml
@@ -26,6 +25,7 @@ from synthetic import unlisted_physics
 from tests.bench.investigate import POSES, Case
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.recordings_with_effects import recorded
+from tests.closed_loops import simulate_with_truth
 
 PLAN = "sobol:30,moving:15,ladder:3,sobol:30,moving:15"
 
@@ -229,10 +229,10 @@ def test_a_variant_that_a_scan_does_not_tell_from_the_best_is_held_against_it_fi
         score("thermal_expansion", "rig", {}, [1e-5], [("coefficient", None, 1e-6)], delta)
         for delta in (scanned, scanned - 30)
     )
-    asked = []
+    fitted_variants = []
 
     def add_term(fit, new):
-        asked.append(new)
+        fitted_variants.append(new)
         return fit - fitted
 
     problem = SimpleNamespace(
@@ -240,7 +240,7 @@ def test_a_variant_that_a_scan_does_not_tell_from_the_best_is_held_against_it_fi
     )
     elsewhere = score("thermal_expansion", "strut 1", {}, [1e-5], [("coefficient", None, 1e-6)], scanned)
     found, chosen = _exchanged(problem, 0.0, -900.0, best, [best, elsewhere, other])  # fitted, the best explains 900
-    assert asked == ([other] if tried else [])
+    assert fitted_variants == ([other] if tried else [])
     assert (found, chosen) == ((-fitted, other) if tried and fitted > 900 else (-900.0, best))
 
 
@@ -249,26 +249,8 @@ def test_a_variant_that_a_scan_does_not_tell_from_the_best_is_held_against_it_fi
 def test_a_large_bend_of_a_lens_is_one_finding_of_the_terms_that_it_has(tmp_path, camera, terms):
     (tmp_path / "rig.toml").write_text(hexapod_layout_rig_toml(0.3))
     text = "/".join(map(str, (*[0] * 8, *terms)))
-    assert (
-        command_line.main(
-            [
-                "simulate",
-                str(tmp_path / "rig.toml"),
-                "--plan",
-                "standard",
-                "--effect",
-                f"lens_distortion:{camera}:terms={text}",
-                "--seed",
-                "5",
-                "--noise",
-                "0.03",
-                "--out",
-                str(tmp_path / "rec"),
-                "--truth",
-                str(tmp_path / "truth.json"),
-            ]
-        )
-        == 0
+    simulate_with_truth(
+        tmp_path, "standard", 5, "--effect", f"lens_distortion:{camera}:terms={text}", "--noise", "0.03"
     )
     found = diagnosis_of(recording_folder.load_recording(tmp_path / "rec"), only=["lens_distortion"]).effects
     assert [(e.name, e.place) for e in found] == [("lens_distortion", f"camera {camera}")]

@@ -15,7 +15,7 @@ from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import ranked
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearise_poses
 from calib.diagnosis.problems.arm.projected_pose_residuals import fit_terms_to_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.diagnosis.report.report_sentences import covariate_table_heads_and_rows
+from calib.diagnosis.report.diagnosis_texts import covariate_table_heads_and_rows
 from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.effects.framework.machine_motion_and_play import Path, play_operator
 from rig.recording.recording_folder import Sensors
@@ -37,17 +37,17 @@ def rec(tmp_path_factory, design):
 
 
 def test_what_an_effect_follows_leads_and_is_gone_after(rec):
-    told = diagnosis_report(diagnosis_of(rec, ["settling_error"]))
-    names = [c.name for c in told.covariates]
+    report = diagnosis_report(diagnosis_of(rec, ["settling_error"]))
+    names = [c.name for c in report.covariates]
     assert (
         names[0] == "step"
         and {"time", "order", "direction", "dwell", "way travelled", "humidity_percent"} <= set(names)
         and "doors" not in names
     )
-    by = {c.name: c.explains for c in told.covariates}
+    by = {c.name: c.explains for c in report.covariates}
     assert by["step"]["struts"].before > 0.1 > 0.05 > by["step"]["struts"].after
     assert by["humidity_percent"]["struts"].p_value > 1e-3 and by["humidity_percent"]["images"].after < 0.01
-    heads, rows = covariate_table_heads_and_rows(told.covariates)
+    heads, rows = covariate_table_heads_and_rows(report.covariates)
     assert heads[0] == "goes with" and len(heads) == len(rows[0]) == 6 and rows[0][0] == "step"
 
 
@@ -58,12 +58,12 @@ def test_a_dwell_counts_from_the_last_move():
 
 def test_of_an_arm_too(arm_with_play):
     problem, arms = arm_with_play
-    told = {
+    covariates = {
         c.name: c
         for c in ranked_covariates(fit_terms_to_poses(arms), select_terms(problem).fit, problem.policy.cluster)
     }
-    assert next(iter(told)) == "direction" and {"time", "order", "step", "way travelled"} <= set(told)
-    assert told["direction"].before["joints"].share > 0.1 > 0.01 > told["direction"].after["joints"].share
+    assert next(iter(covariates)) == "direction" and {"time", "order", "step", "way travelled"} <= set(covariates)
+    assert covariates["direction"].before["joints"].share > 0.1 > 0.01 > covariates["direction"].after["joints"].share
 
 
 @pytest.fixture(scope="module")

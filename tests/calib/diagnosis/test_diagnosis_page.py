@@ -99,12 +99,12 @@ def test_without_a_finding_nothing_is_claimed(diagnosed, tmp_path):
 
 def test_alternatives_and_what_was_not_asked_are_listed(diagnosed, tmp_path):
     found, diagnosis = diagnosed
-    told = diagnosis_report(diagnosis)
+    report = diagnosis_report(diagnosis)
     finding = replace(
-        told.findings[0], cannot_be_told_from=(AlternativeEntry("hysteresis", "strut 3", 1.25, 0.999, "a <ladder>"),)
+        report.findings[0], cannot_be_told_from=(AlternativeEntry("hysteresis", "strut 3", 1.25, 0.999, "a <ladder>"),)
     )
-    told = replace(told, findings=(finding,), not_asked=(NotAskedEntry("thermal_expansion", "no channel"),))
-    page_text(tmp_path / "page.html", found, diagnosis, told)
+    report = replace(report, findings=(finding,), not_asked=(NotAskedEntry("thermal_expansion", "no channel"),))
+    page_text(tmp_path / "page.html", found, diagnosis, report)
     page, text = text_of(tmp_path / "page.html")
     assert "a &lt;ladder&gt;" in page and "1.2" in text and "thermal expansion" in text and "no channel" in text
     assert "This recording alone cannot distinguish the backlash" in text
@@ -166,17 +166,17 @@ def test_every_diagnostic_plot_can_be_drawn(text, diagnosed):
 
 def test_what_is_only_significant_comes_after_what_matters(diagnosed, tmp_path):
     found, diagnosis = diagnosed
-    told = diagnosis_report(diagnosis)
-    strong = told.findings[0]
+    report = diagnosis_report(diagnosis)
+    strong = report.findings[0]
     slight = replace(
         strong,
         effect="hysteresis",
         place="strut 5",
         evidence=replace(strong.evidence, heldout_before=1.001e-5, heldout_after=1e-5),
     )
-    told = replace(told, findings=(slight, strong))
-    assert [f.matters for f in told.findings] == [False, True] and told.mattering == [strong]
-    page_text(tmp_path / "page.html", found, diagnosis, told)
+    report = replace(report, findings=(slight, strong))
+    assert [f.matters for f in report.findings] == [False, True] and report.mattering == [strong]
+    page_text(tmp_path / "page.html", found, diagnosis, report)
     text = text_of(tmp_path / "page.html")[1]
     assert text.index("1. backlash at strut 3") < text.index("but negligible") < text.index("hysteresis at strut 5,")
     assert "1 more is significant" in text

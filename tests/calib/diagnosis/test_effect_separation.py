@@ -12,7 +12,7 @@ from synthetic.secret_machine_and_truth_file import draw_temperatures
 SIGMA = (1e-5, 1e-4)
 
 
-def told_apart(design, text, *effects):
+def is_separable(design, text, *effects):
     plan = build_plan(design, text, 3)
     sensors, _ = draw_temperatures(plan.commands.t[-1], np.random.default_rng(3))
     return effect_separation(
@@ -27,13 +27,13 @@ def told_apart(design, text, *effects):
 
 
 def test_an_effect_is_not_told_from_itself_and_size_adds_nothing(design):
-    found = told_apart(design, "ladder:2", "backlash:strut3:gap=6e-5", "backlash:strut3:gap=6.001e-5")
+    found = is_separable(design, "ladder:2", "backlash:strut3:gap=6e-5", "backlash:strut3:gap=6.001e-5")
     assert found.cosine == pytest.approx(1, abs=1e-3) and found.misfit < 0.5
 
 
 def test_another_load_shows_what_joints_swallow_at_one_load(design):
     effects = "compliance:rig:stiffness=3e6", "screw_coupling:rig:gain=0.3"
-    constant, loaded = (told_apart(design, text, *effects) for text in ("sobol:36", "payload:12"))
+    constant, loaded = (is_separable(design, text, *effects) for text in ("sobol:36", "payload:12"))
     assert loaded.frames == constant.frames
     assert loaded.misfit > 1.5 * constant.misfit
 
@@ -58,5 +58,5 @@ def test_the_command_writes_the_best_plan_or_says_that_none_does(tmp_path, capsy
 
 def test_reversals_at_speed_tell_a_lag_from_a_clock(design):
     effects = "servo_lag:rig:time_constant=0.01", "time_offset:clock:offset=-0.01"
-    smooth, sharp = (told_apart(design, text, *effects) for text in ("moving:40", "zigzag:40"))
+    smooth, sharp = (is_separable(design, text, *effects) for text in ("moving:40", "zigzag:40"))
     assert smooth.misfit < 3 < 20 < sharp.misfit

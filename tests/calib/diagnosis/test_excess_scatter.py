@@ -33,7 +33,7 @@ NOISE = 2e-5  # m, as stated
 STARS = 130
 
 
-def stars(folder, jitter, seed=1, again=0):
+def stars(folder, jitter, seed=1, repeats=0):
     """Recording of directions that a mount pointed to; jitter : rad, what its joints do beyond their command, anew
     every time.
     """
@@ -44,16 +44,16 @@ def stars(folder, jitter, seed=1, again=0):
         STARS,
         rng,
         (NOISE, 1e-4),
-        again=again,
+        repeats=repeats,
         deviation=lambda q: jitter * rng.normal(size=q.shape),
     )
     secret_arms.write(folder, MOUNT, samples, positions_alone=True, sigma=(NOISE, 1e-4))
     return recording_folder.load_recording(folder)
 
 
-@pytest.mark.parametrize("again", [0, 20])
-def test_a_scatter_thirty_times_the_stated_noise_is_unexplained(tmp_path, again):
-    report = diagnosis_report(diagnosis_of(stars(tmp_path / "rec", 6e-4, again=again)))
+@pytest.mark.parametrize("repeats", [0, 20])
+def test_a_scatter_thirty_times_the_stated_noise_is_unexplained(tmp_path, repeats):
+    report = diagnosis_report(diagnosis_of(stars(tmp_path / "rec", 6e-4, repeats=repeats)))
     tree = json.loads(json.dumps(report.tree()))
     assert (
         tree["unexplained"]["place"] == "rig"

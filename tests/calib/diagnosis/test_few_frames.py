@@ -160,8 +160,8 @@ class Scanned:
         return self.ratios[other]
 
 
-@pytest.mark.parametrize("worth, said", [(200.0, ["curve"]), (60.0, [])])
-def test_what_its_own_scatter_caps_is_fitted_however_many_numbers_it_has(worth, said):
+@pytest.mark.parametrize("worth, message", [(200.0, ["curve"]), (60.0, [])])
+def test_what_its_own_scatter_caps_is_fitted_however_many_numbers_it_has(worth, message):
     """Forty frames explain forty and no more where their scatter is free: too little for five numbers among ten
     thousand corners.
     """
@@ -174,7 +174,7 @@ def test_what_its_own_scatter_caps_is_fitted_however_many_numbers_it_has(worth, 
     ]
     assert scores[0].raw_delta_bic(model.size) < PLATFORM.delta_bic
     problem = Scanned({"curve": worth, "line": 12.0})
-    assert [s.candidate.name for s in _hidden(problem, "nothing", model, scores)] == said and problem.tried == [
+    assert [s.candidate.name for s in _hidden(problem, "nothing", model, scores)] == message and problem.tried == [
         "curve",
         "line",
     ]

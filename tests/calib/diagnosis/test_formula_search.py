@@ -116,8 +116,8 @@ def test_a_file_does_what_its_formula_says(design):
     q = {one.name: one.values(motion) for one in quantities_of_motion(motion, True)}
     effect = WRITTEN.kind("mine")("strut 3", **WRITTEN.values)
     wave = 3e-6 * np.sin(90 * q["travel of strut 2"]) - 2e-6 * np.cos(90 * q["travel of strut 2"])
-    told = 1e-5 * q["own speed"] * q["ambient_temperature_C"] + q["own direction"] * wave + 1e-8 * q["own load"]
-    np.testing.assert_allclose(effect.deviation(motion), told * (np.arange(6) == 2), atol=1e-18)
+    expected = 1e-5 * q["own speed"] * q["ambient_temperature_C"] + q["own direction"] * wave + 1e-8 * q["own load"]
+    np.testing.assert_allclose(effect.deviation(motion), expected * (np.arange(6) == 2), atol=1e-18)
     assert effect.needs(replace(motion, sensors=None)) and not effect.needs(motion)
     sway = SAG.kind("sag")("rig", **SAG.values).sway(motion)
     down = np.einsum("nij,nj->ni", motion.posed().rotation.as_matrix(), sway[:, :3])
@@ -143,7 +143,7 @@ def test_a_channel_of_any_name_stays_a_name():
 
 
 @pytest.mark.parametrize(
-    "spoil, said",
+    "spoil, message",
     [
         (lambda model: model.update(word="leg"), "word"),
         (lambda model: model.update(terms=[]), "terms"),
@@ -156,7 +156,7 @@ def test_a_channel_of_any_name_stays_a_name():
         (lambda model: model["terms"][0].update(values=[1, 2]), "values"),
     ],
 )
-def test_a_spoilt_suggestion_is_refused(tmp_path, spoil, said):
+def test_a_spoilt_suggestion_is_refused(tmp_path, spoil, message):
     model = json.loads(
         json.dumps(
             {
@@ -178,7 +178,7 @@ def test_a_spoilt_suggestion_is_refused(tmp_path, spoil, said):
     )
     spoil(model)
     (tmp_path / "diagnosis.json").write_text(json.dumps({"schema": "diagnosis/1", "model": model}))
-    with pytest.raises(FileError, match=f"diagnosis.json.*({said})"):
+    with pytest.raises(FileError, match=f"diagnosis.json.*({message})"):
         Written.read(
             json_toml_and_yaml_loading.load_json(tmp_path / "diagnosis.json", "diagnosis", "diagnosis/1").table("model")
         )
@@ -186,7 +186,7 @@ def test_a_spoilt_suggestion_is_refused(tmp_path, spoil, said):
 
 def test_commands_write_what_is_to_be_edited(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for words, said in (
+    for words, message in (
         (["--new", "backlash"], "collides with the catalogue's backlash"),
         (["--new", "My own"], "small letters"),
         (["--new", "mine", "--from", "nothing"], "nothing/diagnosis.json: no such file"),
@@ -194,7 +194,7 @@ def test_commands_write_what_is_to_be_edited(tmp_path, capsys, monkeypatch):
         (["--new", "mine", "backlash"], "omit NAME"),
         (["--new", "mine", "--place", "rig"], "--from"),
     ):
-        assert main(["effects", *words]) == 1 and said in capsys.readouterr().err
+        assert main(["effects", *words]) == 1 and message in capsys.readouterr().err
     assert main(["effects", "--new", "mine"]) == 0 and load_effect_file(tmp_path / "mine.py").kinds[0].name == "mine"
     capsys.readouterr()
     assert main(["effects", "mine", "--effects", "mine.py"]) == 0 and "travel of strut 2" in capsys.readouterr().out
@@ -231,22 +231,22 @@ def test_a_law_is_suggested_by_its_covariates(tmp_path, measured, number, monkey
         assert low < -effect.size < high and high - low < 0.2 * abs(value)
     (entry,) = suggested_formula_entries([found])
     assert entry.parameters[next(iter(found.intervals))].unit == ("m" if number == 0 else "m/m^3")
-    told = Report("rec", 0.0, {}, (), None, {}, FitEntry(1e-5, 1e-5, 1e-5, "m"), (), suggestions=(entry,))
-    page = "".join(_suggestions(told))
+    report = Report("rec", 0.0, {}, (), None, {}, FitEntry(1e-5, 1e-5, 1e-5, "m"), (), suggestions=(entry,))
+    page = "".join(_suggestions(report))
     assert (
         f"{found.after / found.noise:.2f} times the noise" in page
         and "a suggestion, not an identification" in page
-        and recommended_actions(told) != recommended_actions(replace(told, suggestions=()))
+        and recommended_actions(report) != recommended_actions(replace(report, suggestions=()))
     )
-    write_diagnosis_json(tmp_path, told)
+    write_diagnosis_json(tmp_path, report)
     assert main(["effects", "--new", "mine", "--from", str(tmp_path), "--out", str(tmp_path / "mine.py")]) == 0
     (kind,) = load_effect_file(tmp_path / "mine.py").kinds
-    asked = PlatformProblem(
+    requested_problem = PlatformProblem(
         problem.point, platform_candidates(problem.point, RequestedEffects((f"mine {effect.place}",), (), (kind,)))[0]
     )
-    selection = select_terms(asked)
+    selection = select_terms(requested_problem)
     assert [(f.score.candidate.name, f.score.candidate.place) for f in selection.findings] == [("mine", effect.place)]
-    assert asked.lack_of_fit(asked.residual(selection.fit)) == []
+    assert requested_problem.lack_of_fit(requested_problem.residual(selection.fit)) == []
 
 
 def test_nothing_is_suggested_where_nothing_is_left(tmp_path, measured):
@@ -331,7 +331,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.base import Effect, Parameter
+from rig.effects.user_base_classes import Effect, Parameter
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import find_l
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Columns, Part, linearise_poses
 from calib.diagnosis.problems.arm.projected_pose_residuals import Term, fit_terms_to_poses
 from calib.diagnosis.problems.arm.scores_of_all_candidates import (
-    joint_motion_inner_products,
+    joint_motion_normal_equations_by_frame,
     score_candidates,
     solve_candidate_at_all_nodes,
     solve_candidate_at_nodes,
@@ -31,9 +31,9 @@ from tests.rig.arms import UR10
 SIGMA = 2e-5  # m, per axis
 
 
-def seen(deviation, count=200, seed=3, again=0):
+def seen(deviation, count=200, seed=3, repeats=0):
     rng = np.random.default_rng(seed)
-    samples = secret_arms.tracked(secret_arms.secret(UR10, rng), UR10, count, rng, deviation=deviation, again=again)
+    samples = secret_arms.tracked(secret_arms.secret(UR10, rng), UR10, count, rng, deviation=deviation, repeats=repeats)
     return linearise_poses(samples, secret_arms.design(UR10))[0]
 
 
@@ -52,7 +52,7 @@ def searched():
 def test_short_cuts_give_the_best_nodes_their_score_and_the_others_a_bound(searched, name):
     now, candidates = searched
     candidate = next(c for c in candidates if c.name == name and c.joint == 2)
-    products = joint_motion_inner_products(now, 2)
+    products = joint_motion_normal_equations_by_frame(now, 2)
     quick, long = (
         solve_candidate_at_all_nodes(now, candidate, products),
         solve_candidate_at_nodes(now, candidate, products, candidate.grid),
@@ -154,10 +154,10 @@ def test_sinusoid_is_found_with_its_order(searched):
 
 
 def test_repeats_tell_noise_from_what_comes_again():
-    quiet = pose_repeatability(fit_terms_to_poses(seen(None, again=60)))
+    quiet = pose_repeatability(fit_terms_to_poses(seen(None, repeats=60)))
     assert quiet.pairs == 60 and quiet.rms == pytest.approx(SIGMA * np.sqrt(3), rel=0.15) and quiet.p_value > 1e-3
     wavy = pose_repeatability(
-        fit_terms_to_poses(seen(only(1, lambda q: 2e-4 * np.sin(9 * q[:, 1] + 5 * q[:, 3])), again=60))
+        fit_terms_to_poses(seen(only(1, lambda q: 2e-4 * np.sin(9 * q[:, 1] + 5 * q[:, 3])), repeats=60))
     )
     assert (
         wavy.rms == pytest.approx(SIGMA * np.sqrt(3), rel=0.15) and wavy.recurring_share > 0.8 and wavy.p_value < 1e-4
@@ -166,7 +166,7 @@ def test_repeats_tell_noise_from_what_comes_again():
 
 
 def test_what_the_catalogue_lacks_is_unknown_at_its_joint():
-    arms = seen(only(2, lambda q: 2e-4 * np.sin(q[:, 0])), again=60)
+    arms = seen(only(2, lambda q: 2e-4 * np.sin(q[:, 0])), repeats=60)
     chosen = select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit
     assert chosen.terms == ()
     left = [

@@ -41,10 +41,10 @@ AT_LIMITS = [  # what is not a size at both ends of what rigs show
 
 
 def test_every_parameter_that_is_no_size_has_its_ends_here():
-    asked = {parse_effect(text).name for text in AT_LIMITS}
+    tested = {parse_effect(text).name for text in AT_LIMITS}
     for kind in effect_list.ALL:
         if any(p.role in ("log", "even", "frequency") for p in kind.parameters):
-            assert kind.name in asked, kind.name
+            assert kind.name in tested, kind.name
 
 
 @pytest.mark.slow

@@ -84,12 +84,12 @@ def test_what_an_arm_cannot_be_asked_is_listed_with_why(design, cameras, reason)
     (arms, _), _ = arm_recorded(None, 60)
     own = replace(arms.context.design, cameras=design.cameras if cameras else ())
     arms = replace(arms, context=replace(arms.context, design=own))
-    candidates, not_asked = joint_candidates(arms, RequestedEffects())
+    candidates, not_tested = joint_candidates(arms, RequestedEffects())
     unseen = {kind.name for kind in ALL if kind.discrete or kind.stage in ("targets", "view")}
-    assert len(unseen) >= 11 and {s.effect for s in not_asked if s.reason == reason} == unseen
-    assert {c.name for c in candidates} | {s.effect for s in not_asked} == {kind.name for kind in ALL}
-    _, asked = joint_candidates(arms, RequestedEffects(("edge_bias",)))
-    assert [(s.effect, s.reason) for s in asked] == [("edge_bias", reason)]
+    assert len(unseen) >= 11 and {s.effect for s in not_tested if s.reason == reason} == unseen
+    assert {c.name for c in candidates} | {s.effect for s in not_tested} == {kind.name for kind in ALL}
+    _, not_tested = joint_candidates(arms, RequestedEffects(("edge_bias",)))
+    assert [(s.effect, s.reason) for s in not_tested] == [("edge_bias", reason)]
 
 
 def test_regions_and_repeats_are_of_every_machine(tmp_path, design):
@@ -109,10 +109,10 @@ def test_repeats_tell_noise_from_what_comes_again():
     commands = np.repeat(rng.uniform(size=(60, 3)), 2, axis=0)
     pairs = repeated_pairs(commands, ("m", "m", "rad"))
     assert pairs.tolist() == [[2 * i, 2 * i + 1] for i in range(60)]
-    noise, again = 1e-5 * rng.normal(size=(120, 6)), np.repeat(3e-5 * rng.normal(size=(60, 3)), 2, axis=0)
+    noise, repeated = 1e-5 * rng.normal(size=(120, 6)), np.repeat(3e-5 * rng.normal(size=(60, 3)), 2, axis=0)
     one, two = noise[::2], noise[1::2]
     alone = repeatability_of_pairs(pairs, (one, two), (one[:, :3], two[:, :3]))
-    both = repeatability_of_pairs(pairs, (one, two), (one[:, :3] + again[::2], two[:, :3] + again[1::2]))
+    both = repeatability_of_pairs(pairs, (one, two), (one[:, :3] + repeated[::2], two[:, :3] + repeated[1::2]))
     assert alone.rms == pytest.approx(np.sqrt(3) * 1e-5, rel=0.1) and alone.rms == both.rms and alone.p_value > 1e-3
     assert both.recurring_share == pytest.approx(0.9, abs=0.05) and both.p_value < 1e-6
     assert repeatability_of_pairs(pairs[: FEWEST - 1], (one, two), (one, two)) is None

@@ -17,13 +17,17 @@ from tests.calib.recordings_with_effects import recorded
 
 
 def test_places_are_asked_for_and_left_out():
-    asked = RequestedEffects(("backlash", "marker_swap marker 8"), ("backlash strut 2",))
+    requested = RequestedEffects(("backlash", "marker_swap marker 8"), ("backlash strut 2",))
     assert (
-        asked.name("marker_swap")
-        and asked.place("marker_swap", "marker 8")
-        and not asked.place("marker_swap", "marker 6")
+        requested.name("marker_swap")
+        and requested.place("marker_swap", "marker 8")
+        and not requested.place("marker_swap", "marker 6")
     )
-    assert asked.place("backlash", "strut 1") and not asked.place("backlash", "strut 2") and not asked.name("creep")
+    assert (
+        requested.place("backlash", "strut 1")
+        and not requested.place("backlash", "strut 2")
+        and not requested.name("creep")
+    )
     with pytest.raises(
         RigError, match=r"backlash cannot sit at 'strut 9' in this recording; it can at strut 1, strut 2"
     ):

@@ -9,20 +9,20 @@ import pytest
 
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value, value_with_interval_cut_at_bounds
-from calib.diagnosis.problems.platform import tolerance_columns
+from calib.diagnosis.problems.platform import marker_and_thermometer_tolerances
 from calib.diagnosis.problems.platform.alternatives_of_findings import (
     parameter_errors_by_tolerances,
     widen_intervals_by_temperature_logs_and_tolerances,
 )
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.marker_and_thermometer_tolerances import tolerance_sigmas_from_residuals
 from calib.diagnosis.problems.platform.simultaneous_refinement import (
     Refinement,
     refine_at_fixed_repeated_error,
     refine_operating_point,
 )
-from calib.diagnosis.problems.platform.tolerance_columns import tolerance_sigmas_from_residuals
-from calib.diagnosis.report import report_sentences
+from calib.diagnosis.report import diagnosis_texts
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
@@ -61,7 +61,7 @@ def test_sides_of_single_markers_make_the_side_of_all_less_sure(tmp_path, design
     """
     prints = blind_cases.draw_printing_errors(design, np.random.default_rng(3), 3e-6, SIDE)
     refined, sensitivities = fitted(tmp_path, design, [prints])
-    found = tolerance_columns.tolerance_model(refined.marginalised, sensitivities)
+    found = marker_and_thermometer_tolerances.tolerance_model(refined.marginalised, sensitivities)
     sigma = tolerance_sigmas_from_residuals(found.projected(refined.marginalised), found)
     singles = {s.place: s.columns.start for s in found.sites if s.effect == "print_scale" and s.place != "markers"}
     together = next(s.columns for s in found.sites if s.place == "markers")
@@ -93,7 +93,7 @@ def test_markers_that_are_as_stated_leave_intervals_as_they_are(tmp_path, design
 
 
 @pytest.mark.parametrize(
-    ("sigma", "ends", "left_open", "said"),
+    ("sigma", "ends", "left_open", "interval"),
     [
         (0.1, (1800 / np.exp(0.1 * Z95), 1800 * np.exp(0.1 * Z95)), None, "1479.6 to 2189.7 s"),
         (1.7, (64.30, 50386.6), None, "64.3 to 50386.6 s"),
@@ -101,7 +101,7 @@ def test_markers_that_are_as_stated_leave_intervals_as_they_are(tmp_path, design
         (900.0, (60, 1e5), "both", "not determined"),
     ],
 )
-def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open(sigma, ends, left_open, said):
+def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open(sigma, ends, left_open, interval):
     effect = parse_effect("warm_up:strut2:amplitude=1e-4,time_constant=1800")
     coordinates = coordinates_of_effects((effect,))
     values = np.array([c.read(effect) for c in coordinates])
@@ -111,25 +111,25 @@ def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open
     p = value_with_interval_cut_at_bounds(value, "s", (low, high), effect.parameters[1].bounds)
     assert p.open == left_open and p.ci95 == [low, high]
     finding = FindingEntry("warm_up", "strut 2", {"time_constant": p})
-    assert said in report_sentences.parameter_rows(finding)[0][2] and (
-        left_open is None or f"time_constant 1800.0 s ({said})" in report_sentences.finding_line(finding)
+    assert interval in diagnosis_texts.parameter_rows(finding)[0][2] and (
+        left_open is None or f"time_constant 1800.0 s ({interval})" in diagnosis_texts.finding_line(finding)
     )
-    assert (report_sentences.finding_size_text(finding) == ", time constant 1800.0 s (not determined)") is (
+    assert (diagnosis_texts.finding_size_text(finding) == ", time constant 1800.0 s (not determined)") is (
         left_open == "both"
     )
 
 
 @pytest.mark.parametrize(
-    ("ends", "left_open", "said"),
+    ("ends", "left_open", "interval"),
     [
         ((4e-5, 2.1e-3), "above", "40 µm or more"),
         ((-3e-3, 6e-5), "below", "60 µm or less"),
         ((-1e-5, 6e-5), None, "-10 to 60 µm"),
     ],
 )
-def test_an_interval_that_is_cut_off_at_one_end_says_so(ends, left_open, said):
+def test_an_interval_that_is_cut_off_at_one_end_says_so(ends, left_open, interval):
     p = value_with_interval_cut_at_bounds(5e-5, "m", ends, (-2e-3, 2e-3))
     finding = FindingEntry("warm_up", "strut 2", {"amplitude": p})
-    assert p.open == left_open and report_sentences.parameter_rows(finding) == [("amplitude", "50 µm", said)]
-    assert report_sentences.finding_size_text(finding) == f", amplitude 50 µm (95 %: {said.replace(' µm', '')})"
+    assert p.open == left_open and diagnosis_texts.parameter_rows(finding) == [("amplitude", "50 µm", interval)]
+    assert diagnosis_texts.finding_size_text(finding) == f", amplitude 50 µm (95 %: {interval.replace(' µm', '')})"
     assert value_with_interval_cut_at_bounds(1.0, "", (0.5, 2.0), (-3, 3)) == Value(1.0, "", [0.5, 2.0])

@@ -13,7 +13,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     RequestedEffects,
     require_assumed_effects_testable,
 )
-from calib.diagnosis.report.report_sentences import evidence_sentence
+from calib.diagnosis.report.diagnosis_texts import evidence_sentence
 from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.cli import command_line
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect_and_place
@@ -42,20 +42,22 @@ def places(found):
 @pytest.mark.slow
 def test_what_is_assumed_stays_and_is_said_to_be_so(quiet):
     assert places(diagnosis_report(diagnosis_of(quiet, ["backlash"]))) == []
-    told = diagnosis_report(diagnosis_of(quiet, ["creep"], given=StatedTerms((STRUT_2,))))
-    assert places(told) == [(*STRUT_2, "assumed")]
-    gap = told.findings[0].parameters["gap"]
+    report = diagnosis_report(diagnosis_of(quiet, ["creep"], given=StatedTerms((STRUT_2,))))
+    assert places(report) == [(*STRUT_2, "assumed")]
+    gap = report.findings[0].parameters["gap"]
     assert gap.value < 15e-6 and gap.ci95[0] <= gap.value <= gap.ci95[1]
-    assert "would not have shown it independently" in evidence_sentence(told.findings[0]) and told.findings[0].matters
+    assert (
+        "would not have shown it independently" in evidence_sentence(report.findings[0]) and report.findings[0].matters
+    )
 
 
 def test_what_was_seen_before_has_to_stand(loose):
-    told = diagnosis_report(diagnosis_of(loose, ["backlash"], given=StatedTerms((), (STRUT_4, STRUT_2))))
-    assert places(told) == [(*STRUT_2, "seen before")]
-    assert told.findings[0].parameters["gap"].value == pytest.approx(100e-6, rel=0.05)
-    told = diagnosis_report(diagnosis_of(loose, ["backlash"], given=StatedTerms((STRUT_2,))))
-    assert places(told) == [(*STRUT_2, "assumed")] and "shows it independently as well" in evidence_sentence(
-        told.findings[0]
+    report = diagnosis_report(diagnosis_of(loose, ["backlash"], given=StatedTerms((), (STRUT_4, STRUT_2))))
+    assert places(report) == [(*STRUT_2, "seen before")]
+    assert report.findings[0].parameters["gap"].value == pytest.approx(100e-6, rel=0.05)
+    report = diagnosis_report(diagnosis_of(loose, ["backlash"], given=StatedTerms((STRUT_2,))))
+    assert places(report) == [(*STRUT_2, "assumed")] and "shows it independently as well" in evidence_sentence(
+        report.findings[0]
     )
 
 
@@ -63,13 +65,13 @@ def test_what_cannot_be_assumed_is_refused(design):
     assert parse_effect_and_place("backlash strut2", design) == STRUT_2 and parse_effect_and_place(
         "vibration", design
     ) == ("vibration", "rig")
-    for text, said in (
+    for text, message in (
         ("backlash strut 9", "no strut '9'"),
         ("backlash", "cannot sit at ''"),
         ("backlsh strut 2", "is 'backlash' meant"),
         ("marker_swap marker 8", "searched for first"),
     ):
-        with pytest.raises(RigError, match=said):
+        with pytest.raises(RigError, match=message):
             parse_effect_and_place(text, design)
     with pytest.raises(RigError, match="backlash strut 2 cannot be both assumed and excluded"):
         RequestedEffects.of(None, ["backlash"], StatedTerms((STRUT_2,)))
@@ -84,20 +86,20 @@ def test_masked_frames_are_gone_from_everything(quiet):
     frames, _ = quiet.exposures.times()
     c = quiet.corners
     spoilt = replace(quiet, corners=replace(c, uv=np.where(np.isin(c.frame, [3, 7, 8, 9])[:, None], np.nan, c.uv)))
-    kept = remove_frames(spoilt, "3, 7-9")
-    assert kept.exposures.times()[0].tolist() == [f for f in frames if f not in (3, 7, 8, 9)]
+    retained = remove_frames(spoilt, "3, 7-9")
+    assert retained.exposures.times()[0].tolist() == [f for f in frames if f not in (3, 7, 8, 9)]
     assert (
-        np.isfinite(kept.corners.uv).all()
-        and len(kept.corners.camera) == len(kept.corners.uv)
-        and kept.commands is quiet.commands
+        np.isfinite(retained.corners.uv).all()
+        and len(retained.corners.camera) == len(retained.corners.uv)
+        and retained.commands is quiet.commands
     )
-    for text, said in (
+    for text, message in (
         ("a", "takes frames"),
         ("9-7", "from small to large"),
         ("3,99999999999999999", "has no frame 9999"),
         ("3,", "takes frames"),
     ):
-        with pytest.raises(RigError, match=said):
+        with pytest.raises(RigError, match=message):
             remove_frames(quiet, text)
     with pytest.raises(NotEnoughData, match="leaves none"):
         remove_frames(quiet, f"0-{frames[-1]}")
@@ -107,7 +109,7 @@ def test_masked_frames_are_gone_from_everything(quiet):
 def test_the_same_words_on_the_page(loose, tmp_path, capfd):
     call = ["diagnose", str(loose.folder), "--out", str(tmp_path / "first"), "--only", "backlash", "--mask", "3,7-9"]
     assert command_line.main(call) == 0
-    again = [
+    second_command = [
         "diagnose",
         str(loose.folder),
         "--out",
@@ -119,7 +121,7 @@ def test_the_same_words_on_the_page(loose, tmp_path, capfd):
         "--assume",
         "creep rig",
     ]
-    assert command_line.main(again) == 0
+    assert command_line.main(second_command) == 0
     assert "[seen before]" in capfd.readouterr().out
     tree = json.loads((tmp_path / "again" / "diagnosis.json").read_text())
     assert {f["effect"]: f["said"] for f in tree["findings"]} == {"backlash": "seen before", "creep": "assumed"}
@@ -127,4 +129,4 @@ def test_the_same_words_on_the_page(loose, tmp_path, capfd):
     assert "--assume creep rig" in page and "(seen before)" in page and f"--from {tmp_path / 'first'}" in page
     assert "--mask 3,7-9" in (tmp_path / "first" / "diagnosis.html").read_text()
     (tmp_path / "first" / "diagnosis.json").write_text('{"schema": "calibration/1"}')
-    assert command_line.main([*again, "--force"]) == 1 and "is no diagnosis" in capfd.readouterr().err
+    assert command_line.main([*second_command, "--force"]) == 1 and "is no diagnosis" in capfd.readouterr().err

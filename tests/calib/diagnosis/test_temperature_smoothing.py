@@ -27,8 +27,8 @@ def test_a_smooth_temperature_loses_most_of_its_noise():
     errors = []
     for seed in range(20):
         true, log = draw_temperatures(2400, np.random.default_rng(seed))
-        kept, _ = smooth_temperatures(log)
-        errors += [[np.std(s.channels[name] - true.channels[name]) for s in (log, kept)] for name in true.channels]
+        smoothed, _ = smooth_temperatures(log)
+        errors += [[np.std(s.channels[name] - true.channels[name]) for s in (log, smoothed)] for name in true.channels]
     before, after = np.sqrt(np.mean(np.square(errors), axis=0))
     assert after < 0.45 * before and before == pytest.approx(0.03, rel=0.05)
 
@@ -38,9 +38,9 @@ def test_a_short_log_is_a_line_rather_than_its_noise(seconds):
     errors, stated = [], []
     for seed in range(40):
         true, log = draw_temperatures(seconds, np.random.default_rng(seed))
-        kept, off = smooth_temperatures(log)
+        smoothed, off = smooth_temperatures(log)
         for name in off:
-            errors.append([np.mean((s.channels[name] - true.channels[name]) ** 2) for s in (log, kept)])
+            errors.append([np.mean((s.channels[name] - true.channels[name]) ** 2) for s in (log, smoothed)])
             stated.append(np.mean(np.sum(off[name] ** 2, axis=1)))
     before, after = np.sqrt(np.mean(errors, axis=0))
     assert len(errors) > 0.9 * 40 * 7 and after < 0.6 * before

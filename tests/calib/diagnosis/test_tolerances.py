@@ -10,7 +10,7 @@ import pytest
 from calib.diagnosis.engine.candidates_thresholds_and_outliers import NO_STATED_TERMS
 from calib.diagnosis.engine.reduced_least_squares import normal_equations_by_common_weights
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.diagnosis.problems.platform import tolerance_columns
+from calib.diagnosis.problems.platform import marker_and_thermometer_tolerances
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities, platform_candidates
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, linearise
@@ -18,7 +18,7 @@ from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.platform.scores_of_all_candidates import (
     candidate_column,
     constant_displacement_normal_equations,
-    corner_displacement_inner_products,
+    corner_displacement_normal_equations_by_frame,
     score_candidates,
 )
 from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
@@ -53,9 +53,9 @@ def test_all_sides_off_by_a_part_in_two_thousand_are_a_remark_with_their_size(tm
     found = diagnosis_of(rec, only=PRINTED)
     tree = json.loads(json.dumps(diagnosis_report(found).tree()))
     assert tree["findings"] == [] and tree["unexplained"] is None
-    said = {(r["effect"], r["place"]): r for r in tree["remarks"]}["print_scale", "markers"]
-    low, high = said["parameters"]["scale"]["ci95"]
-    assert low < SIDES.limit < high and high - low < SIDES.limit and "0.05 %" in said["reason"]
+    remark = {(r["effect"], r["place"]): r for r in tree["remarks"]}["print_scale", "markers"]
+    low, high = remark["parameters"]["scale"]["ci95"]
+    assert low < SIDES.limit < high and high - low < SIDES.limit and "0.05 %" in remark["reason"]
     page_text(tmp_path / "page.html", rec, found)
     assert "print scale at markers" in (tmp_path / "page.html").read_text()
 
@@ -75,12 +75,12 @@ def test_what_is_beyond_tolerance_is_a_finding_beside_what_is_within(tmp_path, d
 def test_tolerances_are_not_at_work_where_nothing_is_off(tmp_path, design):
     point = operating_point_of_recording(recorded(tmp_path, design, [], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
-    found = tolerance_columns.tolerance_model(model, sensitivities)
+    found = marker_and_thermometer_tolerances.tolerance_model(model, sensitivities)
     assert (
-        not tolerance_columns.tolerances_explain_residuals(found.projected(model), found.sigma)
-        and tolerance_columns.significant_tolerances(model, found) == []
+        not marker_and_thermometer_tolerances.tolerances_explain_residuals(found.projected(model), found.sigma)
+        and marker_and_thermometer_tolerances.significant_tolerances(model, found) == []
     )
-    tolerant = tolerance_columns.model_with_tolerances(model, found)
+    tolerant = marker_and_thermometer_tolerances.model_with_tolerances(model, found)
     assert tolerant.size <= model.size and tolerant.linear.cost() <= model.linear.cost()
     basis, closures = tolerant.linear.columns.parts, tolerant.closure_residual
     assert np.abs(basis[0].T @ tolerant.corner_residual + basis[CLOSURES].T @ closures).max() < 1e-6
@@ -91,11 +91,11 @@ def test_a_prior_holds_what_tolerances_explain(tmp_path, design):
     scale = effect_list.BY_NAME["print_scale"]("markers", 4 * SIDES.limit)
     point = operating_point_of_recording(recorded(tmp_path, design, [scale], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
-    found = tolerance_columns.tolerance_model(model, sensitivities)
+    found = marker_and_thermometer_tolerances.tolerance_model(model, sensitivities)
     seen = model.linear.project(found.column(model))
     best = np.linalg.solve(seen.gram + np.diag(found.sigma**-2.0), seen.right)
-    assert tolerance_columns.tolerances_explain_residuals(found.projected(model), found.sigma)
-    assert tolerance_columns.model_with_tolerances(model, found).linear.cost() == pytest.approx(
+    assert marker_and_thermometer_tolerances.tolerances_explain_residuals(found.projected(model), found.sigma)
+    assert marker_and_thermometer_tolerances.model_with_tolerances(model, found).linear.cost() == pytest.approx(
         model.linear.cost() - seen.right @ best, rel=1e-9
     )
     assert found.sigma[1] == PLACES.sigma and found.sites[1].effect == "face_misplacement"
@@ -104,7 +104,7 @@ def test_a_prior_holds_what_tolerances_explain(tmp_path, design):
 def test_tolerances_are_projected_as_their_columns_written_out(tmp_path, design):
     point = operating_point_of_recording(recorded(tmp_path, design, [printed(design, 5e-6, 1e-4)], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
-    found = tolerance_columns.tolerance_model(model, sensitivities)
+    found = marker_and_thermometer_tolerances.tolerance_model(model, sensitivities)
     written, short = model.linear.project(found.column(model)), found.projected(model)
     assert short.onto == pytest.approx(written.onto, abs=1e-9 * np.abs(written.onto).max())
     assert short.right == pytest.approx(written.right, abs=1e-9 * np.abs(written.right).max())
@@ -115,14 +115,14 @@ def test_tolerances_are_projected_as_their_columns_written_out(tmp_path, design)
 def test_the_share_that_is_left_beside_tolerances_is_that_of_a_search_beside_them(tmp_path, design):
     point = operating_point_of_recording(recorded(tmp_path, design, ["backlash:strut2:gap=6e-5"], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
-    found = tolerance_columns.tolerance_model(model, sensitivities)
+    found = marker_and_thermometer_tolerances.tolerance_model(model, sensitivities)
     candidates, _ = platform_candidates(point, RequestedEffects.of(["backlash", "print_scale"], (), NO_STATED_TERMS))
-    beside = tolerance_columns.model_with_tolerances(model, found)
+    with_tolerances = marker_and_thermometer_tolerances.model_with_tolerances(model, found)
     for candidate in candidates:
-        alone, both = (score_candidates(m, [candidate], sensitivities)[0] for m in (model, beside))
+        alone, both = (score_candidates(m, [candidate], sensitivities)[0] for m in (model, with_tolerances))
         if alone.node == both.node:  # else two sizes are compared
             column = candidate_column(model, candidate, alone.node, sensitivities)
-            share = tolerance_columns.share_not_explained_by_tolerances(
+            share = marker_and_thermometer_tolerances.share_not_explained_by_tolerances(
                 model, found, column, not len(alone.coefficients)
             )
             assert share * alone.delta_chi2 * alone.dispersion == pytest.approx(
@@ -142,7 +142,8 @@ def test_what_lasts_is_scored_by_sums_as_frame_by_frame(tmp_path, design):
         rows, quads = sensitivities.seen(candidate, candidate.grid[0])
         short = constant_displacement_normal_equations(model, *sensitivities.touched(rows, quads))
         whole = normal_equations_by_common_weights(
-            corner_displacement_inner_products(model, sensitivities.corners(rows, quads)), np.ones((1, model.frames))
+            corner_displacement_normal_equations_by_frame(model, sensitivities.corners(rows, quads)),
+            np.ones((1, model.frames)),
         )
         for one, other in zip(short, whole):
             assert one == pytest.approx(other, abs=1e-9 * np.abs(whole.raw).max())
@@ -163,8 +164,10 @@ def test_tolerances_come_in_where_they_explain_more_than_the_best_candidate(tmp_
     )
     problem = PlatformProblem(point, candidates)
     fit = problem.start()
-    found = tolerance_columns.tolerance_model(fit.refined.model, problem.sensitivities)
-    assert tolerance_columns.tolerances_explain_residuals(found.projected(fit.refined.model), found.sigma)
+    found = marker_and_thermometer_tolerances.tolerance_model(fit.refined.model, problem.sensitivities)
+    assert marker_and_thermometer_tolerances.tolerances_explain_residuals(
+        found.projected(fit.refined.model), found.sigma
+    )
     best = problem.search(problem.residual(fit), candidates)[0]
     assert problem.tolerances_explain(fit, best) is first and not problem.tolerant  # to ask changes nothing
     assert problem.tolerances_explain(fit, None)  # alone, whatever they explain is theirs

@@ -39,10 +39,10 @@ def telescope(seed: int) -> Case:
         np.zeros(2),
     )
     machine, speeds = secret(owner, 3e-4, rng), np.full(2, 0.5)
-    way = journey(visits("shuffled", owner.ranges, STARS, rng), owner.ranges.mean(axis=1), speeds, case.dwell)
+    path = journey(visits("shuffled", owner.ranges, STARS, rng), owner.ranges.mean(axis=1), speeds, case.dwell)
     noise = rng.normal(size=(STARS, 6)) * np.repeat(case.sigma, 3)
-    seen = rows_of(displaced(stood(machine, way, case.day, ()), noise))
-    return replace(case, owner=owner, machine=machine, way=way, speeds=speeds, seen=seen)
+    seen = rows_of(displaced(stood(machine, path, case.day, ()), noise))
+    return replace(case, owner=owner, machine=machine, journey=path, speeds=speeds, seen=seen)
 
 
 CASES = {
@@ -131,7 +131,7 @@ def scattering_arm(folder, displacement=None, times=1):
     joint angles, and which states its noise so many times too small."""
     case = draw(4, "none", "none", "shuffled", "arm", 100)
     if displacement is not None:
-        by = displacement(case.way.at(case.way.looked), np.random.default_rng(9)) * np.repeat(case.sigma, 3)
+        by = displacement(case.journey.at(case.journey.looked), np.random.default_rng(9)) * np.repeat(case.sigma, 3)
         case = replace(case, seen=rows_of(displaced(matrices(case.seen), by)))
     return load_recording(record(replace(case, sigma=(case.sigma[0] / times, case.sigma[1] / times)), folder))
 

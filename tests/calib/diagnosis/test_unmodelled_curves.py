@@ -70,14 +70,14 @@ def test_a_curve_over_time_is_left_out_beyond_the_recorded_time(tmp_path):
     assert "time" in unknown.by and "within the recorded time only" in unknown.sentence()
     assert unknown.sentence() in calibration_evidence(found).unexplained
     T = RigidTransform.from_matrix(wanted(machine.case, 3))
-    ends = float(machine.case.way.t[-1])
-    told = []
+    ends = float(machine.case.journey.t[-1])
+    notices = []
     for t in (np.array([60.0, 120.0, 180.0]), np.array([60.0, 120.0, 2 * ends])):
         poses = WantedPoses(Poses(np.arange(3), T, None), t)
-        told.append(correct(found, poses, CorrectOptions(approach="never")).commanded)
-    assert not told[0].uncovered and told[1].uncovered == ((f"a curve over time at {machine.place}", 1),)
-    sure, unsure = (np.trace(done.covariance[2, :3, :3]) for done in told)
-    assert unsure > 2 * sure and np.allclose(told[0].values[:2], told[1].values[:2], atol=1e-8)
+        notices.append(correct(found, poses, CorrectOptions(approach="never")).commanded)
+    assert not notices[0].uncovered and notices[1].uncovered == ((f"a curve over time at {machine.place}", 1),)
+    sure, unsure = (np.trace(done.covariance[2, :3, :3]) for done in notices)
+    assert unsure > 2 * sure and np.allclose(notices[0].values[:2], notices[1].values[:2], atol=1e-8)
 
 
 def test_noise_has_no_curve(tmp_path):

@@ -10,7 +10,7 @@ import rig
 from calib.diagnosis.problems.platform.vibration_frequency import _bins, _mirrors_of_slow_changes
 from tests.truth import draw, record
 from tests.truth.case import Case
-from tests.truth.draw_faults import FAULTS, Asked
+from tests.truth.draw_faults import FAULTS, FaultRequest
 from tests.truth.laws import stood
 from tests.truth.rigid import displaced, rows_of
 
@@ -59,10 +59,12 @@ def shaken_case(seed: int) -> Case:
     rng = np.random.default_rng([5, seed])
     case = draw(5000 + seed, "vibration", "weak", "shuffled", "hexapod", count=120)
     size = 16 * case.sigma[0]
-    asked = Asked(size, np.eye(6)[0], case.machine, case.way, 5.0, case.mass, case.centre, case.payload, rng)
-    case = replace(case, laws=(FAULTS["vibration"](asked)[1],))
-    noise = rng.normal(size=(len(case.way.looked), 6)) * np.repeat(case.sigma, 3)
-    return replace(case, seen=rows_of(displaced(stood(case.machine, case.way, case.day, case.laws), noise)))
+    request = FaultRequest(
+        size, np.eye(6)[0], case.machine, case.journey, 5.0, case.mass, case.centre, case.payload, rng
+    )
+    case = replace(case, laws=(FAULTS["vibration"](request)[1],))
+    noise = rng.normal(size=(len(case.journey.looked), 6)) * np.repeat(case.sigma, 3)
+    return replace(case, seen=rows_of(displaced(stood(case.machine, case.journey, case.day, case.laws), noise)))
 
 
 @pytest.mark.parametrize(  # at times that mirror a drift a little there; beyond 50 Hz

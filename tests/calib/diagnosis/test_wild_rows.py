@@ -106,8 +106,8 @@ def test_rows_that_were_left_out_are_listed_with_why(tmp_path, design):
     poses[50, 0, 3] += 1e-3
     bad = replace(rec, poses=replace(rec.poses, T_base_platform=type(rec.poses.T_base_platform).from_matrix(poses)))
     found = diagnosis_of(bad, ["backlash"])
-    told = diagnosis_report(found)
-    (entry,) = json.loads(json.dumps(told.tree()))["left_out"]
+    report = diagnosis_report(found)
+    (entry,) = json.loads(json.dumps(report.tree()))["left_out"]
     assert (
         entry["frame"] == 50
         and entry["what"] == "pose"
@@ -115,12 +115,12 @@ def test_rows_that_were_left_out_are_listed_with_why(tmp_path, design):
         and entry["unit"] == "m"
     )
     assert 1e-4 < entry["off"] < 1e-3 and entry["times"] > 20 and "agree with no other" in entry["reason"]
-    page_text(tmp_path / "page.html", rec, found, told)
+    page_text(tmp_path / "page.html", rec, found, report)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert (
         "Excluded before the search" in page
         and entry["reason"] in page
-        and diagnosis_verdict(told).state is State.CHECK
+        and diagnosis_verdict(report).state is State.CHECK
     )
 
 
@@ -143,15 +143,15 @@ def test_a_chain_with_wild_poses_is_diagnosed_as_without_them(tmp_path):
         diagnosis_of(one, ["scale_error"]) for one in (rec, frame_selection_and_content_hashes.remove_frames(rec, mask))
     )
     assert {one.frame for one in found.outliers.left_out} == set(frames.tolist()) and expected.outliers.left_out == ()
-    told, without = (diagnosis_report(one).tree()["findings"] for one in (found, expected))
-    assert told == without and [f["effect"] for f in told] == ["scale_error"]
+    with_wild_poses, without = (diagnosis_report(one).tree()["findings"] for one in (found, expected))
+    assert with_wild_poses == without and [f["effect"] for f in with_wild_poses] == ["scale_error"]
 
 
 def test_many_rows_far_off_are_no_wild_rows(tmp_path, design):
     bad, frames = spoilt_poses(posed(tmp_path / "rec", design, [], 4), np.random.default_rng(4), 0.2)
-    told = diagnosis_report(diagnosis_of(bad, ["backlash"]))
-    assert told.left_out == () and told.crowd is not None and told.crowd.count > MOST * told.crowd.of
-    assert told.unexplained is not None and diagnosis_verdict(told).state is State.CHECK
+    report = diagnosis_report(diagnosis_of(bad, ["backlash"]))
+    assert report.left_out == () and report.crowd is not None and report.crowd.count > MOST * report.crowd.of
+    assert report.unexplained is not None and diagnosis_verdict(report).state is State.CHECK
 
 
 def test_an_arms_wild_poses_are_left_out(tmp_path):

@@ -22,6 +22,7 @@ from rig.planning.layout import shipped_arms_and_layouts
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine_and_truth_file
 from tests.calib.diagnose_recording import diagnosis_of
+from tests.closed_loops import simulate_with_truth
 
 FRICTION, PLAY = "hysteresis:joint 2:range=0.5,weight=0.001", "backlash:joint 2:gap=2e-4"
 
@@ -51,17 +52,17 @@ def test_a_plan_that_was_made_is_told_as_it_was_seen(found):
     move is the same.
     """
     read, d = found
-    again = linearise_planned_poses(
+    linearised = linearise_planned_poses(
         d.selection.fit.arms,
         d.selection.problem.geometry,
         read.commands,
         d.selection.fit.arms.t,
         d.selection.fit.arms.context.sensors,
     )
-    np.testing.assert_allclose(again.q, d.selection.fit.arms.q)
-    np.testing.assert_allclose(again.joints, d.selection.fit.arms.joints, atol=1e-12)
-    np.testing.assert_allclose(again.freedoms, d.selection.fit.arms.freedoms, atol=1e-12)
-    np.testing.assert_allclose(again.context.moved().lengths, d.selection.fit.arms.context.moved().lengths)
+    np.testing.assert_allclose(linearised.q, d.selection.fit.arms.q)
+    np.testing.assert_allclose(linearised.joints, d.selection.fit.arms.joints, atol=1e-12)
+    np.testing.assert_allclose(linearised.freedoms, d.selection.fit.arms.freedoms, atol=1e-12)
+    np.testing.assert_allclose(linearised.context.moved().lengths, d.selection.fit.arms.context.moved().lengths)
 
 
 def test_what_names_foretell_differs_as_the_machine_does(found):
@@ -74,10 +75,10 @@ def test_what_names_foretell_differs_as_the_machine_does(found):
     }
     assert sum(h.odds for h in question.hypotheses) == pytest.approx(1)
     route = plan.build_plan(read.design, "zigzag:16", 1)
-    told = question.predict_outcomes(route)
+    outcomes = question.predict_outcomes(route)
     each = question.predicted_outcomes_of_two_likeliest_hypotheses(route)
     first, other = (next(k for k, h in enumerate(question.named) if h is one) for one in question.likeliest)
-    assert each.of.sum() == pytest.approx(np.sum((told.means[other] - told.means[first]) ** 2), rel=1e-6)
+    assert each.of.sum() == pytest.approx(np.sum((outcomes.means[other] - outcomes.means[first]) ** 2), rel=1e-6)
 
     design, sigma = (
         d.selection.fit.arms.context.design,
@@ -101,13 +102,15 @@ def test_a_clocks_offset_moves_an_arm_as_the_machine_has_it(found):
     """As one hypothesis of all joints: while it moved none, each joint got a lag of its own."""
     read, d = found
     route = plan.build_plan(read.design, "zigzag:16", 1)
-    there = linearise_planned_poses(d.selection.fit.arms, d.selection.problem.geometry, route.commands, route.t, None)
-    candidate = joint_candidate((TimeOffset.candidates("clock", there.context)[0],), there)
+    linearised = linearise_planned_poses(
+        d.selection.fit.arms, d.selection.problem.geometry, route.commands, route.t, None
+    )
+    candidate = joint_candidate((TimeOffset.candidates("clock", linearised.context)[0],), linearised)
     assert candidate.joint is None and candidate.grid[0] == {}
     moved = 1e-3 * candidate.weights(candidate.grid[0])[..., 0]
     runs = [
         motion_simulation.simulate_machine_run(
-            there.context.design, route.commands, route.t, effects, None
+            linearised.context.design, route.commands, route.t, effects, None
         ).T_base_platform
         for effects in ((), (TimeOffset("clock", 1e-3),))
     ]
@@ -121,8 +124,8 @@ def test_what_turns_round_tells_play_from_friction_and_so_does_a_plan_of_balance
     names open.
     """
     read, d = found
-    asked = arm_questions(d)
-    turning, standing = (evaluate_experiment(asked, read.design, text, 1) for text in ("zigzag:16", "sobol:12"))
+    questions = arm_questions(d)
+    turning, standing = (evaluate_experiment(questions, read.design, text, 1) for text in ("zigzag:16", "sobol:12"))
     assert min(turning.settles, standing.settles) > 0.9 and min(turning.bits, standing.bits) > 0.5
 
 
@@ -144,25 +147,7 @@ def test_what_of_arms_cannot_be_investigated_is_refused(tmp_path, capsys):
 def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, name):
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
     rig.write_text(shipped_arms_and_layouts.shipped_arm_rig_toml("scara"))
-    assert (
-        main(
-            [
-                "simulate",
-                str(rig),
-                "--plan",
-                "sobol:3",
-                "--effect",
-                effect,
-                "--seed",
-                "3",
-                "--out",
-                str(tmp_path / "f"),
-                "--truth",
-                str(truth),
-            ]
-        )
-        == 0
-    )
+    simulate_with_truth(tmp_path, "sobol:3", 3, "--effect", effect)
     assert (
         main(
             [
@@ -194,23 +179,7 @@ def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, 
 def test_a_quiet_arm_is_left_in_peace(tmp_path, capsys):
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
     rig.write_text(shipped_arms_and_layouts.shipped_arm_rig_toml("scara"))
-    assert (
-        main(
-            [
-                "simulate",
-                str(rig),
-                "--plan",
-                "sobol:3",
-                "--seed",
-                "8",
-                "--out",
-                str(tmp_path / "f"),
-                "--truth",
-                str(truth),
-            ]
-        )
-        == 0
-    )
+    simulate_with_truth(tmp_path, "sobol:3", 8)
     assert main(["investigate", str(rig), "--machine", str(truth), "--out", str(out), "--budget", "1h"]) == 0
     assert "Nothing is unmodelled." in (out / "notebook.md").read_text() and not (out / "rec2").exists()
 
@@ -222,25 +191,7 @@ def test_what_a_camera_in_the_hand_leaves_alike_is_told_apart(tmp_path, capsys):
     """
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
     assert main(["design", "--arm", "ur10", "--seen", "hand", "--cameras", "1", "--out", str(rig)]) == 0
-    assert (
-        main(
-            [
-                "simulate",
-                str(rig),
-                "--plan",
-                "sobol:3",
-                "--effect",
-                "backlash:joint 2:gap=2e-4",
-                "--seed",
-                "3",
-                "--out",
-                str(tmp_path / "f"),
-                "--truth",
-                str(truth),
-            ]
-        )
-        == 0
-    )
+    simulate_with_truth(tmp_path, "sobol:3", 3, "--effect", "backlash:joint 2:gap=2e-4")
     assert (
         main(
             [

@@ -26,7 +26,7 @@ def frames(difference, left_open):
     return PerFrame(d**2, N * d[:, None], N[:, :, None] * N[:, None, :], {})
 
 
-def told(found):
+def total_information(found):
     """What all of a PerFrame's exposures tell together."""
     b = found.onto.sum(axis=0)
     return found.of.sum() - b @ np.linalg.solve(np.eye(len(b)) + found.open.sum(axis=0), b)
@@ -51,7 +51,7 @@ def test_the_best_pair_is_found_as_trying_all_finds_it():
     first, second = choose_exposures([frames(d, N)], 2).tolist()
     assert first == max(range(8), key=lambda i: distance((i,)))
     assert second == max((i for i in range(8) if i != first), key=lambda i: distance((first, i)))
-    assert told(frames(d, N)) == pytest.approx(distance(range(8)))
+    assert total_information(frames(d, N)) == pytest.approx(distance(range(8)))
 
 
 def test_more_than_there_are_cannot_be_chosen():
@@ -77,13 +77,17 @@ def test_configurations_are_chosen_by_the_images_and_the_cameras_that_see_it_are
         refine_operating_point(point.with_effects([parse_effect(text)]), Sensitivities(point))
         for text in ("edge_bias:camera cam1:bias=0.1", "focal_drift:camera cam1:per_kelvin=1e-4")
     ]
-    asked = [PlatformQuestion(tuple(Hypothesis(fit.point.effects[0].name, "camera cam1", 0.5, fit, 0) for fit in fits))]
-    own = discriminating_configurations(asked, design, 8, seed=3)
+    questions = [
+        PlatformQuestion(tuple(Hypothesis(fit.point.effects[0].name, "camera cam1", 0.5, fit, 0) for fit in fits))
+    ]
+    own = discriminating_configurations(questions, design, 8, seed=3)
     plan = build_plan(design, "apart:8", additional_parts={"apart:8": own})
-    seen = camera_information_shares(asked, plan)
+    seen = camera_information_shares(questions, plan)
     assert next(iter(seen)) == "cam1" and seen["cam1"] > 0.5 and sum(seen.values()) == pytest.approx(1)
     anywhere = [
-        told(predicted_outcomes_of_two_likeliest_hypotheses(asked[0], build_plan(design, "sobol:8", seed)))
+        total_information(
+            predicted_outcomes_of_two_likeliest_hypotheses(questions[0], build_plan(design, "sobol:8", seed))
+        )
         for seed in range(3)
     ]
-    assert told(predicted_outcomes_of_two_likeliest_hypotheses(asked[0], plan)) > 1.2 * max(anywhere)
+    assert total_information(predicted_outcomes_of_two_likeliest_hypotheses(questions[0], plan)) > 1.2 * max(anywhere)

@@ -45,8 +45,8 @@ def test_what_differs_in_nothing_tells_nothing_and_what_looks_the_same_stays_ali
         < 0.05
         < experiment_information(unequal, near, NOTHING).settles
     )
-    told_nearly = np.array([0.0, 5.5])  # by the data so far: little more is needed
-    assert experiment_information(unequal, same, told_nearly).settles > 0.5
+    nearly_determined = np.array([0.0, 5.5])  # by the data so far: little more is needed
+    assert experiment_information(unequal, same, nearly_determined).settles > 0.5
 
 
 def test_what_costs_less_comes_first_among_those_that_settle():

@@ -15,12 +15,12 @@ from rig.planning.timed_plan_and_visiting_order import write_plan_table
 def test_a_plan_in_time_comes_back_with_its_payload(design, tmp_path):
     plan = build_plan(design, "sobol:3,payload:2,dwell:4", 3)
     write_plan_table(tmp_path / "plan.csv", plan, design.mechanism.axes)
-    again = build_plan(design, f"commands:{tmp_path / 'plan.csv'}")
-    np.testing.assert_allclose(again.t, plan.t, atol=1e-4)
-    np.testing.assert_allclose(again.commands.at(plan.t), plan.commands.at(plan.t), atol=2e-6)
+    reloaded = build_plan(design, f"commands:{tmp_path / 'plan.csv'}")
+    np.testing.assert_allclose(reloaded.t, plan.t, atol=1e-4)
+    np.testing.assert_allclose(reloaded.commands.at(plan.t), plan.commands.at(plan.t), atol=2e-6)
     changed = np.r_[True, np.diff(plan.payload[:, 1]) != 0]
-    np.testing.assert_allclose(again.payload, plan.payload[changed], atol=1e-3)
-    assert (again.payload[:, 1] > 0).sum() == 1
+    np.testing.assert_allclose(reloaded.payload, plan.payload[changed], atol=1e-3)
+    assert (reloaded.payload[:, 1] > 0).sum() == 1
 
 
 def test_what_cannot_be_meant_is_refused(rig_text, recording_folder, tmp_path, capsys):
@@ -60,15 +60,19 @@ def test_a_lag_is_told_from_a_clock_by_the_plan_that_is_written(rig_text, tmp_pa
         == 0
     )
     assert main(["diagnose", one, "--out", str(tmp_path / "first"), "--next", str(tmp_path / "next.csv")]) == 0
-    said = capsys.readouterr().out
-    assert "ambiguous: servo lag at rig" in said and "next: zigzag" in said and "settles this with a chance of" in said
-    told = json.loads((tmp_path / "first" / "next.json").read_text())
-    assert {h["title"] for h in told["questions"][0]["hypotheses"]} == {
+    output = capsys.readouterr().out
+    assert (
+        "ambiguous: servo lag at rig" in output
+        and "next: zigzag" in output
+        and "settles this with a chance of" in output
+    )
+    result = json.loads((tmp_path / "first" / "next.json").read_text())
+    assert {h["title"] for h in result["questions"][0]["hypotheses"]} == {
         "servo lag at rig",
         "time offset at clock",
         "something in no catalogue",
     }
-    assert told["experiments"][0]["settles"] > 0.9 > told["experiments"][-1]["settles"]
+    assert result["experiments"][0]["settles"] > 0.9 > result["experiments"][-1]["settles"]
     assert (
         main(
             [

@@ -15,6 +15,7 @@ from rig.cli.command_line import main
 from rig.model.design import quarter_turns_of_cubes
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
+from tests.closed_loops import simulate_with_truth
 from vision.recording_combination_and_moved_cameras import combine_recordings
 from vision.recording_measurement import measure_recording
 
@@ -61,8 +62,8 @@ def test_a_recording_says_that_a_cube_was_put_back_and_its_faces_hold_no_pose(se
     )  # it is seen where it stands but for what putting it back does
     corners = second.corners
     moved = corners.uv + 5.0 * np.isin(corners.marker, [0, 1, 2, 3, 4])[:, None]
-    again, _ = measure_recording(replaced(second, moved))
-    assert (measured.T_base_platform.as_matrix() == again.T_base_platform.as_matrix()).all()
+    remeasured, _ = measure_recording(replaced(second, moved))
+    assert (measured.T_base_platform.as_matrix() == remeasured.T_base_platform.as_matrix()).all()
 
 
 def marker_targets(measured):
@@ -133,25 +134,7 @@ def test_a_face_is_told_from_its_cube_by_turning_it(tmp_path, capsys, effect, na
     block = re.sub(r"rotvec = \[0.0, 0.0, [\d.]+\]", "rotvec = [0.0, 0.0, 1.135]", block)
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
     rig.write_text(text[:start] + block + text[end:] + '\n[experiment]\nmay = ["turn cube 1"]\n')
-    assert (
-        main(
-            [
-                "simulate",
-                str(rig),
-                "--plan",
-                "sobol:3",
-                "--effect",
-                effect,
-                "--seed",
-                "5",
-                "--out",
-                str(tmp_path / "first"),
-                "--truth",
-                str(truth),
-            ]
-        )
-        == 0
-    )
+    simulate_with_truth(tmp_path, "sobol:3", 5, "--effect", effect)
     assert (
         main(
             [
@@ -171,10 +154,10 @@ def test_a_face_is_told_from_its_cube_by_turning_it(tmp_path, capsys, effect, na
         )
         == 0
     )
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert (
-        "next: turn:P1,sobol:12" in said
-        and "before it begins: take cube P1 off its socket and put it back turned by a quarter turn" in said
+        "next: turn:P1,sobol:12" in output
+        and "before it begins: take cube P1 off its socket and put it back turned by a quarter turn" in output
     )
     notebook = (out / "notebook.md").read_text()
     assert "request to the operator: before it begins: take cube P1 off" in notebook and "settled: yes" in notebook

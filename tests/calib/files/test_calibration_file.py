@@ -29,20 +29,20 @@ def calibration(design):
 
 def test_what_is_saved_corrects_as_before(calibration, design, tmp_path):
     calibration_file.save(tmp_path / "c.json", calibration)
-    again = calibration_file.load(tmp_path / "c.json")
+    loaded = calibration_file.load(tmp_path / "c.json")
     wanted = workspace(design, 20)
-    np.testing.assert_allclose(again.correction.inverse(wanted), calibration.correction.inverse(wanted), atol=1e-12)
+    np.testing.assert_allclose(loaded.correction.inverse(wanted), calibration.correction.inverse(wanted), atol=1e-12)
     assert (
-        again.held_out == calibration.held_out
-        and again.claim == calibration.claim
-        and again.frames == (1, 2)
-        and again.left_out == (3,)
+        loaded.held_out == calibration.held_out
+        and loaded.claim == calibration.claim
+        and loaded.frames == (1, 2)
+        and loaded.left_out == (3,)
     )
-    np.testing.assert_allclose(again.covariance, calibration.covariance)
+    np.testing.assert_allclose(loaded.covariance, calibration.covariance)
     tree = json.loads((tmp_path / "c.json").read_text())
     assert tree["schema"] == "calibration/1" and "m, rad" in tree["units"] and "T_base_platform" in tree["frames"]
     assert not list(tmp_path.glob("*.part"))
-    assert hexapod.inverse(wanted, again.correction.fitted).shape == (20, 6)
+    assert hexapod.inverse(wanted, loaded.correction.fitted).shape == (20, 6)
 
 
 def test_few_configurations_keep_the_files_shape(calibration, design, tmp_path):
@@ -55,7 +55,7 @@ def test_few_configurations_keep_the_files_shape(calibration, design, tmp_path):
         claim=platform_workspace_claim(samples, done, np.random.default_rng(0)),
     )
     calibration_file.save(tmp_path / "c.json", few)
-    tree, again = json.loads((tmp_path / "c.json").read_text()), calibration_file.load(tmp_path / "c.json")
+    tree, reloaded = json.loads((tmp_path / "c.json").read_text()), calibration_file.load(tmp_path / "c.json")
     assert tree["held_out"]["after"] == {
         "n": 0,
         "position": [None] * 3,
@@ -63,7 +63,7 @@ def test_few_configurations_keep_the_files_shape(calibration, design, tmp_path):
         "bias": [None] * 6,
         "mean": [None] * 2,
     }
-    assert again.held_out is None and again.claim == few.claim and "takes 8" in again.claim.reason
+    assert reloaded.held_out is None and reloaded.claim == few.claim and "takes 8" in reloaded.claim.reason
 
 
 def test_a_file_of_before_there_was_a_claim_is_read(calibration, tmp_path):

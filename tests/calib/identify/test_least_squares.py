@@ -55,15 +55,6 @@ def test_a_prior_weighs_as_one_more_reading():
     assert both.covariance[0, 0] == pytest.approx(free.covariance[0, 0] / 2, rel=0.05)
 
 
-def test_a_constraint_is_kept_exactly():
-    linearise, _ = curve(np.random.default_rng(0), np.array([2.0, 0.8]))
-    found = fit_least_squares(linearise, [1.6, 0.8], *FREE, basis=np.array([[2.0], [1.0]]) / np.sqrt(5))
-    assert (
-        found.parameters[0] == pytest.approx(2 * found.parameters[1], abs=1e-12)
-        and np.linalg.matrix_rank(found.covariance) == 1
-    )
-
-
 def test_a_wrong_block_is_sorted_out():
     linearise, seen = curve(np.random.default_rng(0), np.array([2.0, 0.8]))
     clean = fit_least_squares(linearise, [1.5, 0.5], *FREE, inliers=np.arange(40) != 7)

@@ -21,11 +21,11 @@ from calib.samples.pose_samples import sample_recording
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.model.pose import exp, log
 from rig.recording import recording_folder
-from tests.closed_loops import rig
+from tests.closed_loops import design_two_struts, rig, simulate_with_truth
 from tests.gantry_and_hexapod import written
 
 RUNS, NOISE = 200, 0.04  # px
-TOLD = (
+DETERMINED = (
     0.05  # of what an owner may be off by, above which a combination's standard error is the owner's, not the corners'
 )
 pytestmark = pytest.mark.slow
@@ -51,21 +51,7 @@ def arm(folder, carried, cameras):
 
 
 def planar(folder):
-    rig(
-        "design",
-        "--mechanism",
-        "planar2",
-        "--radius",
-        "0.3",
-        "--cubes",
-        "1",
-        "--cameras",
-        "2",
-        "--size",
-        "640x512",
-        "--out",
-        folder / "rig.toml",
-    )
+    design_two_struts(folder, "--size", "640x512")
     return "sobol:16"
 
 
@@ -110,35 +96,22 @@ def scores(folder, make, *words):
     the owner.
     """
     plan = make(folder, *words)
-    rig(
-        "simulate",
-        folder / "rig.toml",
-        "--plan",
-        plan,
-        "--seed",
-        "4",
-        "--noise",
-        "0",
-        "--out",
-        folder / "rec",
-        "--truth",
-        folder / "truth.json",
-    )
+    simulate_with_truth(folder, plan, 4, "--noise", "0")
     clean = recording_folder.load_recording(folder / "rec")
     if clean.poses is not None:
         poses = np.array(json.loads((folder / "truth.json").read_text())["poses"]).reshape(-1, 4, 4)
         clean = replace(clean, poses=replace(clean.poses, T_base_platform=RigidTransform.from_matrix(poses)))
     rng, out = np.random.default_rng(0), []
 
-    def told(share):
+    def fitted_to_noisy(share):
         sampled = sample_recording(noisy(clean, share, rng))
         return fitted(sampled.samples, clean.design, sampled.instrument)
 
-    true, _, _ = told(1e-5)
-    found, covariance, size = told(1.0)
+    true, _, _ = fitted_to_noisy(1e-5)
+    found, covariance, size = fitted_to_noisy(1.0)
     along = combinations(covariance, size)
     for _ in range(RUNS):
-        found, covariance, _ = told(1.0)
+        found, covariance, _ = fitted_to_noisy(1.0)
         out.append(np.linalg.solve(np.linalg.cholesky(along.T @ covariance @ along), along.T @ off(found, true)))
     return np.array(out)
 
@@ -166,7 +139,7 @@ def combinations(covariance, size):
     free = np.flatnonzero(np.diag(covariance) > 0)
     scale = np.where(np.isfinite(size), size, np.sqrt(np.diag(covariance)))[free]
     values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(scale, scale))
-    sharp = values < TOLD**2 if np.isfinite(size).all() else np.ones(len(values), bool)
+    sharp = values < DETERMINED**2 if np.isfinite(size).all() else np.ones(len(values), bool)
     along = np.zeros((len(size), sharp.sum()))
     along[free] = vectors[:, sharp] / scale[:, None]
     return along

@@ -21,7 +21,7 @@ from calib.samples.pose_samples import sample_recording
 from rig.cli import command_line
 from rig.errors import RigError
 from rig.recording.recording_folder import load_recording
-from tests.truth.case import again, draw
+from tests.truth.case import draw, recorded_anew
 from tests.truth.rigid import displaced, errors, matrices, rows_of
 from tests.truth.written import record
 
@@ -59,7 +59,7 @@ def three(case, folder, places, **more):
 
 
 def _later(case, number):
-    return replace(again(replace(case, seed=case.seed + 1000 * number)), seed=case.seed)
+    return replace(recorded_anew(replace(case, seed=case.seed + 1000 * number)), seed=case.seed)
 
 
 def combined(recordings):
@@ -153,7 +153,7 @@ def test_a_certificate_states_the_place(tmp_path):
     calibration = calibrate(
         written(draw(3, "none", "none", kind="arm", count=60), tmp_path / "a"), CalibrateOptions(quick=True)
     ).calibration
-    later = again(draw(3, "none", "none", kind="arm", count=60))
+    later = recorded_anew(draw(3, "none", "none", kind="arm", count=60))
     still = certify(calibration, written(later, tmp_path / "b"))
     moved = certify(calibration, written(later, tmp_path / "c", NEAR[0]))
     bound = still.certificate.promise.position.upper
@@ -184,8 +184,8 @@ def geometry_error_of_positions(recording, case):
     """Median distance (m) of the fitted arm's positions from the measured ones."""
     sampled = sample_recording(recording)
     _, found = calibrate_arm(sampled.samples, recording.design.mechanism, sampled.instrument, False)
-    there = predicted_target_poses(sampled.samples.commanded, found.arm).translation
-    return float(np.median(np.linalg.norm(there - sampled.samples.T_base_platform.translation, axis=1)))
+    predicted = predicted_target_poses(sampled.samples.commanded, found.arm).translation
+    return float(np.median(np.linalg.norm(predicted - sampled.samples.T_base_platform.translation, axis=1)))
 
 
 def test_wild_poses_do_not_move_the_base(tmp_path):
@@ -257,7 +257,7 @@ def test_what_the_numbers_took_of_the_noise_is_given_back(tmp_path):
     calibration = calibrate(written(first, tmp_path / "a", ends=ends), CalibrateOptions(quick=True)).calibration
     squares = []
     for k in range(20):
-        few = _later(replace(first, way=replace(first.way, looked=first.way.looked[:10])), k + 1)
+        few = _later(replace(first, journey=replace(first.journey, looked=first.journey.looked[:10])), k + 1)
         found = verify(calibration, written(few, tmp_path / f"b{k}", NEAR[0], ends=ends)).figures
         assert found.held.after.n == 10 and "12 numbers were estimated from these 10" in found.displacement[-1]
         squares.append(found.held.after.position[0] ** 2 / (3 * first.sigma[0] ** 2))

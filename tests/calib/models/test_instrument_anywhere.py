@@ -96,8 +96,8 @@ def test_stations_and_wild_rows(tmp_path):
     found = verify(result.calibration, tracked(tmp_path / "4", 4, station=4))
     assert found.figures.found.kept and found.figures.held.after.position[0] < 1.2 * np.sqrt(3) * NOISE[0]
     assert "12 numbers were estimated from these 40 poses" in found.figures.displacement[0]
-    again = verify(result.calibration, load_recording(tmp_path / "2"))
-    assert len(again.figures.same) == COUNT, "a recording is known again though its poses were moved"
+    loaded = verify(result.calibration, load_recording(tmp_path / "2"))
+    assert len(loaded.figures.same) == COUNT, "a recording is known again though its poses were moved"
 
 
 def test_one_recording_and_a_probe_that_is_known(tmp_path):

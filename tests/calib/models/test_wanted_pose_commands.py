@@ -109,22 +109,22 @@ def test_the_library_commands_what_the_command_line_does_and_refuses_to_leave_ph
     given = csv_and_parquet_tables_and_time_origin.read_csv_table(
         tmp_path / "k.csv", ("frame", *design.mechanism.axes)
     ).matrix(design.mechanism.axes)
-    again = calibration_file.load(tmp_path / "c.json")
-    done = calib.correct(again, wanted)
+    loaded = calibration_file.load(tmp_path / "c.json")
+    done = calib.correct(loaded, wanted)
     np.testing.assert_allclose(done.values, given, atol=1e-9)
-    np.testing.assert_allclose(calib.correct(again, wanted[0]).values, given[:1], atol=1e-9)
-    assert np.abs(again.correction.inverse_without_physics(wanted) - given).max() > 1e-5
-    for one in (again.correction.inverse, again.correction.single_step):
+    np.testing.assert_allclose(calib.correct(loaded, wanted[0]).values, given[:1], atol=1e-9)
+    assert np.abs(loaded.correction.inverse_without_physics(wanted) - given).max() > 1e-5
+    for one in (loaded.correction.inverse, loaded.correction.single_step):
         with pytest.raises(RigError, match=r"physics that commands must compensate \(.*backlash at .*calib\.correct"):
             one(wanted)
     sensors = Sensors(np.array([0.0]), {name: np.array([25.0]) for name in calibration.physics.channels})
     t = 100.0 * (1 + np.arange(len(wanted)))
     timed = calib.correct(
-        again, WantedPoses(Poses(np.arange(len(t)), wanted, None), t), calib.CorrectOptions(sensors)
+        loaded, WantedPoses(Poses(np.arange(len(t)), wanted, None), t), calib.CorrectOptions(sensors)
     ).commanded
     np.testing.assert_array_equal(timed.route.times, t)
     with pytest.raises(Unreachable, match="frame 0"):
-        calib.correct(again, RigidTransform.from_translation([9.0, 0, 0]) * wanted)
+        calib.correct(loaded, RigidTransform.from_translation([9.0, 0, 0]) * wanted)
 
 
 @pytest.mark.parametrize("kind", ["hexapod", "planar2", "arm", "chain"])
@@ -139,8 +139,8 @@ def test_how_sure_each_pose_is_stands_beside_the_commands_of_every_machine(tmp_p
         (tmp_path / "w.csv").write_text(
             "\n".join([rows[0] + ",t", *(f"{row},{60 * (k + 1)}" for k, row in enumerate(rows[1:]))]) + "\n"
         )
-    said = command(capsys)("correct", tmp_path / "c.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / "k.csv")
-    assert "stated standard uncertainty of the poses: 0.0" in said
+    output = command(capsys)("correct", tmp_path / "c.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / "k.csv")
+    assert "stated standard uncertainty of the poses: 0.0" in output
     stated = recording_tables.load_poses(tmp_path / "k.poses.csv", are_commands=True)
     done = calib.correct(calibration, wanted)
     np.testing.assert_allclose(
@@ -175,9 +175,9 @@ def test_commands_in_mm_and_degrees_with_decimal_commas_are_those_in_m_and_rad(t
     np.testing.assert_allclose(found, plain * per, rtol=0, atol=1e-6)
     assert "," in (tmp_path / "k_mm.csv").read_text().splitlines()[1]
     (tmp_path / "far.csv").write_text("frame;x;y;z;rx;ry;rz\n0;90000,5;0;0;0;0;0\n")
-    said = run("--poses", tmp_path / "far.csv", "--out", tmp_path / "no.csv", *stated, ok=False)
-    assert "far.csv:2:2: x = 90000.5 mm is implausible" in said
-    said = run("--poses", tmp_path / "w.csv", "--out", tmp_path / "no.csv", "--units", "mm,degs", ok=False)
-    assert "--units takes a unit of lengths" in said
-    said = run("--forward", tmp_path / "k.csv", "--out", tmp_path / "no.csv", "--units", "mm,deg", ok=False)
-    assert "--units and --decimal apply to commands for wanted poses" in said
+    output = run("--poses", tmp_path / "far.csv", "--out", tmp_path / "no.csv", *stated, ok=False)
+    assert "far.csv:2:2: x = 90000.5 mm is implausible" in output
+    output = run("--poses", tmp_path / "w.csv", "--out", tmp_path / "no.csv", "--units", "mm,degs", ok=False)
+    assert "--units takes a unit of lengths" in output
+    output = run("--forward", tmp_path / "k.csv", "--out", tmp_path / "no.csv", "--units", "mm,deg", ok=False)
+    assert "--units and --decimal apply to commands for wanted poses" in output

@@ -25,7 +25,7 @@ def off(learner, true):
     return error @ np.linalg.solve(learner.covariance, error)
 
 
-def said(updates):
+def event_rows(updates):
     return [
         (u.number, u.held, u.dropped, [(c.kind, c.strut, c.onset) for c in u.changes])
         for u in updates
@@ -67,7 +67,7 @@ def test_a_calibration_is_gone_on_from(design):
 def test_innovations_are_white(design):
     _, updates = learnt(design, stream(design, 1, 400))
     innovation = np.array([u.innovation for u in updates])
-    assert innovation.std() == pytest.approx(1, abs=0.05) and not said(updates)
+    assert innovation.std() == pytest.approx(1, abs=0.05) and not event_rows(updates)
     assert abs((innovation[1:] * innovation[:-1]).mean()) < 4 / np.sqrt(innovation.size)
 
 
@@ -75,7 +75,7 @@ def test_missed_steps_are_found_and_spoil_nothing(design):
     chi, z = [], []
     for seed in range(12):
         poses, learner, updates, strut, size = missed_step(design, seed)
-        assert found_within(updates, poses.at, strut), (seed, said(updates))
+        assert found_within(updates, poses.at, strut), (seed, event_rows(updates))
         change = next(c for u in updates for c in u.changes)
         z.append((change.size - size) / change.sigma)
         chi.append(off(learner, geometric_parameters(poses.after)))
@@ -117,7 +117,7 @@ def test_a_wrong_pose_is_left_out_entirely(design):
     T = poses.T.as_matrix().copy()
     T[150, :3, 3] += [2e-4, 0, 1e-4]
     learner, updates = learnt(design, replace(poses, T=RigidTransform.from_matrix(T)))
-    assert said(updates) == [(150, True, (), []), (151, False, (150,), [])]
+    assert event_rows(updates) == [(150, True, (), []), (151, False, (150,), [])]
     keep = np.arange(180) != 150
     clean, _ = learnt(design, replace(poses, T=poses.T[keep], commands=poses.commands[keep]))
     np.testing.assert_allclose(learner.p, clean.p, atol=1e-12)
@@ -155,7 +155,7 @@ def test_a_pose_that_is_wrong_early_is_left_out_entirely(design):
     T = poses.T.as_matrix().copy()
     T[30, :3, 3] += [8e-4, 0, 4e-4]
     learner, updates = learnt(design, replace(poses, T=RigidTransform.from_matrix(T)))
-    assert said(updates) == [(30, True, (), [])]
+    assert event_rows(updates) == [(30, True, (), [])]
     clean, _ = learnt(design, replace(poses, T=poses.T[:30], commands=poses.commands[:30]))
     assert np.abs((learner.p - clean.p) / np.sqrt(np.diag(clean.covariance))).max() < 0.01
 
@@ -166,15 +166,17 @@ def test_a_restart_changes_nothing(design, stop, tmp_path):
     jump = np.zeros(42)
     jump[38] = 1.5e-4
     poses = stream(design, 6, 170, 150, jump)
-    through, told = learnt(design, poses)
+    through, updates = learnt(design, poses)
     learner, _ = learnt(design, replace(poses, commands=poses.commands[:stop], T=poses.T[:stop]))
     learner.save(tmp_path / "state.json")
-    again, after = learnt(
+    resumed, after = learnt(
         design, replace(poses, commands=poses.commands[stop:], T=poses.T[stop:]), Online.load(tmp_path / "state.json")
     )
-    assert said(after) == [line for line in said(told) if line[0] >= stop] and not list(tmp_path.glob("*.part"))
-    np.testing.assert_allclose(again.p, through.p, atol=1e-10)
-    np.testing.assert_allclose(again.covariance, through.covariance, atol=1e-16)
+    assert event_rows(after) == [line for line in event_rows(updates) if line[0] >= stop] and not list(
+        tmp_path.glob("*.part")
+    )
+    np.testing.assert_allclose(resumed.p, through.p, atol=1e-10)
+    np.testing.assert_allclose(resumed.covariance, through.covariance, atol=1e-16)
 
 
 def test_a_refused_pose_leaves_the_state_alone(design):

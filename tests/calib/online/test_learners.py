@@ -21,27 +21,27 @@ def model_error(design, found, true):
     return rms(pose_difference(hexapod.forward(lengths, true), hexapod.forward(lengths, found)))[0]
 
 
-@pytest.mark.parametrize("way", ALL)
-def test_every_learner_gets_better(design, way):
+@pytest.mark.parametrize("method", ALL)
+def test_every_learner_gets_better(design, method):
     poses = stream(design, 1, 400)
-    learner, _ = learnt(design, poses, way(design.mechanism))
+    learner, _ = learnt(design, poses, method(design.mechanism))
     before, after = (model_error(design, m, poses.after) for m in (design.mechanism, learner.hexapod))
-    assert after < before / (5 if way is FirstOrder else 50)
+    assert after < before / (5 if method is FirstOrder else 50)
 
 
-@pytest.mark.parametrize("way", ALL)
-def test_every_learner_refuses_alike_and_stays(design, way):
-    learner = way(design.mechanism)
+@pytest.mark.parametrize("method", ALL)
+def test_every_learner_refuses_alike_and_stays(design, method):
+    learner = method(design.mechanism)
     with pytest.raises(RigError, match="close on no pose"):
         learner.update([0.1, 5.0, 0.1, 5.0, 0.1, 5.0], design.mechanism.home, COVARIANCE)
     np.testing.assert_array_equal(learner.p, geometric_parameters(design.mechanism))
 
 
-@pytest.mark.parametrize("way, options", [(Forgetting, {"kept": 1.0}), (Drifting, {"drift": 0.0})])
-def test_without_forgetting_or_drift_it_is_the_batch(design, way, options):
+@pytest.mark.parametrize("method, options", [(Forgetting, {"kept": 1.0}), (Drifting, {"drift": 0.0})])
+def test_without_forgetting_or_drift_it_is_the_batch(design, method, options):
     samples, _ = sampled(design, 3, count=300, own=OWN)
     batch = identify_platform(samples, design.mechanism)
-    learner = way(design.mechanism, **options)
+    learner = method(design.mechanism, **options)
     for x, T, C in zip(samples.commanded, samples.T_base_platform, samples.covariance):
         learner.update(x, T, C)
     error = learner.p - geometric_parameters(batch.mechanism)
@@ -57,8 +57,8 @@ def test_forgetting_does_not_wind_up(design):
     for k in range(500):
         T = hexapod.forward(poses.commands[k % 2], poses.after) * exp(OWN * rng.normal(size=6))
         learner.update(poses.commands[k % 2], T, COVARIANCE)
-    told = np.concatenate(pose_parameter_jacobian(hexapod.forward(poses.commands, poses.after), learner.hexapod))
-    unseen = np.linalg.svd(told)[2][12:]
+    jacobian = np.concatenate(pose_parameter_jacobian(hexapod.forward(poses.commands, poses.after), learner.hexapod))
+    unseen = np.linalg.svd(jacobian)[2][12:]
     assert np.sqrt(np.einsum("ki,ij,kj->k", unseen, learner.covariance, unseen)).max() < 2 * known.max()
 
 
@@ -81,11 +81,11 @@ def test_a_share_above_one_is_refused(design):
         Forgetting(design.mechanism, 1.1)
 
 
-@pytest.mark.parametrize("way, setting", [(Forgetting, 0.95), (Drifting, 3e-7), (FirstOrder, 2e-3)])
-def test_a_learner_goes_on_from_its_file_as_if_it_had_never_stopped(design, tmp_path, way, setting):
+@pytest.mark.parametrize("method, setting", [(Forgetting, 0.95), (Drifting, 3e-7), (FirstOrder, 2e-3)])
+def test_a_learner_goes_on_from_its_file_as_if_it_had_never_stopped(design, tmp_path, method, setting):
     poses = stream(design, 1, 40)
-    through, path = way(design.mechanism, setting), tmp_path / "state.json"
-    stopped = way(design.mechanism, setting)
+    through, path = method(design.mechanism, setting), tmp_path / "state.json"
+    stopped = method(design.mechanism, setting)
     for k, (x, T) in enumerate(zip(poses.commands, poses.T)):
         if k == 20:
             stopped.data = {"a", "b"}
@@ -94,7 +94,7 @@ def test_a_learner_goes_on_from_its_file_as_if_it_had_never_stopped(design, tmp_
         through.update(x, T, COVARIANCE)
         stopped.update(x, T, COVARIANCE)
     np.testing.assert_array_equal(stopped.p, through.p)
-    assert (stopped.number, stopped.setting, stopped.data, type(stopped)) == (40, setting, {"a", "b"}, way)
+    assert (stopped.number, stopped.setting, stopped.data, type(stopped)) == (40, setting, {"a", "b"}, method)
 
 
 @pytest.mark.parametrize(
@@ -116,10 +116,10 @@ def test_a_spoilt_file_of_a_learner_is_refused(design, tmp_path, spoil, says):
     assert str(path) in str(error.value)
 
 
-@pytest.mark.parametrize("way", ALL)
-def test_what_a_calibration_knows_is_not_thrown_away(design, way):
+@pytest.mark.parametrize("method", ALL)
+def test_what_a_calibration_knows_is_not_thrown_away(design, method):
     poses = stream(design, 1, 20)
-    learner = way(poses.before)
+    learner = method(poses.before)
     learner.start_from(np.eye(42) * 1e-12)
     learnt(design, poses, learner)
     assert np.abs(learner.p - geometric_parameters(poses.before)).max() < 2e-5

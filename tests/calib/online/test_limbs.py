@@ -51,7 +51,7 @@ def accepted(limbed, by_vision):
 
 
 @pytest.fixture(scope="module")
-def again(limbed):
+def second_recording(limbed):
     """The same machine another day."""
     return recording_folder.load_recording(limbed[1].folder.parent / "again")
 
@@ -136,13 +136,15 @@ def test_limbs_of_another_rig_do_not_stand_for_vision(accepted, limbed, tmp_path
 
 
 @pytest.mark.slow
-def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(accepted, again, limbed):
+def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(accepted, second_recording, limbed):
     nominal = limbed[0].mechanism
     by_limbs = measuring_limb_poses_checked_by_vision.samples_of_limb_poses(
-        again, measuring_limb_poses_checked_by_vision.limb_poses(again, accepted)
+        second_recording, measuring_limb_poses_checked_by_vision.limb_poses(second_recording, accepted)
     ).samples
-    learners = [Online(nominal, samples.common.shape[2]) for samples in (by_limbs, sample_recording(again).samples)]
-    for learner, samples in zip(learners, (by_limbs, sample_recording(again).samples)):
+    learners = [
+        Online(nominal, samples.common.shape[2]) for samples in (by_limbs, sample_recording(second_recording).samples)
+    ]
+    for learner, samples in zip(learners, (by_limbs, sample_recording(second_recording).samples)):
         for pose in zip(samples.commanded, samples.T_base_platform, samples.covariance, samples.common):
             assert not learner.update(*pose).changes
     apart, covariance = learners[0].p - learners[1].p, learners[0].covariance + learners[1].covariance
@@ -159,9 +161,9 @@ def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(acce
 
 
 @pytest.mark.parametrize("limb, every", [(3, 5), (6, 20)])
-def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, again, limb, every):
+def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, second_recording, limb, every):
     at = 22
-    read = slipped(again, limb, 3e-5, at)
+    read = slipped(second_recording, limb, 3e-5, at)
     found = measuring_limb_poses_checked_by_vision.check_limb_poses_by_redundancy_and_vision(
         read, accepted, measuring_limb_poses_checked_by_vision.limb_poses(read, accepted), every
     )
@@ -187,21 +189,21 @@ def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(lim
         )
 
 
-def test_limbs_that_stay_agree_and_few_poses_are_looked_at(accepted, again):
+def test_limbs_that_stay_agree_and_few_poses_are_looked_at(accepted, second_recording):
     found = measuring_limb_poses_checked_by_vision.check_limb_poses_by_redundancy_and_vision(
-        again, accepted, measuring_limb_poses_checked_by_vision.limb_poses(again, accepted), 5
+        second_recording, accepted, measuring_limb_poses_checked_by_vision.limb_poses(second_recording, accepted), 5
     )
     assert found == measuring_limb_poses_checked_by_vision.Checked(8, None, None)
-    unseen = replace(again, corners=None)
+    unseen = replace(second_recording, corners=None)
     assert (
         measuring_limb_poses_checked_by_vision.check_limb_poses_by_redundancy_and_vision(
-            unseen, accepted, measuring_limb_poses_checked_by_vision.limb_poses(again, accepted), 5
+            unseen, accepted, measuring_limb_poses_checked_by_vision.limb_poses(second_recording, accepted), 5
         ).count
         == 0
     )
 
 
-def told(accepted, count, slip=0.0, at=10**9, wrong=()):
+def readings_and_poses(accepted, count, slip=0.0, at=10**9, wrong=()):
     """(readings (6,), vision's pose) of the limbs as they are, one slipping by `slip` (m) at a pose, vision wrong at
     some.
     """
@@ -220,9 +222,9 @@ COVARIANCE = np.diag(np.r_[np.full(3, 5e-6), np.full(3, 2e-5)] ** 2)
 def test_one_wrong_pose_of_vision_withdraws_nothing_and_several_do(accepted):
     limbs = Limbs(accepted.limbs.hexapod, accepted.limbs.covariance * 1e-4, np.full(6, 1e-6))
     check = LimbCheck(limbs)
-    assert [check.take(*each, COVARIANCE) for each in told(accepted, 30, wrong=(12,))] == [None] * 30
+    assert [check.take(*each, COVARIANCE) for each in readings_and_poses(accepted, 30, wrong=(12,))] == [None] * 30
     rng, check, found = np.random.default_rng(0), LimbCheck(limbs), []
-    for k, (read, T) in enumerate(told(accepted, 30)):
+    for k, (read, T) in enumerate(readings_and_poses(accepted, 30)):
         found.append(check.take(read, T * exp(3e-4 * rng.normal(size=6) * (k >= 12)), COVARIANCE))
     first = next(k for k, one in enumerate(found) if one is not None)
     assert 12 <= first <= 12 + 2 * IN_A_ROW
@@ -230,7 +232,7 @@ def test_one_wrong_pose_of_vision_withdraws_nothing_and_several_do(accepted):
 
 def test_a_run_by_limbs_looks_now_and_then_and_closely_when_struts_tell_otherwise(accepted):
     source, looks = LiveLimbPoses(accepted, 10), []
-    for k, (read, T) in enumerate(told(accepted, 40, 3e-5, 33)):
+    for k, (read, T) in enumerate(readings_and_poses(accepted, 40, 3e-5, 33)):
         if source.is_check_due(unsure=k in (24, 34)):
             looks.append(k)
             if source.check(read, T, COVARIANCE) is not None:

@@ -33,18 +33,18 @@ def machine(design):
 
 def test_what_is_expected_comes_near_and_a_missed_step_is_named(machine):
     nominal, _, commands, measured = machine
-    learner, said, errors = Learner(nominal), [], []
+    learner, changes, errors = Learner(nominal), [], []
     for k, command in enumerate(commands):
         learnt = learner.learn(
             command, measured(command, 6e-5 * (np.arange(6) == 3) if k >= 45 else 0.0), np.diag(SIGMA**2)
         )
         errors.append(np.linalg.norm(learnt.error[:3]))
-        said += [(k, change) for change in learnt.changes]
+        changes += [(k, change) for change in learnt.changes]
     assert errors[0] > 1e-4 and np.median(errors[30:45]) < 1e-5
-    assert (said[0][1].kind, said[0][1].strut) == ("strut", 4) and 45 <= said[0][0] <= 48, (
+    assert (changes[0][1].kind, changes[0][1].strut) == ("strut", 4) and 45 <= changes[0][0] <= 48, (
         "nothing before it, and it first"
     )
-    assert said[0][1].size == pytest.approx(6e-5, abs=1.5e-5)
+    assert changes[0][1].size == pytest.approx(6e-5, abs=1.5e-5)
 
 
 def test_a_drift_from_the_calibration_is_said_once(machine):
@@ -64,11 +64,11 @@ def test_limbs_that_go_astray_are_said(tmp_path):
     design = design_from_rig_toml.load_design(tmp_path / "rig.toml")
     rng = np.random.default_rng(8)
     true = secret_machine_and_truth_file.draw_machine(design, rng).true
-    watch, said = LimbWatch(design), []
+    watch, alarms = LimbWatch(design), []
     for k, command in enumerate(sobol_configurations(design.mechanism.strut_range, 40, seed=2)):
         T = mechanisms.kinematics_of(true.mechanism).forward(command, true.mechanism)
         legs = transform_points(T, true.insitu.platform_joints) - true.insitu.base_joints
         read = np.linalg.norm(legs, axis=1) - true.insitu.zeros + 1e-6 * rng.normal(size=6) + (2e-4 if k >= 33 else 0.0)
         if watch.take(read, T * exp(SIGMA * rng.normal(size=6)), np.diag(SIGMA**2)):
-            said.append(k)
-    assert said == [33]
+            alarms.append(k)
+    assert alarms == [33]

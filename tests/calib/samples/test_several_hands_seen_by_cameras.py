@@ -66,8 +66,8 @@ def test_what_is_seen_of_one_hand_alone_is_all_of_the_samples(simulated, tmp_pat
     shutil.copytree(simulated[0], tmp_path / "REC")
     lines = (tmp_path / "REC" / "corners.csv").read_text().splitlines(True)
     hidden = [line for line in lines[1:] if int(line.split(",")[2]) in gone]
-    kept = [lines[0], *(line for line in lines[1:] if int(line.split(",")[2]) not in gone)]
-    (tmp_path / "REC" / "corners.csv").write_text("".join(kept))
+    retained = [lines[0], *(line for line in lines[1:] if int(line.split(",")[2]) not in gone)]
+    (tmp_path / "REC" / "corners.csv").write_text("".join(retained))
     if not stated:
         path = tmp_path / "REC" / "rig.toml"
         path.write_text(without_targets_of(path.read_text(), other))
@@ -81,7 +81,7 @@ def test_what_is_seen_of_one_hand_alone_is_all_of_the_samples(simulated, tmp_pat
     )
     if stated:
         assert found.source == f"corners.csv of {seen} ({other} was not measured: none of its markers is seen)"
-        (tmp_path / "REC" / "corners.csv").write_text("".join([*kept, *hidden[:2]]))
+        (tmp_path / "REC" / "corners.csv").write_text("".join([*retained, *hidden[:2]]))
         found = sample_recording(load_recording(tmp_path / "REC"), several_hands=True)
         assert len(found.samples) == 16 and f"{other} was not measured: none of 16 frames" in found.source
 
@@ -89,8 +89,8 @@ def test_what_is_seen_of_one_hand_alone_is_all_of_the_samples(simulated, tmp_pat
 def test_a_target_is_on_a_hand_or_on_the_base_and_cameras_stand_still(tmp_path):
     text = seen_by_cameras()
     (tmp_path / "rig.toml").write_text(text.replace('body = "right"', 'body = "platform"', 1))
-    said = run("simulate", tmp_path / "rig.toml", "--plan", "sobol:3", "--out", tmp_path / "NO", ok=False).stderr
-    assert "body must be one of 'base', 'left', 'right', not 'platform'" in said
+    output = run("simulate", tmp_path / "rig.toml", "--plan", "sobol:3", "--out", tmp_path / "NO", ok=False).stderr
+    assert "body must be one of 'base', 'left', 'right', not 'platform'" in output
     (tmp_path / "rig.toml").write_text(text.replace('name = "cam1"', 'name = "cam1"\nmount = "hand"', 1))
-    said = run("simulate", tmp_path / "rig.toml", "--plan", "sobol:3", "--out", tmp_path / "NO", ok=False).stderr
-    assert "cameras that see several hands stand still" in said
+    output = run("simulate", tmp_path / "rig.toml", "--plan", "sobol:3", "--out", tmp_path / "NO", ok=False).stderr
+    assert "cameras that see several hands stand still" in output

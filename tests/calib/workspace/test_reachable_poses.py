@@ -49,8 +49,8 @@ def test_lost_are_the_poses_whose_corrected_commands_leave_the_strokes(rough, de
         require_reachable(rough.inverse(T), design.mechanism, [str(i) for i in range(300)])
     np.testing.assert_array_equal(np.flatnonzero(out), refused.value.index)
     assert 10 < out.sum() < 200
-    kept = ~out
-    assert np.abs(pose_difference(rough.predict(rough.inverse(T[kept])), T[kept])).max() < 1e-9
+    reachable = ~out
+    assert np.abs(pose_difference(rough.predict(rough.inverse(T[reachable])), T[reachable])).max() < 1e-9
 
 
 def test_what_closes_on_no_pose_is_lost_and_stops_nothing(rough, design):

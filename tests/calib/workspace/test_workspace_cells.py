@@ -98,9 +98,9 @@ def test_an_arm_has_cells_that_it_reaches_and_one_of_five_joints_no_share_of_los
 def test_a_calibration_keeps_its_workspace_and_one_without_is_still_read(calibrated, tmp_path):
     path = tmp_path / "c.json"
     calibration_file.save(path, calibrated)
-    again = calibration_file.load(path).workspace
-    for name in type(again).__slots__:
-        np.testing.assert_array_equal(getattr(again, name), getattr(calibrated.workspace, name))
+    loaded = calibration_file.load(path).workspace
+    for name in type(loaded).__slots__:
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(calibrated.workspace, name))
     calibration_file.save(path, replace(calibrated, workspace=None))
     assert "workspace" not in json.loads(path.read_text()) and calibration_file.load(path).workspace is None
 

@@ -39,31 +39,33 @@ def loop(folder, name, rig):
         folder / "seen",
     )
     rig("calibrate", folder / "rec", "--out", folder / "cal.json")
-    said = rig(
+    output = rig(
         "correct", folder / "cal.json", "--poses", folder / "seen" / "poses.csv", "--out", folder / "commands.csv"
     )
     drive = f"commands:{folder / 'commands.csv'}"
     rig("simulate", folder / "rig.toml", "--plan", drive, "--seed", "6", "--machine", truth, "--out", folder / "drive")
-    told = [
+    result = [
         json.loads(rig("verify", folder / "cal.json", folder / "drive", "--json", "--wanted", wanted))["wanted"]
         for wanted in (folder / "commands.poses.csv", folder / "seen" / "poses.csv")
     ]
-    return *told, said
+    return *result, output
 
 
 @pytest.mark.parametrize("name", [pytest.param("scara", marks=pytest.mark.slow), "gantry"])
 def test_the_loop_of_an_arm_with_slides_closes(tmp_path, rig, name):
-    taken, wanted, said = loop(tmp_path, name, rig)
+    reached, wanted, output = loop(tmp_path, name, rig)
     for part in ("position", "rotation"):
-        assert taken[part]["rms"] < 2 * taken["stated_uncertainty"][part]
+        assert reached[part]["rms"] < 2 * reached["stated_uncertainty"][part]
     assert wanted["position"]["rms"] < 2 * wanted["stated_uncertainty"]["position"]  # a position is met whole
     joints = {"scara": 4, "gantry": 3}[name]
-    left = re.search(rf"a machine of {joints} axes .* is (\S+) mm RMS, .* and (\S+) mrad RMS", said)
+    left = re.search(rf"a machine of {joints} axes .* is (\S+) mm RMS, .* and (\S+) mrad RMS", output)
     assert (
         float(left[1]) == 0 and 0.05 < float(left[2]) < 0.3
     )  # the tracker's own 0.1 mrad, of which few joints can follow little
-    poses, asked = (recording_tables.load_poses(tmp_path / path) for path in ("commands.poses.csv", "seen/poses.csv"))
-    rest = pose_difference(poses.T_base_platform, asked.T_base_platform)
+    poses, wanted_poses = (
+        recording_tables.load_poses(tmp_path / path) for path in ("commands.poses.csv", "seen/poses.csv")
+    )
+    rest = pose_difference(poses.T_base_platform, wanted_poses.T_base_platform)
     assert np.sqrt((rest[:, 3:] ** 2).sum(axis=1).mean()) * 1e3 == pytest.approx(float(left[2]), abs=1e-3)
     assert csv_and_parquet_tables_and_time_origin.read_csv_table(
         tmp_path / "commands.csv", ("frame", "q1", "q2", "q3")
@@ -138,9 +140,11 @@ def test_what_a_slide_leaves_out_is_told_in_metres(tmp_path, rig):
         "--out",
         tmp_path / "rec",
     )
-    said = rig("diagnose", tmp_path / "rec", "--out", tmp_path / "found")
+    output = rig("diagnose", tmp_path / "rec", "--out", tmp_path / "found")
     assert (
-        re.search(r"backlash at slide 3: gap 0\.000\d+ m \(", said) and "slide 3: scale" in said and "rad" not in said
+        re.search(r"backlash at slide 3: gap 0\.000\d+ m \(", output)
+        and "slide 3: scale" in output
+        and "rad" not in output
     )
     tree = json.loads((tmp_path / "found" / "diagnosis.json").read_text())
     found = {one["effect"]: one for one in tree["findings"]}

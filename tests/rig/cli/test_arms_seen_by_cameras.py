@@ -15,7 +15,7 @@ from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import sobol_configurations
 from rig.recording import recording_folder
 from synthetic.secret_machine_and_truth_file import world_from_truth
-from tests.closed_loops import holds, lines, rig, verified
+from tests.closed_loops import holds, lines, rig, simulate_with_truth, verified
 from vision.recording_measurement import measure_recording
 
 
@@ -23,19 +23,7 @@ def recorded(folder, carried, *words, cameras=2, plan="sobol:40", size="1280x102
     rig(
         "design", "--arm", "ur10", "--seen", carried, "--cameras", cameras, "--size", size, "--out", folder / "rig.toml"
     )
-    rig(
-        "simulate",
-        folder / "rig.toml",
-        "--plan",
-        plan,
-        "--seed",
-        "4",
-        *words,
-        "--out",
-        folder / "rec",
-        "--truth",
-        folder / "truth.json",
-    )
+    simulate_with_truth(folder, plan, 4, *words)
 
 
 def wanted(folder, count=8):
@@ -131,20 +119,8 @@ def test_a_loop_closes_of_an_arm_of_four_joints(tmp_path, capfd, carried, camera
         "--out",
         tmp_path / "rig.toml",
     )
-    rig(
-        "simulate",
-        tmp_path / "rig.toml",
-        "--plan",
-        few.get("plan", "sobol:40"),
-        "--seed",
-        "4",
-        *drawn,
-        "--out",
-        tmp_path / "rec",
-        "--truth",
-        tmp_path / "truth.json",
-    )
-    holds(verified(tmp_path, capfd, wanted(tmp_path, 4 if images else 8), drawn, taken="commands.poses.csv"))
+    simulate_with_truth(tmp_path, few.get("plan", "sobol:40"), 4, *drawn)
+    holds(verified(tmp_path, capfd, wanted(tmp_path, 4 if images else 8), drawn, reached="commands.poses.csv"))
 
 
 @pytest.mark.parametrize("name", ["scara", "gantry"])
@@ -164,8 +140,8 @@ def test_a_plan_of_an_arm_takes_what_is_seen_and_tells_most(tmp_path, capfd):
     stated = text[text.index("limits = ") : text.index("#", text.index("limits = "))]
     (tmp_path / "rig.toml").write_text(text.replace(stated, f"limits = {wide.tolist()} "))
     rig("plan", tmp_path / "rig.toml", "--for", "parameters", "--count", "12", "--out", tmp_path / "plan.csv")
-    said = capfd.readouterr().out
-    assert 5 < float(said.split("seen in ")[1].split("%")[0]) < 95
+    output = capfd.readouterr().out
+    assert 5 < float(output.split("seen in ")[1].split("%")[0]) < 95
     rig(
         "simulate",
         tmp_path / "rig.toml",
@@ -178,7 +154,7 @@ def test_a_plan_of_an_arm_takes_what_is_seen_and_tells_most(tmp_path, capfd):
     )
     corners = recording_folder.load_recording(tmp_path / "rec").corners
     assert set(corners.frame.tolist()) == set(range(12))
-    rows = [line.split() for line in said.splitlines() if " um  " in line or " urad  " in line]
+    rows = [line.split() for line in output.splitlines() if " um  " in line or " urad  " in line]
     assert len(rows) == 8 and all(float(row[0]) < float(row[1]) for row in rows[2:])
 
 

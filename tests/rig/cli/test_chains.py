@@ -25,7 +25,7 @@ from rig.model.pose import exp, log, pose, pose_difference
 from rig.planning.configuration_generators import sobol_configurations
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Commands
-from tests.closed_loops import holds, lines, rig, verified
+from tests.closed_loops import holds, lines, rig, simulate_with_truth, verified
 from tests.gantry_and_hexapod import written
 from tests.numerical_derivatives import jacobian as differences
 
@@ -94,18 +94,7 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
     information.
     """
     design = written(tmp_path)
-    rig(
-        "simulate",
-        tmp_path / "rig.toml",
-        "--plan",
-        "sobol:60",
-        "--seed",
-        "2",
-        "--out",
-        tmp_path / "rec",
-        "--truth",
-        tmp_path / "truth.json",
-    )
+    simulate_with_truth(tmp_path, "sobol:60", 2)
     true, _ = machine_geometry_and_effects_json_file.load_machine(tmp_path / "truth.json", design)
     samples = sample_recording(recording_folder.load_recording(tmp_path / "rec")).samples
     found = identify_chain(samples, design.mechanism)
@@ -137,11 +126,11 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
             ).max()
             < 3
         )
-    told = np.linalg.eigh(covariance)
-    sharp = told.eigenvalues < (2e-4) ** 2  # combinations told better than machines are off
-    z = told.eigenvectors[:, sharp].T @ off / np.sqrt(told.eigenvalues[sharp])
+    eigen = np.linalg.eigh(covariance)
+    sharp = eigen.eigenvalues < (2e-4) ** 2  # combinations told better than machines are off
+    z = eigen.eigenvectors[:, sharp].T @ off / np.sqrt(eigen.eigenvalues[sharp])
     assert len(z) > 30 and 0.6 < np.sqrt((z**2).mean()) < 1.4 and np.abs(z).max() < 4
-    assert np.abs(exact.step[free]).max() > 20 * np.sqrt(told.eigenvalues[sharp]).min()  # there was something to find
+    assert np.abs(exact.step[free]).max() > 20 * np.sqrt(eigen.eigenvalues[sharp]).min()  # there was something to find
     assert len(found.undetermined) == 6 and {one.base_stages for one in found.undetermined} == {(2, 1)}
     assert "6 of 6 figures of the pose of stage 2 on stage 1" in "\n".join(found.report())
 
@@ -169,18 +158,7 @@ def test_of_a_machine_as_stated_nothing_is_off(gantry):
 
 def test_a_loop_closes_under_an_instrument(tmp_path, capfd):
     design = written(tmp_path)
-    rig(
-        "simulate",
-        tmp_path / "rig.toml",
-        "--plan",
-        "sobol:60",
-        "--seed",
-        "2",
-        "--out",
-        tmp_path / "rec",
-        "--truth",
-        tmp_path / "truth.json",
-    )
+    simulate_with_truth(tmp_path, "sobol:60", 2)
     m = design.mechanism
     found = verified(
         tmp_path,
@@ -189,8 +167,8 @@ def test_a_loop_closes_under_an_instrument(tmp_path, capfd):
     )
     holds(found)
     assert found["before"]["position"]["rms"] > 10 * found["after"]["position"]["rms"]
-    kept = calibration_file.load(tmp_path / "calibration.json").correction
-    assert [stage.kind for stage in kept.fitted.stages] == ["arm", "hexapod"] and json.loads(
+    loaded = calibration_file.load(tmp_path / "calibration.json").correction
+    assert [stage.kind for stage in loaded.fitted.stages] == ["arm", "hexapod"] and json.loads(
         (tmp_path / "calibration.json").read_text()
     )["claim"]
 
@@ -261,9 +239,9 @@ def test_places_that_a_chain_does_not_have_are_refused(design, text, says):
 def test_configurations_are_planned_that_tell_all_stages(tmp_path, capfd):
     written(tmp_path)
     rig("plan", tmp_path / "rig.toml", "--for", "parameters", "--count", "16", "--out", tmp_path / "plan.csv")
-    said = capfd.readouterr().out
-    assert "6 combinations are determined by no pose" in said and "16 configurations for 54 parameters" in said
-    rows = [line.split() for line in said.splitlines() if " um  " in line or " urad  " in line]
+    output = capfd.readouterr().out
+    assert "6 combinations are determined by no pose" in output and "16 configurations for 54 parameters" in output
+    rows = [line.split() for line in output.splitlines() if " um  " in line or " urad  " in line]
     assert len(rows) == 8 and all(float(row[0]) < float(row[1]) for row in rows)
     m = design_from_rig_toml.load_design(tmp_path / "rig.toml").mechanism
     assert not mechanism_chain.signed_limit_excess(
@@ -278,21 +256,14 @@ def test_effects_are_found_at_their_stages(tmp_path, capfd):
     both stages.
     """
     written(tmp_path)
-    rig(
-        "simulate",
-        tmp_path / "rig.toml",
-        "--plan",
+    simulate_with_truth(
+        tmp_path,
         "sobol:120,ladder:2",
-        "--seed",
-        "3",
+        3,
         "--effect",
         "backlash:stage 1 slide 2:gap=1e-4",
         "--effect",
         "cyclic_error:stage 2 strut 3:amplitude=4e-5",
-        "--out",
-        tmp_path / "rec",
-        "--truth",
-        tmp_path / "truth.json",
     )
     rig("diagnose", tmp_path / "rec", "--out", tmp_path / "found")
     assert "backlash at stage 1 slide 2: gap" in capfd.readouterr().out
@@ -321,5 +292,5 @@ def test_moves_that_tell_effects_of_two_stages_apart(tmp_path, capfd):
         "--out",
         tmp_path / "plan.csv",
     )
-    said = capfd.readouterr().out
-    assert float(said.splitlines()[1].split()[0]) > 5 and "best: " in said
+    output = capfd.readouterr().out
+    assert float(output.splitlines()[1].split()[0]) > 5 and "best: " in output

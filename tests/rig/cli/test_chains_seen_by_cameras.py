@@ -20,7 +20,7 @@ from rig.planning.configuration_generators import sobol_configurations
 from rig.recording import recording_folder
 from synthetic import rig_meshes
 from synthetic.marker_drawing_sensor_and_occlusion import is_occluded
-from tests.closed_loops import holds, lines, rig, verified
+from tests.closed_loops import holds, lines, rig, simulate_with_truth, verified
 from tests.gantry_and_hexapod import written
 
 
@@ -29,18 +29,7 @@ def test_cubes_on_the_carriage_tell_its_stages_apart(tmp_path, capfd):
     untold; without, six are.
     """
     design = written(tmp_path, seen=True, carriage=True)
-    rig(
-        "simulate",
-        tmp_path / "rig.toml",
-        "--plan",
-        "sobol:30",
-        "--seed",
-        "4",
-        "--out",
-        tmp_path / "rec",
-        "--truth",
-        tmp_path / "truth.json",
-    )
+    simulate_with_truth(tmp_path, "sobol:30", 4)
     true, _ = machine_geometry_and_effects_json_file.load_machine(tmp_path / "truth.json", design)
     read = recording_folder.load_recording(tmp_path / "rec")
     samples = sample_recording(read).samples
@@ -84,22 +73,11 @@ def test_cubes_on_the_carriage_tell_its_stages_apart(tmp_path, capfd):
 def test_stages_that_are_measured_stand_in_files_of_their_own(tmp_path, capfd):
     """What `rig measure` wrote is read again, and what an instrument says of the carriage is used as well."""
     design = written(tmp_path, seen=True, carriage=True)
-    rig(
-        "simulate",
-        tmp_path / "rig.toml",
-        "--plan",
-        "sobol:8",
-        "--seed",
-        "4",
-        "--out",
-        tmp_path / "rec",
-        "--truth",
-        tmp_path / "truth.json",
-    )
+    simulate_with_truth(tmp_path, "sobol:8", 4)
     capfd.readouterr()
     rig("measure", tmp_path / "rec", "--out", tmp_path / "measured")
-    said = capfd.readouterr().out
-    assert "stage 1: 8 of 8 frames solved, poses to" in said and "poses_stage1.csv" in said
+    output = capfd.readouterr().out
+    assert "stage 1: 8 of 8 frames solved, poses to" in output and "poses_stage1.csv" in output
     assert (
         command_line.main(["measure", str(tmp_path / "rec"), "--places", "free", "--out", str(tmp_path / "free")]) == 1
     )
@@ -160,9 +138,9 @@ def test_what_stands_on_the_carriage_is_drawn_there_and_hides_what_is_behind(tmp
     across = np.cross(heads[0] - feet[0], [0, 0, 1.0])
     across *= 0.05 / np.linalg.norm(across)
     middle, below = (feet[0] + heads[0]) / 2, stages[0][0].apply([0, 0, -0.1])
-    eyes = np.array([middle + 5 * across, middle + 5 * across, stages[0][0].apply([0, 0, 0.1])])
+    camera_positions = np.array([middle + 5 * across, middle + 5 * across, stages[0][0].apply([0, 0, 0.1])])
     points = np.array([middle - across, middle + across, below])
-    assert is_occluded(design, stages, np.zeros(3, int), eyes, points).tolist() == [
+    assert is_occluded(design, stages, np.zeros(3, int), camera_positions, points).tolist() == [
         True,
         False,
         True,
@@ -173,19 +151,7 @@ def test_what_stands_on_the_carriage_is_drawn_there_and_hides_what_is_behind(tmp
 @pytest.mark.parametrize("carriage", [False, True])
 def test_a_loop_closes_from_images(tmp_path, capfd, carriage):
     design = written(tmp_path, seen=True, cameras=2, size=(800, 640), carriage=carriage)
-    rig(
-        "simulate",
-        tmp_path / "rig.toml",
-        "--plan",
-        "sobol:24",
-        "--seed",
-        "2",
-        "--images",
-        "--out",
-        tmp_path / "rec",
-        "--truth",
-        tmp_path / "truth.json",
-    )
+    simulate_with_truth(tmp_path, "sobol:24", 2, "--images")
     m = design.mechanism
     holds(
         verified(
@@ -201,18 +167,7 @@ def test_a_loop_closes_from_images(tmp_path, capfd, carriage):
 @pytest.mark.parametrize("carriage", [False, True])
 def test_a_loop_closes_from_corners(tmp_path, capfd, carriage):
     design = written(tmp_path, seen=True, carriage=carriage)
-    rig(
-        "simulate",
-        tmp_path / "rig.toml",
-        "--plan",
-        "sobol:60",
-        "--seed",
-        "2",
-        "--out",
-        tmp_path / "rec",
-        "--truth",
-        tmp_path / "truth.json",
-    )
+    simulate_with_truth(tmp_path, "sobol:60", 2)
     m = design.mechanism
     holds(
         verified(

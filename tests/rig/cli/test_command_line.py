@@ -78,10 +78,10 @@ def test_version(capsys):
 def test_help_lists_thirty_commands_in_seven_groups(capsys):
     with pytest.raises(SystemExit):
         main(["--help"])
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert len(GROUPS) == 7 and len({name.split()[0] for name in COMMANDS}) <= 30
-    assert all(f"\n{group}:\n" in said for group in GROUPS) and "3 the verdict is bad" in said
-    assert all(re.search(rf"^ +{name.split()[-1]} ", said, re.MULTILINE) for name in COMMANDS)
+    assert all(f"\n{group}:\n" in output for group in GROUPS) and "3 the verdict is bad" in output
+    assert all(re.search(rf"^ +{name.split()[-1]} ", output, re.MULTILINE) for name in COMMANDS)
 
 
 @pytest.mark.parametrize("earlier, name", EARLIER_NAMES.items())
@@ -160,8 +160,10 @@ def test_completion_knows_commands_and_options(shell, capsys):
 def test_bash_completes(capsys):
     main(["doctor", "completion", "bash"])
     script = capsys.readouterr().out
-    asked = "COMP_WORDS=(rig calibrate --anyw); COMP_CWORD=2; _shtab_rig; "
-    done = subprocess.run(["bash", "-c", f'{script}\n{asked}echo "${{COMPREPLY[@]}}"'], capture_output=True, text=True)
+    completion_request = "COMP_WORDS=(rig calibrate --anyw); COMP_CWORD=2; _shtab_rig; "
+    done = subprocess.run(
+        ["bash", "-c", f'{script}\n{completion_request}echo "${{COMPREPLY[@]}}"'], capture_output=True, text=True
+    )
     assert done.stdout.split() == ["--anyway"]
 
 
@@ -171,13 +173,13 @@ def test_the_catalogue_is_a_table_of_all_effects(capsys, monkeypatch):
     text = capsys.readouterr().out
     assert all(f"\n{effect.name[:17]}" in text for effect in ALL) and max(map(len, text.splitlines())) <= 140
     assert main(["effects", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert [one["name"] for one in told] == [effect.name for effect in ALL]
+    output = json.loads(capsys.readouterr().out)
+    assert [one["name"] for one in output] == [effect.name for effect in ALL]
     assert all(
         one["exposed_by"] and one["action"] and one["places"] and one["stage"] and "{" not in one["exposed_by"]
-        for one in told
+        for one in output
     )
-    assert {p["unit"] for one in told if one["name"] == "backlash" for p in one["parameters"]} == {"m"}
+    assert {p["unit"] for one in output if one["name"] == "backlash" for p in one["parameters"]} == {"m"}
 
 
 def test_the_catalogue_is_a_document_of_all_effects(capfd, tmp_path):
@@ -286,14 +288,14 @@ def test_new_writes_a_rig_by_options_and_refuses_to_guess(tmp_path, capsys):
 
 def test_new_asks_four_questions_at_a_terminal(tmp_path):
     ours, theirs = pty.openpty()
-    asked = subprocess.Popen(
+    process = subprocess.Popen(
         [*RIG, "new", str(tmp_path / "n")], stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     os.write(ours, b"hexapot\n\n250mm\n2\n640x480\n")
-    out, err = asked.communicate(timeout=60)
+    out, err = process.communicate(timeout=60)
     os.close(ours)
     os.close(theirs)
-    assert asked.returncode == 0 and err.count("?") == 6 and "did you mean hexapod?" in err
+    assert process.returncode == 0 and err.count("?") == 6 and "did you mean hexapod?" in err
     assert "written" in out and (tmp_path / "n" / "rig.toml").read_text().count("[[camera]]") == 2
 
 
@@ -308,8 +310,8 @@ def test_lines_tell_the_time_left(monkeypatch, capsys):
     progress("locating", 0, 4)
     progress("locating", 1, 4)
     progress("locating", 4, 4)
-    said = capsys.readouterr().err.splitlines()
-    assert said[::2] == ["locating: 0 of 4, 0 %", "locating: 4 of 4, 100 %"] and said[1].startswith(
+    error_text = capsys.readouterr().err.splitlines()
+    assert error_text[::2] == ["locating: 0 of 4, 0 %", "locating: 4 of 4, 100 %"] and error_text[1].startswith(
         "locating: 1 of 4, 25 %, about 0 s left"
     )
     assert progress_line("fitting", 10, 100, 30.0) == "fitting: 10 of 100, 10 %, about 4 min left"
@@ -330,15 +332,15 @@ def test_plans_and_exports_are_told_to_programs(tmp_path, capsys):
     rig, plan = str(BENCH / "fit" / "rig.toml"), str(tmp_path / "plan.csv")
     assert main(["plan", rig, "--parts", "axes:2", "--out", plan, "--json"]) == 0
     out, words = capsys.readouterr()
-    told = json.loads(out)
+    result = json.loads(out)
     rows = np.loadtxt(plan, delimiter=",", skiprows=1)
     assert (
-        told["schema"] == "planned/1"
-        and told["state"] == "good"
-        and told["axes"] == [f"l{k}" for k in range(1, 7)]
-        and told["why"] in words
+        result["schema"] == "planned/1"
+        and result["state"] == "good"
+        and result["axes"] == [f"l{k}" for k in range(1, 7)]
+        and result["why"] in words
     )
-    np.testing.assert_allclose(told["values"], rows[:, 1:], atol=1e-6)
+    np.testing.assert_allclose(result["values"], rows[:, 1:], atol=1e-6)
     assert main(["export", rig, "--format", "json", "--out", str(tmp_path / "g.json"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {
         "schema": "exported/1",
@@ -359,8 +361,8 @@ def test_what_is_wrong_with_a_recording_is_told_to_programs(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out) == {"schema": "check/1", "usable": True, "found": [], "remarks": []}
     (tmp_path / "rec").mkdir()
     assert main(["check", str(tmp_path / "rec"), "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert not told["usable"] and "rig.toml" in told["found"][0]["what"]
+    output = json.loads(capsys.readouterr().out)
+    assert not output["usable"] and "rig.toml" in output["found"][0]["what"]
 
 
 @pytest.mark.slow

@@ -63,7 +63,7 @@ def calibration(emulated, rig):
     return str(path), fitted
 
 
-def said(capsys, *words, ok=True):
+def printed(capsys, *words, ok=True):
     assert (main(list(words)) == 0) == ok
     out, err = capsys.readouterr()
     return out if ok else err
@@ -71,41 +71,41 @@ def said(capsys, *words, ok=True):
 
 def test_struts_are_homed_moved_a_little_and_sent_to_a_pose(emulated, rig, calibration, capsys):
     path, fitted = calibration
-    assert "position not known: home" in said(capsys, "status", rig)
-    assert "is not known" in said(capsys, "jog", rig, "--by", "1", ok=False)
-    assert "pose by the nominal model 0.000" in said(capsys, "home", rig).replace("-0.000", "0.000")
+    assert "position not known: home" in printed(capsys, "status", rig)
+    assert "is not known" in printed(capsys, "jog", rig, "--by", "1", ok=False)
+    assert "pose by the nominal model 0.000" in printed(capsys, "home", rig).replace("-0.000", "0.000")
     lengths = [
         float(x)
-        for x in re.search(r"lengths (.*) mm", said(capsys, "jog", rig, "--strut", "3", "--by", "1.5"))[1].split()
+        for x in re.search(r"lengths (.*) mm", printed(capsys, "jog", rig, "--strut", "3", "--by", "1.5"))[1].split()
     ]
     assert lengths[2] - lengths[0] == pytest.approx(1.5, abs=2e-3)
-    assert len(emulated.told()) == 1
+    assert len(emulated.commanded_goals()) == 1
     wanted = "0.01,0.02,0.44,0.01,0.03,0.05"
-    planned = said(capsys, "go", path, "--rig", rig, "--pose", wanted, "--dry-run")
-    assert len(emulated.told()) == 1, "a dry run moves nothing"
-    foretold = json.loads(said(capsys, "go", path, "--rig", rig, "--pose", wanted, "--dry-run", "--json"))
-    assert not foretold["moved"] and "lengths" not in foretold and len(emulated.told()) == 1
-    assert said(capsys, "go", path, "--rig", rig, "--pose", wanted, "--dry-run", "--quiet") == ""
-    done = said(capsys, "go", path, "--rig", rig, "--pose", wanted)
+    planned = printed(capsys, "go", path, "--rig", rig, "--pose", wanted, "--dry-run")
+    assert len(emulated.commanded_goals()) == 1, "a dry run moves nothing"
+    foretold = json.loads(printed(capsys, "go", path, "--rig", rig, "--pose", wanted, "--dry-run", "--json"))
+    assert not foretold["moved"] and "lengths" not in foretold and len(emulated.commanded_goals()) == 1
+    assert printed(capsys, "go", path, "--rig", rig, "--pose", wanted, "--dry-run", "--quiet") == ""
+    done = printed(capsys, "go", path, "--rig", rig, "--pose", wanted)
     assert planned.splitlines()[0] in done
-    told = re.search(r"within (\S+) um .*the struts read (\S+) um .*uncertain by (\S+) um", done)
-    assert float(told[1]) == pytest.approx(np.hypot(float(told[2]), float(told[3])), rel=0.05)
-    assert float(told[3]) > 1.0, "parameters of 1 um each leave more than the struts' read-back does"
-    np.testing.assert_allclose(emulated.told()[-1], foretold["commanded"], atol=1e-6)
-    there = json.loads(said(capsys, "go", path, "--rig", rig, "--pose", wanted, "--json"))
-    np.testing.assert_allclose(there["lengths"], there["commanded"], atol=1e-6)
-    assert there["within"][0] >= 2 * there["uncertainty"][0] > 2e-6
-    assert there["moved"] and np.linalg.norm(there["left"][:3]) < 1e-5
-    T = mechanisms.kinematics_of(fitted).forward(np.array(emulated.told()[-1]), fitted)
+    match = re.search(r"within (\S+) um .*the struts read (\S+) um .*uncertain by (\S+) um", done)
+    assert float(match[1]) == pytest.approx(np.hypot(float(match[2]), float(match[3])), rel=0.05)
+    assert float(match[3]) > 1.0, "parameters of 1 um each leave more than the struts' read-back does"
+    np.testing.assert_allclose(emulated.commanded_goals()[-1], foretold["commanded"], atol=1e-6)
+    result = json.loads(printed(capsys, "go", path, "--rig", rig, "--pose", wanted, "--json"))
+    np.testing.assert_allclose(result["lengths"], result["commanded"], atol=1e-6)
+    assert result["within"][0] >= 2 * result["uncertainty"][0] > 2e-6
+    assert result["moved"] and np.linalg.norm(result["left"][:3]) < 1e-5
+    T = mechanisms.kinematics_of(fitted).forward(np.array(emulated.commanded_goals()[-1]), fitted)
     np.testing.assert_allclose(
         pose_to_vector(T), [float(x) for x in wanted.split(",")], atol=3e-6
     )  # micrometres are what the controller takes
-    assert "idle" in said(capsys, "stop", rig)
+    assert "idle" in printed(capsys, "stop", rig)
 
 
 def test_what_may_not_be_done_is_refused_before_anything_moves(emulated, rig, calibration, capsys, tmp_path):
-    said(capsys, "home", rig)
-    before = len(emulated.told())
+    printed(capsys, "home", rig)
+    before = len(emulated.commanded_goals())
     for words, why in (
         (("jog", rig, "--by", "500"), "beyond what the struts reach"),
         (("jog", rig, "--strut", "7", "--by", "1"), "--strut takes 1 .. 6"),
@@ -142,30 +142,30 @@ def test_what_may_not_be_done_is_refused_before_anything_moves(emulated, rig, ca
             r"\[sensors\] table",
         ),
     ):
-        assert re.search(why, said(capsys, *words, ok=False)), words
-    assert len(emulated.told()) == before
+        assert re.search(why, printed(capsys, *words, ok=False)), words
+    assert len(emulated.commanded_goals()) == before
 
 
 def test_a_controller_that_was_stated_wrongly_says_what_to_look_at(emulated, rig, capsys, tmp_path):
     text = Path(rig).read_text()
     assert 'protocol = "grblhal"' in text
     (tmp_path / "rig.toml").write_text(text.replace('protocol = "grblhal"', 'protocol = "gcs"\ntimeout = 0.05'))
-    assert "protocol and baudrate in [controller] its own" in said(
+    assert "protocol and baudrate in [controller] its own" in printed(
         capsys, "status", str(tmp_path / "rig.toml"), ok=False
     )
-    told = said(capsys, "status", rig, "--port", "/dev/nowhere", ok=False)
+    message = printed(capsys, "status", rig, "--port", "/dev/nowhere", ok=False)
     assert re.fullmatch(
         r"rig status: cannot open /dev/nowhere: No such file or directory; serial ports here: .* \(`rig "
         r"doctor` lists them\)\n",
-        told,
+        message,
     )
 
 
 def test_a_dry_run_needs_no_machine_and_a_run_leaves_a_recording(emulated, rig, capsys, tmp_path):
     out = str(tmp_path / "rec")
-    text = said(capsys, "run", rig, "--plan", "sobol:3", "--out", out, "--dry-run", "--port", "/dev/nowhere")
+    text = printed(capsys, "run", rig, "--plan", "sobol:3", "--out", out, "--dry-run", "--port", "/dev/nowhere")
     assert "7 steps, 3 frames of 1 cameras" in text and "nothing was moved" in text and not (tmp_path / "rec").exists()
-    said(
+    printed(
         capsys,
         "run",
         rig,
@@ -179,8 +179,10 @@ def test_a_dry_run_needs_no_machine_and_a_run_leaves_a_recording(emulated, rig, 
         "keep",
         "--no-measure",
     )
-    assert "already exists; --resume continues" in said(capsys, "run", rig, "--plan", "sobol:3", "--out", out, ok=False)
-    assert "another plan" in said(capsys, "run", rig, "--plan", "sobol:4", "--out", out, "--resume", ok=False)
+    assert "already exists; --resume continues" in printed(
+        capsys, "run", rig, "--plan", "sobol:3", "--out", out, ok=False
+    )
+    assert "another plan" in printed(capsys, "run", rig, "--plan", "sobol:4", "--out", out, "--resume", ok=False)
     rows = [json.loads(line) for line in (tmp_path / "rec" / "journal.jsonl").read_text().splitlines()]
     assert [row["kind"] for row in rows].count("exposed") == 3
 
@@ -202,7 +204,7 @@ while True:
 
 
 def test_a_run_goes_on_to_its_end_though_its_page_is_flooded(emulated, rig, capsys, tmp_path):
-    said(capsys, "home", rig)
+    printed(capsys, "home", rig)
     log = tmp_path / "log"
     process = runner(
         [
@@ -230,19 +232,19 @@ def test_a_run_goes_on_to_its_end_though_its_page_is_flooded(emulated, rig, caps
                 most = max(most, len(os.listdir(f"/proc/{process.pid}/fd")))
             process.join(0.02)
         flood.kill()
-        asked = len(flood.stdout.read().split())
+        output = len(flood.stdout.read().split())
     kinds = [json.loads(line)["kind"] for line in (tmp_path / "rec" / "journal.jsonl").read_text().splitlines()]
     assert process.exitcode == 0 and "6 frames in" in log.read_text() and kinds.count("exposed") == 6
     assert kinds.count("departure") == kinds.count("arrival") >= 7, log.read_text()
-    assert asked and most < 100, "of its files the page has a few, whoever asks"
+    assert output and most < 100, "of its files the page has a few, whoever asks"
 
 
 def test_stop_finds_who_drives_from_a_bare_environment(emulated, rig, capsys, tmp_path, monkeypatch):
-    said(capsys, "home", rig)
-    before, log = len(emulated.told()), tmp_path / "log"
+    printed(capsys, "home", rig)
+    before, log = len(emulated.commanded_goals()), tmp_path / "log"
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     process = runner(["jog", rig, "--by", "30", "--speed", "0.001"], log)
-    while process.is_alive() and len(emulated.told()) == before:
+    while process.is_alive() and len(emulated.commanded_goals()) == before:
         process.join(0.001)
     code = (
         "import sys; sys.path.insert(0, sys.argv.pop(1)); from rig.cli.command_line import main; "
@@ -259,30 +261,30 @@ def test_stop_finds_who_drives_from_a_bare_environment(emulated, rig, capsys, tm
 def test_one_process_drives(rig, capsys):
     port = design_from_rig_toml.load_design(rig).controller.port
     with ControllerLock(port):
-        assert re.search(r"process \d+ is driving", said(capsys, "status", rig, ok=False))
+        assert re.search(r"process \d+ is driving", printed(capsys, "status", rig, ok=False))
         with pytest.raises(RigError, match="is driving"):
             ControllerLock(port)
     assert stop_lock_holder(port, SystemClock(), 0.05) is None
 
 
 def test_a_background_job_that_ignores_ctrl_c_is_stopped(emulated, rig, capsys, tmp_path):
-    home, log = float(re.search(r"lengths (\S+)", said(capsys, "home", rig))[1]), tmp_path / "log"
+    home, log = float(re.search(r"lengths (\S+)", printed(capsys, "home", rig))[1]), tmp_path / "log"
     before, usual = (
-        len(emulated.told()),
+        len(emulated.commanded_goals()),
         signal.signal(signal.SIGINT, signal.SIG_IGN),
     )  # as a shell starts what is to run in the background
     try:
         process = runner(["jog", rig, "--by", "30", "--speed", "0.001"], log)
     finally:
         signal.signal(signal.SIGINT, usual)
-    while process.is_alive() and len(emulated.told()) == before:
+    while process.is_alive() and len(emulated.commanded_goals()) == before:
         process.join(0.001)
-    assert f"process {process.pid}, which drove them, was stopped" in said(capsys, "stop", rig)
+    assert f"process {process.pid}, which drove them, was stopped" in printed(capsys, "stop", rig)
     process.join(10)
     assert process.exitcode == 128 + signal.SIGTERM and "ended by signal" in log.read_text()
-    stood = said(capsys, "status", rig)
+    stood = printed(capsys, "status", rig)
     assert home - 0.01 < float(re.search(r"lengths (\S+)", stood)[1]) < home + 29 and "idle" in stood
-    assert said(capsys, "status", rig) == stood
+    assert printed(capsys, "status", rig) == stood
 
 
 def test_a_process_that_does_not_let_go_is_killed():

@@ -166,8 +166,8 @@ def test_limbs_of_before_there_were_more_than_six_are_the_six(tmp_path):
     )
     np.testing.assert_array_equal(found.limbs.hexapod.base_joints, tree["limbs"]["base_joints"])
     accepted_limbs_file.save_limbs(tmp_path / "again.json", found)
-    again = json.loads((tmp_path / "again.json").read_text())
-    assert again.pop("chosen") == [1, 2, 3, 4, 5, 6] and again.pop("checks") == [] and again == tree
+    result = json.loads((tmp_path / "again.json").read_text())
+    assert result.pop("chosen") == [1, 2, 3, 4, 5, 6] and result.pop("checks") == [] and result == tree
 
 
 @pytest.mark.parametrize(
@@ -188,10 +188,10 @@ def test_older_calibrations_correct_as_they_did(name, schema, tmp_path):
         1e-6 < np.abs(found.correction.uncorrected(home) - hexapod.inverse(home, found.correction.fitted)).max() < 5e-3
     )
     calibration_file.save(tmp_path / "again.json", found)
-    again = json.loads((tmp_path / "again.json").read_text())
-    again["claim"] = {key: again["claim"][key] for key in tree["claim"]}  # keys may be added, none changed
+    result = json.loads((tmp_path / "again.json").read_text())
+    result["claim"] = {key: result["claim"][key] for key in tree["claim"]}  # keys may be added, none changed
     assert {
-        key: again[key]
+        key: result[key]
         for key in ("schema", "nominal", "fitted", "parameter_covariance", "remainder", "held_out", "claim")
     } == {
         key: tree[key]

@@ -7,7 +7,7 @@ import pytest
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.planning.configuration_generators import sobol_configurations
-from tests.closed_loops import holds, lines, rig, verified
+from tests.closed_loops import holds, lines, rig, simulate_with_truth, verified
 
 
 @pytest.mark.slow
@@ -26,19 +26,7 @@ def test_a_loop_closes(tmp_path, capfd, drawn):
         "--out",
         tmp_path / "rig.toml",
     )
-    rig(
-        "simulate",
-        tmp_path / "rig.toml",
-        "--plan",
-        "sobol:24" if drawn else "sobol:60",
-        "--seed",
-        "2",
-        *drawn,
-        "--out",
-        tmp_path / "rec",
-        "--truth",
-        tmp_path / "truth.json",
-    )
+    simulate_with_truth(tmp_path, "sobol:24" if drawn else "sobol:60", 2, *drawn)
     m = design_from_rig_toml.load_design(tmp_path / "rig.toml").mechanism
     found = verified(
         tmp_path,

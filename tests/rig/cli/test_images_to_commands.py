@@ -43,8 +43,8 @@ def test_measure_writes_what_the_contract_says(worked):
         design_from_rig_toml.load_design(out / "rig.toml"),
     )
     assert np.abs(pose_difference(nominal.cameras[0].pose, adjusted.cameras[0].pose)).max() > 1e-4
-    again = recording_folder.load_recording(out)  # what was measured is itself a recording
-    assert again.poses.covariance.shape == (60, 6, 6)
+    loaded = recording_folder.load_recording(out)  # what was measured is itself a recording
+    assert loaded.poses.covariance.shape == (60, 6, 6)
     page = (out / "report.html").read_text()
     links = Links()
     links.feed(page)
@@ -85,8 +85,8 @@ def test_results_for_programs_are_whole_json_and_say_what_the_files_say(worked, 
         tmp_path / "c.csv",
         "--json",
     )
-    told, rows = json.loads(done.stdout), np.loadtxt(tmp_path / "c.csv", delimiter=",", skiprows=1)
-    np.testing.assert_allclose([row["values"] for row in told["commands"]], rows[:, 1:], atol=1e-10)
+    result, rows = json.loads(done.stdout), np.loadtxt(tmp_path / "c.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose([row["values"] for row in result["commands"]], rows[:, 1:], atol=1e-10)
     assert "60 of 60 poses written" in done.stderr
     both = run(
         "correct",
@@ -143,10 +143,10 @@ def test_calibration_says_where_it_comes_from(worked):
 def test_same_input_same_output(worked, tmp_path):
     base, _ = worked
     run("calibrate", base / "fit", "--out", tmp_path / "again.json")
-    first, again = (json.loads(path.read_text()) for path in (base / "calibration.json", tmp_path / "again.json"))
-    for tree in (first, again):
+    first, second = (json.loads(path.read_text()) for path in (base / "calibration.json", tmp_path / "again.json"))
+    for tree in (first, second):
         del tree["provenance"]
-    assert first == again
+    assert first == second
 
 
 @pytest.mark.slow
@@ -245,13 +245,15 @@ def test_more_that_goes_wrong(worked, tmp_path):
     assert "is a folder" in run("calibrate", base / "fit", "--out", tmp_path, ok=False).stderr
     (tmp_path / "half.json").write_text((base / "calibration.json").read_text()[:5000])
     assert "cut off" in run("verify", tmp_path / "half.json", base / "check", ok=False).stderr
-    said = run("calibrate", base / "fit", "--out", tmp_path / "c.json", "--diagnosis", base / "check", ok=False).stderr
-    assert "holds no diagnosis.json; --diagnosis requires a folder that `rig diagnose` wrote" in said
+    output = run(
+        "calibrate", base / "fit", "--out", tmp_path / "c.json", "--diagnosis", base / "check", ok=False
+    ).stderr
+    assert "holds no diagnosis.json; --diagnosis requires a folder that `rig diagnose` wrote" in output
     (tmp_path / "wanted.csv").write_text("x;y;z;rx;ry;rz\n0;0;0,45;0;0;0\n")
-    said = run(
+    output = run(
         "correct", base / "calibration.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "o.csv", ok=False
     ).stderr
-    assert "separated by semicolons, and tables here are by commas" in said
+    assert "separated by semicolons, and tables here are by commas" in output
     still = tmp_path / "still"
     shutil.copytree(base / "check", still)
     (still / "commands.csv").unlink()
@@ -312,9 +314,9 @@ def test_measure_names_markers_that_are_exchanged(tmp_path, design, rig_text):
         folder, design, rig_text, 5, count=10, effects=(MarkerSwap(f"marker {marker}", other=float(other)),)
     )
     done = run("measure", folder, "--out", tmp_path / "out")
-    said = f"marker {marker}: is exchanged with marker {other}"
-    assert "2 markers are not as in rig.toml" in done.stdout and said in done.stdout
-    assert said in (tmp_path / "out/report.html").read_text()
+    message = f"marker {marker}: is exchanged with marker {other}"
+    assert "2 markers are not as in rig.toml" in done.stdout and message in done.stdout
+    assert message in (tmp_path / "out/report.html").read_text()
     assert (
         np.abs(pose_difference(recording_tables.load_poses(tmp_path / "out/poses.csv").T_base_platform, truth)).max()
         < 1e-3

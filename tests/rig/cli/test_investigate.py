@@ -17,23 +17,23 @@ def rig(tmp_path, rig_text):
 def test_by_hand_it_writes_what_is_to_be_done_and_waits(rig, tmp_path, capsys):
     words = ["investigate", str(rig), "--by-hand", "--out", str(tmp_path / "out"), "--plan", "sobol:4,payload:2"]
     assert main(words) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert (
-        "to do: carry out" in said
-        and "plan1.csv (10 exposures" in said
-        and "load 7.29 kg" in said
-        and "--resume" in said
+        "to do: carry out" in output
+        and "plan1.csv (10 exposures" in output
+        and "load 7.29 kg" in output
+        and "--resume" in output
     )
     plan = (tmp_path / "out" / "plan1.csv").read_bytes()
     assert main([*words, "--resume", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    printed = json.loads(capsys.readouterr().out)
     assert (
-        told["schema"] == "investigated/1"
-        and not told["looks"]
-        and not told["ended"]
-        and "to do: carry out" in told["waiting"]
+        printed["schema"] == "investigated/1"
+        and not printed["looks"]
+        and not printed["ended"]
+        and "to do: carry out" in printed["waiting"]
     )
-    assert told["verdict"] is None  # nothing is recorded yet
+    assert printed["verdict"] is None  # nothing is recorded yet
     assert main([*words, "--resume", "--quiet"]) == 0 and capsys.readouterr().out == ""
     assert (tmp_path / "out" / "plan1.csv").read_bytes() == plan
     assert main([*words, "--resume"]) == 0 and (tmp_path / "out" / "plan1.csv").read_bytes() == plan
@@ -52,10 +52,10 @@ def test_by_hand_it_writes_what_is_to_be_done_and_waits(rig, tmp_path, capsys):
 def test_by_hand_it_asks_that_a_cube_is_turned_and_looks_whether_it_was(rig, tmp_path, capsys):
     words = ["investigate", str(rig), "--by-hand", "--out", str(tmp_path / "out"), "--plan", "turn:P1,sobol:4"]
     assert main(words) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert (
-        "before it begins: take cube P1 off its socket and put it back turned by a quarter turn" in said
-        and "[turned] P1 = 1" in said
+        "before it begins: take cube P1 off its socket and put it back turned by a quarter turn" in output
+        and "[turned] P1 = 1" in output
     )
     assert (
         main(["simulate", str(rig), "--plan", "sobol:4", "--out", str(tmp_path / "out" / "rec1")]) == 0
@@ -71,9 +71,10 @@ def test_the_driver_moves_nothing_before_a_cube_is_turned(rig, tmp_path, capsys)
     assert "put it back turned by a quarter turn" in capsys.readouterr().err
     words = ["investigate", str(rig), "--out", str(tmp_path / "out"), "--plan", "turn:P1,sobol:2"]
     assert main(words) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert (
-        "to do, before the struts move:" in said and "[turned] P1 = 1, and give the same command with --resume" in said
+        "to do, before the struts move:" in output
+        and "[turned] P1 = 1, and give the same command with --resume" in output
     )
     rig.write_text(driven + "[turned]\nP1 = 1\n")
     assert main([*words, "--resume"]) == 1  # it goes on to the driver, whose port is none
@@ -167,7 +168,7 @@ def test_the_driver_carries_plans_out_and_is_not_asked_twice(tmp_path, capsys):
         assert "while the struts move" in capsys.readouterr().err and not (tmp_path / "out").exists()
         assert main(words) == 1
         assert "see above; --resume continues from there" in capsys.readouterr().err
-        assert len(made.told()) == 4 and (tmp_path / "out" / "rec1" / "journal.jsonl").exists()
-        assert main([*words, "--resume"]) == 1 and len(made.told()) == 4
+        assert len(made.commanded_goals()) == 4 and (tmp_path / "out" / "rec1" / "journal.jsonl").exists()
+        assert main([*words, "--resume"]) == 1 and len(made.commanded_goals()) == 4
     finally:
         made.close()

@@ -53,9 +53,9 @@ def finished(folder, out, resume, log):
 
 def killed(folder, out, after, log):
     """Whether a run was killed so long (s) after it had begun to move, and not already over."""
-    told = (folder / "told.csv").stat().st_size
+    size = (folder / "told.csv").stat().st_size
     process = runner(words(folder, out), log)
-    while process.is_alive() and (folder / "told.csv").stat().st_size == told and not (out / "commands.csv").exists():
+    while process.is_alive() and (folder / "told.csv").stat().st_size == size and not (out / "commands.csv").exists():
         process.join(0.001)
     process.join(after)
     was = process.is_alive()
@@ -81,17 +81,17 @@ def check(emulated, out, before, log, seen):
     frames = [row for row in rows if isinstance(row, Exposed)]
     assert len(frames) >= seen
     assert [row.step for row in frames] == [k for k, step in enumerate(planned) for _ in range(step.frames)]
-    told, goals = emulated.told()[before:], [row.goal for row in rows if isinstance(row, Departure)]
+    commanded, goals = emulated.commanded_goals()[before:], [row.goal for row in rows if isinstance(row, Departure)]
     broken = sum(
         any(word in row.found for word in ("broken off", "somebody", "homed"))
         for row in rows
         if isinstance(row, Resumed)
     )
-    assert len(told) <= len(planned) + broken, "a place was gone to twice, and the journal does not say so"
-    apart = [min(np.abs(np.subtract(move, goal)).max() for goal in goals) for move in told]
+    assert len(commanded) <= len(planned) + broken, "a place was gone to twice, and the journal does not say so"
+    apart = [min(np.abs(np.subtract(move, goal)).max() for goal in goals) for move in commanded]
     assert max(apart, default=0.0) < SAME, "a move that the journal does not have"
     for goal in (step.goal for step in planned[1:]):
-        assert any(np.abs(np.subtract(move, goal)).max() < SAME for move in told)
+        assert any(np.abs(np.subtract(move, goal)).max() < SAME for move in commanded)
     found = recording_folder.load_recording(out)
     np.testing.assert_allclose(found.commanded()[2], [planned[row.step].goal for row in frames], atol=2e-9)
 
@@ -106,7 +106,7 @@ def campaign(emulated, folder, count, rng):
         out, log = folder / "rec", folder / "log"
         shutil.rmtree(out, ignore_errors=True)
         log.unlink(missing_ok=True)
-        before = len(emulated.told())
+        before = len(emulated.commanded_goals())
         if not killed(folder, out, rng.uniform(0, duration), log):
             continue
         hit += 1

@@ -66,17 +66,17 @@ def test_singular_and_unreachable_poses_are_named(tmp_path, rig):
     T = RigidTransform.from_matrix(
         np.stack([mechanism.forward(np.array([0.3, 0.4, 0.5, 0.6, 0.0, 0.8]), arm).as_matrix(), far.as_matrix()])
     )
-    said = rig("puma560", "--inverse", poses_file(tmp_path / "p.csv", T), "--steps")
+    output = rig("puma560", "--inverse", poses_file(tmp_path / "p.csv", T), "--steps")
     assert (
-        "frame 0: singular: wrist; " in said
-        and "frame 1: out of reach: too far, by 8." in said
-        and "0 solutions" in said
+        "frame 0: singular: wrist; " in output
+        and "frame 1: out of reach: too far, by 8." in output
+        and "0 solutions" in output
     )
     assert (
-        "joint 1 = " in said
-        and "read and returned about the axis through" in said
-        and "  D " not in said
-        and "  E (" in said
+        "joint 1 = " in output
+        and "read and returned about the axis through" in output
+        and "  D " not in output
+        and "  E (" in output
     )
     few = rig("scara", "--inverse", poses_file(tmp_path / "f.csv", T[:1]))
     assert "unreachable: the arm comes no nearer than" in few
@@ -96,8 +96,8 @@ def test_steps_of_solutions_found_numerically_end_where_the_hand_is_at_zero(tmp_
             atol=1e-9,
         )
         assert [s["value"] for s in one["steps"][1:]] == one["q"]
-    said = rig(name, "--inverse", file, "--steps")
-    assert "found numerically" in said and ("moved back along the axis through" in said) == (name == "scara")
+    output = rig(name, "--inverse", file, "--steps")
+    assert "found numerically" in output and ("moved back along the axis through" in output) == (name == "scara")
 
 
 @pytest.mark.parametrize(

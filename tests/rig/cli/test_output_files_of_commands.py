@@ -166,8 +166,8 @@ def test_what_ends_a_command_is_said_in_a_line(error, status, says, monkeypatch,
 
     monkeypatch.setattr(design_command, "run_design", fail)
     assert command_line.main(["design", "--radius", "0.3"]) == status
-    said = capfd.readouterr().err
-    assert says in said and said.count("\n") == 1
+    error_text = capfd.readouterr().err
+    assert says in error_text and error_text.count("\n") == 1
 
 
 def test_a_signal_to_end_clears_away(tmp_path):

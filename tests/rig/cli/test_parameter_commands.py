@@ -45,11 +45,11 @@ def test_plan_for_parameters_is_written_and_can_be_run(rig_file, tmp_path, capsy
         r"|leave \d+ of 42 combinations of the parameters undetermined: visit more)\.", headline
     )  # fmt: skip
     assert f"commands:{out}" in page and "<li>10 configurations: condition number of the 42" in page
-    said = capsys.readouterr().out
-    assert "condition number of the 42" in said and "evenly spread" in said and " um " in said
+    output = capsys.readouterr().out
+    assert "condition number of the 42" in output and "evenly spread" in output and " um " in output
     assert len(csv_and_parquet_tables_and_time_origin.read_csv_table(out, ("frame", "l1"))) == 10
     assert main(["simulate", str(rig_file), "--plan", f"commands:{out}", "--out", str(tmp_path / "rec")]) == 0
-    again = tmp_path / "more.csv"
+    second_plan = tmp_path / "more.csv"
     assert (
         main(
             [
@@ -62,7 +62,7 @@ def test_plan_for_parameters_is_written_and_can_be_run(rig_file, tmp_path, capsy
                 "--given",
                 str(tmp_path / "rec"),
                 "--out",
-                str(again),
+                str(second_plan),
             ]
         )
         == 0
@@ -75,26 +75,28 @@ def test_of_a_promise_that_is_met_no_plan_is_written(rig_file, tmp_path, capsys)
     promised = ["plan", str(rig_file), "--promise"]
     assert main([*promised, "20um", "--out", plan]) == 0
     assert main([*promised, "30um", "--given", plan, "--out", more, "--page", page]) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert (
-        "the promise of 30 µm is met by the 12 configurations given" in said
-        and f"nothing is written to {more}; look at {page}" in said
+        "the promise of 30 µm is met by the 12 configurations given" in output
+        and f"nothing is written to {more}; look at {page}" in output
     )
     assert not (tmp_path / "more.csv").exists() and "rig run" not in (tmp_path / "more.html").read_text()
     before = (tmp_path / "plan.csv").read_text()
     assert main([*promised, "2m", "--out", plan]) == 0
-    said = capsys.readouterr().out
-    assert "is met by the stated geometry" in said and f"nothing is written to {plan}, which remains unchanged" in said
+    output = capsys.readouterr().out
+    assert (
+        "is met by the stated geometry" in output and f"nothing is written to {plan}, which remains unchanged" in output
+    )
     assert (tmp_path / "plan.csv").read_text() == before
 
 
 def test_parts_of_a_plan_are_written_as_configurations(rig_file, tmp_path, capsys):
     out = tmp_path / "plan.csv"
     assert main(["plan", str(rig_file), "--parts", "axes:2,combined:2", "--out", str(out)]) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert (
-        "48 configurations of axes:2,combined:2" in said
-        and "rz -" in said
+        "48 configurations of axes:2,combined:2" in output
+        and "rz -" in output
         and len(csv_and_parquet_tables_and_time_origin.read_csv_table(out, ("frame", "l1"))) == 48
     )
     assert main(["simulate", str(rig_file), "--plan", f"commands:{out}", "--out", str(tmp_path / "rec")]) == 0
@@ -142,9 +144,9 @@ def test_a_missed_step_in_a_recording_is_told(rig_file, tmp_path, capsys):
     assert main(["online", str(tmp_path / "rec"), "--state", str(state), "--page", str(tmp_path / "learnt.html")]) == 0
     page = (tmp_path / "learnt.html").read_text()
     assert "<strong>check</strong> 1 change," in page and "What jumped" in page and "on strut 3 is longer" in page
-    said = capsys.readouterr().out
-    assert "1 change in 110 poses from corners.csv" in said
-    assert f"from frame {first} on strut 3 is longer by +0.0" in said and said.count("longer") == 1
+    output = capsys.readouterr().out
+    assert "1 change in 110 poses from corners.csv" in output
+    assert f"from frame {first} on strut 3 is longer by +0.0" in output and output.count("longer") == 1
     assert main(["online", str(tmp_path / "rec"), "--state", str(state)]) == 1
     assert "counted twice" in capsys.readouterr().err
     more = [
@@ -182,8 +184,13 @@ def test_exports_are_written_or_refused(rig_file, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_accepted_limbs_stand_for_vision_until_one_slips(limbed, tmp_path, capsys):
-    rec, again, limbs, state = limbed[1].folder, tmp_path / "again", tmp_path / "limbs.json", tmp_path / "state.json"
-    shutil.copytree(rec.parent / "again", again)
+    rec, second_folder, limbs, state = (
+        limbed[1].folder,
+        tmp_path / "again",
+        tmp_path / "limbs.json",
+        tmp_path / "state.json",
+    )
+    shutil.copytree(rec.parent / "again", second_folder)
     assert (
         main(
             [
@@ -203,13 +210,16 @@ def test_accepted_limbs_stand_for_vision_until_one_slips(limbed, tmp_path, capsy
         == 0
     )
     assert "<strong>good</strong> the measuring limbs pass on all six axes" in (tmp_path / "limbs.html").read_text()
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert (
-        "the measuring limbs pass" in said
-        and "verdict accepted" in said
-        and "nothing jumped in 80 poses from measuring limbs" in said
+        "the measuring limbs pass" in output
+        and "verdict accepted" in output
+        and "nothing jumped in 80 poses from measuring limbs" in output
     )
-    assert main(["measure", str(again), "--limbs", str(limbs), "--out", str(tmp_path / "poses"), "--check", "10"]) == 0
+    assert (
+        main(["measure", str(second_folder), "--limbs", str(limbs), "--out", str(tmp_path / "poses"), "--check", "10"])
+        == 0
+    )
     assert "40 poses from the measuring limbs; vision checked 4 of them and agrees" in capsys.readouterr().out
     assert (
         len(
@@ -219,27 +229,27 @@ def test_accepted_limbs_stand_for_vision_until_one_slips(limbed, tmp_path, capsy
         )
         == 40
     )
-    told = csv_and_parquet_tables_and_time_origin.read_csv_table(
+    angles = csv_and_parquet_tables_and_time_origin.read_csv_table(
         tmp_path / "poses" / "rpy.csv", ("frame", "roll", "pitch", "yaw", "u_roll", "u_z")
     )
     turned = csv_and_parquet_tables_and_time_origin.read_csv_table(tmp_path / "poses" / "poses.csv", ("rx",)).matrix(
         ("rx", "ry", "rz")
     )
     np.testing.assert_allclose(
-        Rotation.from_euler("xyz", told.matrix(("roll", "pitch", "yaw"))).as_rotvec(), turned, atol=1e-9
+        Rotation.from_euler("xyz", angles.matrix(("roll", "pitch", "yaw"))).as_rotvec(), turned, atol=1e-9
     )
-    assert main(["calibrate", str(again), "--limbs", str(limbs), "--out", str(tmp_path / "c.json")]) == 0
-    kept = json.loads((tmp_path / "c.json").read_text())["provenance"]
-    assert "limbs.json" in kept["inputs_sha256"] and set(json.loads(limbs.read_text())["provenance"]["data"]) < set(
-        kept["data"]
+    assert main(["calibrate", str(second_folder), "--limbs", str(limbs), "--out", str(tmp_path / "c.json")]) == 0
+    result = json.loads((tmp_path / "c.json").read_text())["provenance"]
+    assert "limbs.json" in result["inputs_sha256"] and set(json.loads(limbs.read_text())["provenance"]["data"]) < set(
+        result["data"]
     )
-    assert main(["online", str(again), "--limbs", str(limbs), "--state", str(state)]) == 0
+    assert main(["online", str(second_folder), "--limbs", str(limbs), "--state", str(state)]) == 0
     assert "40 poses from measuring limbs, learnt one at a time after 80 before" in capsys.readouterr().out
     assert (
         main(
             [
                 "online",
-                str(again),
+                str(second_folder),
                 "--limbs",
                 str(limbs),
                 "--learner",
@@ -259,14 +269,14 @@ def test_accepted_limbs_stand_for_vision_until_one_slips(limbed, tmp_path, capsy
         40,
     )
     assert "by drifting (drift 1e-07)" in words and f"by {followed['first_quarter']:.3g} standard deviations" in words
-    rows = [line.split(",") for line in (again / "sensors.csv").read_text().splitlines()]
+    rows = [line.split(",") for line in (second_folder / "sensors.csv").read_text().splitlines()]
     column = rows[0].index("m4")
     for row in rows[len(rows) // 2 :]:
         row[column] = f"{float(row[column]) + 3e-5:.8f}" if row[column] else ""
-    (again / "sensors.csv").write_text("\n".join(map(",".join, rows)) + "\n")
-    assert main(["measure", str(again), "--limbs", str(limbs), "--out", str(tmp_path / "none")]) == 1
+    (second_folder / "sensors.csv").write_text("\n".join(map(",".join, rows)) + "\n")
+    assert main(["measure", str(second_folder), "--limbs", str(limbs), "--out", str(tmp_path / "none")]) == 1
     assert "limb 4 is longer by -" in capsys.readouterr().err and not (tmp_path / "none").exists()
-    assert main(["online", str(again), "--limbs", str(limbs)]) == 1
+    assert main(["online", str(second_folder), "--limbs", str(limbs)]) == 1
     assert "acceptance of these limbs was withdrawn at frame" in capsys.readouterr().err
 
 
@@ -301,6 +311,6 @@ def test_learning_goes_on_from_a_calibration(rig_file, tmp_path, capsys):
     assert main(["calibrate", str(tmp_path / "before"), "--out", str(tmp_path / "c.json")]) == 0
     capsys.readouterr()
     assert main(["online", str(tmp_path / "after"), "--calibration", str(tmp_path / "c.json")]) == 0
-    said = capsys.readouterr().out
-    assert "frame 1: from frame 0 on strut 5 is longer by -0.0" in said and said.count("longer") == 1
+    output = capsys.readouterr().out
+    assert "frame 1: from frame 0 on strut 5 is longer by -0.0" in output and output.count("longer") == 1
     assert main(["online", str(tmp_path / "after"), "--calibration", str(tmp_path / "typo.json")]) == 1

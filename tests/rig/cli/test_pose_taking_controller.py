@@ -103,9 +103,9 @@ def test_run_calibrated_and_corrected_it_comes_as_near_as_struts_driven_directly
     folder, rng = bench.folder, np.random.default_rng(7)
     monkeypatch.chdir(folder)
     run, calibrate, go = (line.split()[1:] for line in re.findall(r"^    (rig .*)$", PAGE, re.MULTILINE))
-    frames, there = bench.run("", "REC", run)
+    frames, reached = bench.run("", "REC", run)
     noise = np.repeat(SIGMA, 3) * rng.standard_normal((len(frames), 6))
-    rows = rigid.rows_of(rigid.displaced(there, noise))
+    rows = rigid.rows_of(rigid.displaced(reached, noise))
     seen = Poses(frames, pose(rows[:, :3], rows[:, 3:]), None)
     write_poses(folder / "REC" / "poses.csv", seen)
     assert main(calibrate) == 0

@@ -12,10 +12,10 @@ import pytest
 from calib.certification import measuring_limb_identification_and_agreement
 from calib.online.accepted_limbs_file import Accepted
 from calib.online.live_learner_and_run_state import Learner
-from calib.online.live_run_page import RunPage, run_verdict
 from calib.online.measuring_limb_poses_checked_by_vision import LiveLimbPoses
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run
+from calib.online.web_page_of_ongoing_run import RunPage, run_verdict
 from rig.cli.shared.run_display_and_controller_status import PlainLineDisplay, TerminalBlockDisplay, run_state_lines
 from rig.driving.cameras.camera_interface_and_user_cameras import Frame
 from rig.driving.clock import SimulatedClock
@@ -154,7 +154,7 @@ def test_a_display_that_fails_costs_itself_alone_and_is_reported(design, capsys)
     )
 
 
-class Told:
+class TrueMeasurement:
     """In place of Live: vision's poses as they truly are, and which frames it looked at."""
 
     noise = 0.02
@@ -188,7 +188,7 @@ def by_limbs(folder, slip, at):
     )
     commands = sobol_configurations(true.strut_range, 60, 0.6)
     poses = hexapod.forward(commands, true)
-    live = Told(poses * exp(np.r_[np.full(3, 4e-6), np.full(3, 2e-5)] * rng.normal(size=(60, 6))))
+    live = TrueMeasurement(poses * exp(np.r_[np.full(3, 4e-6), np.full(3, 2e-5)] * rng.normal(size=(60, 6))))
     clock, withdrawn, planned = SimulatedClock(), [], steps_of_plan(build_plan(design, "sobol:6"))
     agreement = measuring_limb_identification_and_agreement.limb_agreement(
         poses, poses, np.zeros((60, 6, 6)), (1e-4, 1e-3)

@@ -23,19 +23,23 @@ def through(folder, capsys, effect, seed=1, strength="strong"):
     again and examined.
     """
     case = truth.draw(seed, effect, strength, "shuffled", count=60)
-    for name, one in (("rec", case), ("second", truth.again(case)), ("third", truth.again(case, "sobol"))):
+    for name, one in (
+        ("rec", case),
+        ("second", truth.recorded_anew(case)),
+        ("third", truth.recorded_anew(case, "sobol")),
+    ):
         truth.record(one, folder / name)
     cal, out = folder / "calibration.json", {}
 
     def state(name, *words):
         status = main([str(word) for word in (name, *words)])
-        said = capsys.readouterr()
+        output = capsys.readouterr()
         if (
             name == "certify" and status == 1
         ):  # a certificate takes poses at rest: where there are too few it is refused, and states nothing
             return
-        assert status in (0, 3), said.err
-        out[name] = re.match(r"(good|check|bad): ", said.out)[1]
+        assert status in (0, 3), output.err
+        out[name] = re.match(r"(good|check|bad): ", output.out)[1]
         assert status == (3 if out[name] == "bad" and name in ("verify", "certify", "watch") else 0)
 
     state("calibrate", folder / "rec", "--out", cal)
@@ -118,8 +122,8 @@ def test_learning_goes_on_where_the_estimate_closes_on_no_pose(tmp_path, capsys)
     """
     truth.record(truth.draw(1, "settling_error", "strong", "shuffled", count=60), tmp_path / "rec")
     assert main(["online", str(tmp_path / "rec"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["verdict"]["state"] == "check" and 23 in told["left_out"] and told["poses"] == 60
+    output = json.loads(capsys.readouterr().out)
+    assert output["verdict"]["state"] == "check" and 23 in output["left_out"] and output["poses"] == 60
 
 
 @pytest.mark.slow
@@ -140,7 +144,7 @@ def test_a_refuted_calibration_is_refuted_wherever_it_is_used(tmp_path, capsys):
         truth.draw(1, effect, strength, "shuffled", count=60)
         for effect, strength in (("none", "none"), ("creep", "strong"))
     )
-    for name, one in (("rec", sound), ("second", truth.again(sound))):
+    for name, one in (("rec", sound), ("second", truth.recorded_anew(sound))):
         truth.record(one, tmp_path / name)
     cal = tmp_path / "calibration.json"
     assert main(["calibrate", str(tmp_path / "rec"), "--out", str(cal)]) == 0
@@ -148,12 +152,14 @@ def test_a_refuted_calibration_is_refuted_wherever_it_is_used(tmp_path, capsys):
     assert "the claim is kept" in capsys.readouterr().out
     truth.record(failed, tmp_path / "failed")
     assert main(["verify", str(cal), str(tmp_path / "failed"), "--json"]) == 3
-    told = json.loads(capsys.readouterr().out)
-    assert told["verdict"]["state"] == "bad" and told["claim"]["kept"] is False and "rig" in told["verdict"]["next"]
+    output = json.loads(capsys.readouterr().out)
+    assert (
+        output["verdict"]["state"] == "bad" and output["claim"]["kept"] is False and "rig" in output["verdict"]["next"]
+    )
     assert {found.kind: str(found.state) for found in list_pages_below_folder(tmp_path)} == {"calibrate": "bad"}
     assert main(["verify", str(cal), str(tmp_path / "second")]) == 3
-    said = capsys.readouterr()
-    assert said.out.startswith("bad: refuted on ") and "by failed" in said.out and "where up to" in said.out
+    printed = capsys.readouterr()
+    assert printed.out.startswith("bad: refuted on ") and "by failed" in printed.out and "where up to" in printed.out
     truth.write_wanted(truth.wanted(sound), tmp_path / "wanted.csv")
     assert (
         main(["correct", str(cal), "--poses", str(tmp_path / "wanted.csv"), "--out", str(tmp_path / "commands.csv")])

@@ -62,8 +62,8 @@ def test_order_count_space_and_part_are_kept(first, capsys):
     calibrated(
         base / "two.json", two, "--extend", "polynomial", "--onto", one, "--space", "pose", "--within", "z=0.3:0.6"
     )
-    said = capsys.readouterr().out
-    assert "a map in pose space: within" in said and "pass 2" in said
+    output = capsys.readouterr().out
+    assert "a map in pose space: within" in output and "pass 2" in output
     source = json.loads((base / "two.json").read_text())["provenance"]
     assert source["pass"] | {"samples": 0} == {
         "number": 2,
@@ -75,9 +75,9 @@ def test_order_count_space_and_part_are_kept(first, capsys):
     }
     assert [one["recording"] for one in source["passes"]] == ["one"]
     calibrated(base / "three.json", two, "--extend", "polynomial", "--onto", str(base / "two.json"))
-    again = json.loads((base / "three.json").read_text())
-    assert again["schema"] == "calibration/3" and again["provenance"]["pass"]["number"] == 3
-    assert [one.get("pass", {}).get("space") for one in again["provenance"]["passes"]] == [None, "pose"]
+    result = json.loads((base / "three.json").read_text())
+    assert result["schema"] == "calibration/3" and result["provenance"]["pass"]["number"] == 3
+    assert [one.get("pass", {}).get("space") for one in result["provenance"]["passes"]] == [None, "pose"]
     assert main(["workspace", str(base / "three.json")]) == 0
 
 

@@ -11,39 +11,12 @@ from rig.cli import command_line
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import two_strut_plane
 from rig.planning.configuration_generators import sobol_configurations
-from tests.closed_loops import calibrated, holds, lines, rig, verified
+from tests.closed_loops import calibrated, design_two_struts, holds, lines, rig, simulate_with_truth, verified
 
 
-def recorded(folder, *words, plan="sobol:24", size="640x512", again=False):
-    rig(
-        "design",
-        "--mechanism",
-        "planar2",
-        "--radius",
-        "0.3",
-        "--cubes",
-        "1",
-        "--cameras",
-        "2",
-        "--size",
-        size,
-        "--out",
-        folder / "rig.toml",
-        *(["--force"] if again else []),
-    )
-    rig(
-        "simulate",
-        folder / "rig.toml",
-        "--plan",
-        plan,
-        "--seed",
-        "3",
-        *words,
-        "--out",
-        folder / "rec",
-        "--truth",
-        folder / "truth.json",
-    )
+def recorded(folder, *words, plan="sobol:24", size="640x512", same_machine=False):
+    design_two_struts(folder, "--size", size, *(["--force"] if same_machine else []))
+    simulate_with_truth(folder, plan, 3, *words)
 
 
 def wanted(folder, count=6):
@@ -77,28 +50,16 @@ def test_four_samples_are_exact_where_they_were_taken(tmp_path, capfd):
 
 
 def test_configurations_are_planned(tmp_path, capfd):
-    rig(
-        "design",
-        "--mechanism",
-        "planar2",
-        "--radius",
-        "0.3",
-        "--cubes",
-        "1",
-        "--cameras",
-        "2",
-        "--out",
-        tmp_path / "rig.toml",
-    )
+    design_two_struts(tmp_path)
     rig("plan", tmp_path / "rig.toml", "--for", "parameters", "--count", "10", "--out", tmp_path / "plan.csv")
-    said = capfd.readouterr().out
-    rows = [line.split() for line in said.splitlines() if " um  " in line]
+    output = capfd.readouterr().out
+    rows = [line.split() for line in output.splitlines() if " um  " in line]
     assert (
-        "10 configurations for 6 parameters" in said
+        "10 configurations for 6 parameters" in output
         and len(rows) == 6
         and all(float(row[0]) < float(row[1]) for row in rows)
     )
-    recorded(tmp_path, plan=f"commands:{tmp_path / 'plan.csv'}", again=True)
+    recorded(tmp_path, plan=f"commands:{tmp_path / 'plan.csv'}", same_machine=True)
     calibrated(tmp_path, capfd)
     assert (
         command_line.main(

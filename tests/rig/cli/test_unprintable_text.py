@@ -111,19 +111,22 @@ def test_a_name_that_is_no_utf_8_is_refused_in_words(tmp_path, printed, words, m
     monkeypatch.chdir(tmp_path)
     folder = os.fsdecode(b"rec\xff")
     shutil.copytree(ROOT / "tests" / "data" / "bench" / "check", folder)
-    assert r"rec\xff" in (said := printed(*(word.format(folder) for word in words))) and "is not UTF-8; rename" in said
+    assert (
+        r"rec\xff" in (message := printed(*(word.format(folder) for word in words)))
+        and "is not UTF-8; rename" in message
+    )
 
 
 def test_images_and_a_working_folder_whose_names_are_no_utf_8_end_in_words(tmp_path, printed, monkeypatch):
-    there = tmp_path / os.fsdecode(b"here\xff")
-    shutil.copytree(ROOT / "tests" / "data" / "bench" / "check", there)
-    monkeypatch.chdir(there)
-    assert "nothing wrong" in printed("check", ".") and "nothing wrong" in printed("check", there)
+    folder = tmp_path / os.fsdecode(b"here\xff")
+    shutil.copytree(ROOT / "tests" / "data" / "bench" / "check", folder)
+    monkeypatch.chdir(folder)
+    assert "nothing wrong" in printed("check", ".") and "nothing wrong" in printed("check", folder)
     assert "is not UTF-8; rename" in printed("measure", ".", "--out", tmp_path / "out")
-    first = sorted(there.rglob("*.png"))[0]
+    first = sorted(folder.rglob("*.png"))[0]
     os.rename(first, first.with_name(os.fsdecode(b"000\xff.png")))
-    assert r"here\xff/images/cam0/00000.png: no such image" in printed("check", there)
-    os.rename(there, tmp_path / "here")
+    assert r"here\xff/images/cam0/00000.png: no such image" in printed("check", folder)
+    os.rename(folder, tmp_path / "here")
     monkeypatch.chdir(tmp_path / "here")
     assert "rig import: " in printed(
         "import", "images", "--rig", "rig.toml", "--commands", "commands.csv", "--out", "imported"

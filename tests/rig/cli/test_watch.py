@@ -45,14 +45,14 @@ def week(watched, tmp_path, capsys):
         )
         == 0
     )
-    said = capsys.readouterr().out
-    state, _, first = said.splitlines()[0].partition(": ")
+    output = capsys.readouterr().out
+    state, _, first = output.splitlines()[0].partition(": ")
     assert state != "bad" and first.startswith("the calibration is valid at visit 3")
     assert f"<strong>{state}</strong> The calibration is valid at visit 3" in (tmp_path / "watch.html").read_text()
     assert (
-        said.count("the calibration is valid") == 2
-        and said.count("nothing has changed") == 2
-        and f"{ALARM:g} visits" in said
+        output.count("the calibration is valid") == 2
+        and output.count("nothing has changed") == 2
+        and f"{ALARM:g} visits" in output
     )
     return tmp_path / "watch.json"
 
@@ -88,16 +88,22 @@ def test_what_changed_is_named_with_what_to_do(watched, week, tmp_path, which, s
     page = (tmp_path / "after.html").read_text()
     assert f"something changed, likeliest {change.name}" in page.replace("Something", "something")
     assert "<strong>bad</strong>" in page and to_do in page
-    said = capsys.readouterr().out
-    assert says in said and "since after" in said and change.name in said and to_do in said and "4 visits in" in said
+    output = capsys.readouterr().out
+    assert (
+        says in output
+        and "since after" in output
+        and change.name in output
+        and to_do in output
+        and "4 visits in" in output
+    )
     one.visit(tmp_path / "later", rng, change)
     assert (
         main(["watch", str(base / "calibration.json"), str(tmp_path / "later"), "--history", str(week), "--json"])
         == CHANGED
     )
-    told = json.loads(capsys.readouterr().out)["visits"][0]
-    assert told["named"] == change.name and told["number"] == 5 and told["suspects"][0]["since"] == 4
-    assert 0.99 < sum(one["odds"] for one in told["suspects"]) <= 1.0001
+    printed = json.loads(capsys.readouterr().out)["visits"][0]
+    assert printed["named"] == change.name and printed["number"] == 5 and printed["suspects"][0]["since"] == 4
+    assert 0.99 < sum(one["odds"] for one in printed["suspects"]) <= 1.0001
 
 
 @pytest.mark.slow
@@ -110,8 +116,8 @@ def test_what_has_no_name_is_said_to_have_none(watched, week, tmp_path, capsys):
         world = changed(which, type(one)(world, one.text, one.calibration, one.route), rng).world
     one.visit(tmp_path / "after", rng, changed("payload", type(one)(world, one.text, one.calibration, one.route), rng))
     assert main(["watch", str(base / "calibration.json"), str(tmp_path / "after"), "--history", str(week)]) == CHANGED
-    said = capsys.readouterr().out
-    assert "something changed, not identified" in said and "rig diagnose" in said
+    output = capsys.readouterr().out
+    assert "something changed, not identified" in output and "rig diagnose" in output
 
 
 @pytest.mark.parametrize(
@@ -124,9 +130,9 @@ def test_what_has_no_name_is_said_to_have_none(watched, week, tmp_path, capsys):
 def test_a_first_visit_that_disagrees_is_judged_by_the_claim(of_allowed, state, says):
     none = np.zeros(0)
     alarm = Verdict(90.0, 40, 0.0, (Suspect(SOMETHING, SOMETHING, 0, 1.0, none, none),), 1e-9, 1e-9)
-    kept = Verification(40, Part(40e-6, 30e-6, of_allowed, 1.1, 50e-6), None)
+    verification = Verification(40, Part(40e-6, 30e-6, of_allowed, 1.1, 50e-6), None)
     assert alarm.alarm
-    found = last_visit_verdict([Visit("day0", alarm, (), 1.0, kept)], Evidence(""))
+    found = last_visit_verdict([Visit("day0", alarm, (), 1.0, verification)], Evidence(""))
     assert found.state == state and says in found.why
     later = last_visit_verdict([Visit("day1", Verdict(90.0, 40, 9.0, alarm.suspects, 1e-9), (), 1.0)], Evidence(""))
     assert later.state == "bad" and "something changed" in later.why

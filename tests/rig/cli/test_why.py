@@ -45,7 +45,7 @@ def arm(tmp_path_factory):
     folder = tmp_path_factory.mktemp("why")
     rng = np.random.default_rng(4)
     true = secret_arms.secret(NOMINAL, rng)
-    samples = secret_arms.tracked(true, NOMINAL, 60, rng, SIGMA, deviation=wave, again=8)
+    samples = secret_arms.tracked(true, NOMINAL, 60, rng, SIGMA, deviation=wave, repeats=8)
     text = arm_urdf(NOMINAL, "three")
     for axis, name in zip(NOMINAL.axes, NAMES):
         text = text.replace(f'name="{axis}"', f'name="{name}"')
@@ -56,18 +56,18 @@ def arm(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def told(arm):
+def why_result(arm):
     """What the command prints about it, and the folder that it keeps."""
     done = run("why", arm / "data.csv", "--urdf", arm / "arm.urdf", "--out", arm / "kept")
     return done, arm / "kept"
 
 
-def test_five_lines_are_right(told):
-    done, kept = told
+def test_five_lines_are_right(why_result):
+    done, folder = why_result
     lines = done.stdout.splitlines()
     assert [line.partition(": ")[0] for line in lines] == ["how wrong", "why", "how sure", "what to do", "measure next"]
     assert "read joint elbow: revolute, limits -114.592 .. 114.592 deg" in done.stderr
-    held = calib.load(kept / "calibration.json").held_out
+    held = calib.load(folder / "calibration.json").held_out
     assert (
         f"off by {held.before.mean[0] * 1e3:.3g} mm on average, 95 % within {held.before.position[1] * 1e3:.3g}"
         in (lines[0])
@@ -81,18 +81,18 @@ def test_five_lines_are_right(told):
     assert "rig correct calibration.json" in lines[3]
 
 
-def test_out_keeps_what_the_lines_rest_on(told):
-    _, kept = told
-    found = sorted(path.name for path in kept.iterdir())
+def test_out_keeps_what_the_lines_rest_on(why_result):
+    _, folder = why_result
+    found = sorted(path.name for path in folder.iterdir())
     assert {"calibration.json", "diagnosis", "diagnosis.html", "recording"} <= set(found)
-    assert json.loads((kept / "diagnosis" / "diagnosis.json").read_text())["schema"] == "diagnosis/1"
-    assert run("check", kept / "recording").returncode == 0
+    assert json.loads((folder / "diagnosis" / "diagnosis.json").read_text())["schema"] == "diagnosis/1"
+    assert run("check", folder / "recording").returncode == 0
 
 
 @pytest.mark.parametrize("measured, stated", [("pose", "1 mm and 0.057 degrees"), ("position", "1 mm")])
 def test_repeatability_is_stated_of_what_was_measured(measured, stated):
-    way = np.repeat([[1e-3], [-1e-3]], 2, axis=0)  # m, rad
-    T = RigidTransform.from_components(way * [1, 0, 0], Rotation.from_rotvec(way * [0, 0, 1]))
+    displacement = np.repeat([[1e-3], [-1e-3]], 2, axis=0)  # m, rad
+    T = RigidTransform.from_components(displacement * [1, 0, 0], Rotation.from_rotvec(displacement * [0, 0, 1]))
     samples = SimpleNamespace(commanded=np.zeros((4, 3)), T_base_platform=T, measured=measured)
     repeats = _repeats(SimpleNamespace(sampled=SimpleNamespace(samples=samples)))
     size = np.sqrt(4 / 3)  # of four values at +-1 about a mean that they are of
@@ -152,27 +152,27 @@ def test_refusals(arm, tmp_path):
     assert not any(path.name == "kept" for path in tmp_path.iterdir())
 
 
-def test_a_recording_that_lacks_its_machine_is_read_with_the_one_that_is_stated(told, tmp_path):
-    _, kept = told
+def test_a_recording_that_lacks_its_machine_is_read_with_the_one_that_is_stated(why_result, tmp_path):
+    _, folder = why_result
     bare, lines = tmp_path / "bare", []
     bare.mkdir()
     for name in ("commands.csv", "poses.csv", "frames.csv"):
-        (bare / name).write_text((kept / "recording" / name).read_text())
+        (bare / name).write_text((folder / "recording" / name).read_text())
     with pytest.raises(RigError, match="does not state the machine"):
         recording_of_data(bare, calib.WhyOptions(), tmp_path, lines.append)
-    options = calib.WhyOptions(rig=kept / "recording" / "rig.toml")
+    options = calib.WhyOptions(rig=folder / "recording" / "rig.toml")
     found, assumed = recording_of_data(bare, options, tmp_path, lines.append)
     np.testing.assert_array_equal(found.design.mechanism.joints[:, 1], NOMINAL.joints[:, 1])
     assert len(found.poses.frame) == 60 and not assumed and not lines
     (tmp_path / "again").mkdir()
-    recording_of_data(kept / "recording", options, tmp_path / "again", lines.append)
-    assert lines == [f"{kept / 'recording' / 'rig.toml'} is not read: the machine is stated otherwise"]
+    recording_of_data(folder / "recording", options, tmp_path / "again", lines.append)
+    assert lines == [f"{folder / 'recording' / 'rig.toml'} is not read: the machine is stated otherwise"]
 
 
 def test_a_body_that_nobody_commands_is_refused_by_what_it_is(shared):
-    said = run("why", shared / "recordings" / "tumbling-block", ok=False).stderr
-    assert 'is a recording of kind "free": 1 camera watched a body in 542 frames that nothing commanded' in said
-    assert "rig measure" in said
+    output = run("why", shared / "recordings" / "tumbling-block", ok=False).stderr
+    assert 'is a recording of kind "free": 1 camera watched a body in 542 frames that nothing commanded' in output
+    assert "rig measure" in output
 
 
 def test_options():

@@ -37,12 +37,12 @@ def killed_once(item):
 
 
 def test_what_a_process_was_at_when_it_was_killed_is_done_again(tmp_path):
-    told = []
+    progress = []
     things = [(k, tmp_path / "killed") for k in range(20)]
-    assert process_map(2, "fork", killed_once, things, lambda done, of: told.append((done, of))) == [
+    assert process_map(2, "fork", killed_once, things, lambda done, of: progress.append((done, of))) == [
         2 * k for k in range(20)
     ]
-    assert (tmp_path / "killed").exists() and told[-1] == (20, 20)
+    assert (tmp_path / "killed").exists() and progress[-1] == (20, 20)
 
 
 def test_processes_that_end_at_the_same_thing_every_time_are_given_up(monkeypatch):
@@ -92,8 +92,8 @@ def test_a_cluster_that_is_not_there_is_said(tmp_path, capsys, monkeypatch):
 def test_a_pose_comes_to_another_process_unrounded(dumps):
     rng = np.random.default_rng(0)
     T = RigidTransform.from_components(rng.normal(size=(100, 3)), Rotation.random(100, rng=rng))
-    there, one = pickle.loads(dumps(T)), pickle.loads(dumps(T[3]))
-    assert (there.as_matrix() == T.as_matrix()).all() and one.single and (one.as_matrix() == T[3].as_matrix()).all()
+    received, one = pickle.loads(dumps(T)), pickle.loads(dumps(T[3]))
+    assert (received.as_matrix() == T.as_matrix()).all() and one.single and (one.as_matrix() == T[3].as_matrix()).all()
 
 
 @contextmanager
@@ -147,10 +147,10 @@ def test_what_the_work_raises_is_not_said_of_the_cluster(kind):
 
     with (
         LocalCluster(n_workers=1, processes=False, dashboard_address=None) as here,
-        parallel_map_and_dask_cluster.use_cluster(here.scheduler_address) as there,
+        parallel_map_and_dask_cluster.use_cluster(here.scheduler_address) as cluster,
         pytest.raises(kind, match="corners.csv of 0 is far away"),
     ):
-        there.map(fail, range(3))
+        cluster.map(fail, range(3))
 
 
 @pytest.mark.slow
@@ -160,11 +160,13 @@ def test_a_cluster_does_calls_in_order_and_raises_what_they_raise(tmp_path):
             raise FileError("x.csv", f"is wrong {k}", 3)
         return k
 
-    with two_workers() as (here, _), parallel_map_and_dask_cluster.use_cluster(here.scheduler_address) as there:
-        told = []
+    with two_workers() as (here, _), parallel_map_and_dask_cluster.use_cluster(here.scheduler_address) as cluster:
+        progress = []
         things = [(k, tmp_path / "killed") for k in range(40)]
-        assert there.map(killed_once, things, lambda done, of: told.append((done, of))) == [2 * k for k in range(40)]
-        assert told == [(k, 40) for k in range(1, 41)] and (tmp_path / "killed").exists()
+        assert cluster.map(killed_once, things, lambda done, of: progress.append((done, of))) == [
+            2 * k for k in range(40)
+        ]
+        assert progress == [(k, 40) for k in range(1, 41)] and (tmp_path / "killed").exists()
         with pytest.raises(FileError, match="x.csv:3: is wrong 5"):
             parallel_map(fail, range(40), on_cluster=True)
         nested = parallel_map(

@@ -21,7 +21,7 @@ from tests.cli import Links
 
 
 @pytest.fixture(scope="module")
-def kept(tmp_path_factory, design, rig_text):
+def calibration_folder(tmp_path_factory, design, rig_text):
     """A folder with rig.toml and the calibration of a rig that is ten times as far off as rigs are; and that
     Calibration.
     """
@@ -60,22 +60,23 @@ def certificate(calibration, w):
     }
 
 
-def test_the_map_is_said_and_written(kept, tmp_path, capsys):
-    base, made = kept
+def test_the_map_is_said_and_written(calibration_folder, tmp_path, capsys):
+    base, made = calibration_folder
     path = tmp_path / "certificate.json"
     path.write_text(json.dumps(certificate(base / "calibration.json", made.workspace)))
     assert (
         main(["workspace", str(base / "calibration.json"), "--out", str(tmp_path / "map"), "--certificate", str(path)])
         == 0
     )
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert (
-        f"{made.workspace.lost * 100:.2f} % of the poses" in said and "position 40 to 50 um, rotation 100 urad" in said
+        f"{made.workspace.lost * 100:.2f} % of the poses" in output
+        and "position 40 to 50 um, rotation 100 urad" in output
     )
     tree = json.loads((tmp_path / "map" / "workspace.json").read_text())
     assert (
         tree["verdict"]["state"] == "check"
-        and said.startswith("check: ")
+        and output.startswith("check: ")
         and "poses are lost" in tree["verdict"]["why"]
     )
     assert (
@@ -93,8 +94,8 @@ def test_the_map_is_said_and_written(kept, tmp_path, capsys):
     HTMLParser().feed(page)
 
 
-def test_what_is_no_calibration_or_another_ones_certificate_is_refused(kept, tmp_path, capsys):
-    base, made = kept
+def test_what_is_no_calibration_or_another_ones_certificate_is_refused(calibration_folder, tmp_path, capsys):
+    base, made = calibration_folder
     half = tmp_path / "half.json"
     half.write_text((base / "calibration.json").read_text()[:3000])
     other = tmp_path / "certificate.json"
@@ -114,23 +115,24 @@ def test_what_is_no_calibration_or_another_ones_certificate_is_refused(kept, tmp
     assert not (tmp_path / "map.html").exists()
 
 
-def test_a_calibration_of_before_has_its_workspace_worked_out(kept, tmp_path, capsys):
-    base, made = kept
+def test_a_calibration_of_before_has_its_workspace_worked_out(calibration_folder, tmp_path, capsys):
+    base, made = calibration_folder
     tree = json.loads((base / "calibration.json").read_text())
     del tree["workspace"]
     (tmp_path / "old.json").write_text(json.dumps(tree))
     assert main(["workspace", str(tmp_path / "old.json")]) == 0
-    said = capsys.readouterr().out
-    assert "computed now" in said and f"{made.workspace.lost * 100:.2f} % of the poses" in said
+    output = capsys.readouterr().out
+    assert "computed now" in output and f"{made.workspace.lost * 100:.2f} % of the poses" in output
 
 
-@pytest.mark.parametrize("asked", [["--for", "parameters", "--count", "12"], ["--promise", "12um"]])
-def test_plans_avoid_what_was_lost(kept, tmp_path, asked, capsys):
-    base, made = kept
+@pytest.mark.parametrize("requested", [["--for", "parameters", "--count", "12"], ["--promise", "12um"]])
+def test_plans_avoid_what_was_lost(calibration_folder, tmp_path, requested, capsys):
+    base, made = calibration_folder
     out = []
     for given in ([], ["--calibration", str(base / "calibration.json")]):
         assert (
-            main(["plan", str(base / "rig.toml"), *asked, *given, "--out", str(tmp_path / "plan.csv"), "--force"]) == 0
+            main(["plan", str(base / "rig.toml"), *requested, *given, "--out", str(tmp_path / "plan.csv"), "--force"])
+            == 0
         )
         out.append(
             is_pose_lost(

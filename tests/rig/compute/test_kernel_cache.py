@@ -209,7 +209,7 @@ def test_who_waits_for_what_is_compiled_is_told_once_and_not_again_where_it_is_l
         "with announce_compilation(lambda: print('compiling')):\n    "
         "for values in (np.ones((3, 1)), np.ones((3, 1), np.float32)): motion.play_operator(values, 0.5)"
     )
-    told = [
+    outputs = [
         subprocess.run(
             [sys.executable, "-c", code],
             capture_output=True,
@@ -220,7 +220,7 @@ def test_who_waits_for_what_is_compiled_is_told_once_and_not_again_where_it_is_l
         ).stdout
         for _ in range(2)
     ]
-    assert told == ["compiling\n", ""]
+    assert outputs == ["compiling\n", ""]
 
 
 @pytest.mark.parametrize(

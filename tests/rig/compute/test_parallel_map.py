@@ -58,15 +58,15 @@ def test_what_a_process_raises_is_raised_here(processes):
 
 def test_a_search_finds_the_same_on_one_process_and_on_several(tmp_path, design, monkeypatch):
     point = operating_point_of_recording(recorded(tmp_path, design, ["backlash:strut5:gap=6e-5"]))[0]
-    asked = RequestedEffects(("backlash", "camera_drift", "vibration", "face_misplacement"))
-    model, (candidates, _) = linearise(point), platform_candidates(point, asked)
+    requested = RequestedEffects(("backlash", "camera_drift", "vibration", "face_misplacement"))
+    model, (candidates, _) = linearise(point), platform_candidates(point, requested)
     both = []
     for count in (1, 3):
         monkeypatch.setattr(parallel_map_and_dask_cluster, "worker_count", lambda count=count: count)
         sensitivities = Sensitivities(point)
         both.append((score_candidates(model, candidates, sensitivities), sensitivities.pixels))
-    (one, pixels), (several, kept) = both
-    assert [s.candidate for s in one] == [s.candidate for s in several] and pixels.keys() == kept.keys()
+    (one, pixels), (several, other_pixels) = both
+    assert [s.candidate for s in one] == [s.candidate for s in several] and pixels.keys() == other_pixels.keys()
     for a, b in zip(one, several):
         assert a.node == b.node and a.delta_chi2 == pytest.approx(b.delta_chi2, rel=1e-6)
         np.testing.assert_allclose(a.coefficients, b.coefficients, rtol=1e-5, atol=1e-12)

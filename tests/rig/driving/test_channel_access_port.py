@@ -98,8 +98,8 @@ def test_motors_start_and_arrive_together_and_read_back(ioc, driver):
     arrived = driver.move(home(driver) + 4 * STEP, report=reports.append)
     np.testing.assert_allclose(arrived.lengths, home(driver) + 4 * STEP, atol=1e-9)
     shares = np.array([(report.lengths - home(driver)) / (4 * STEP) for report in reports])
-    under_way = shares[(shares.min(axis=1) > 0.2) & (shares.max(axis=1) < 0.8)]
-    assert len(under_way) and np.ptp(under_way, axis=1).max() < 0.1, "the way is straight"
+    is_moving = shares[(shares.min(axis=1) > 0.2) & (shares.max(axis=1) < 0.8)]
+    assert len(is_moving) and np.ptp(is_moving, axis=1).max() < 0.1, "the way is straight"
     limits = driver.limits()
     np.testing.assert_allclose(limits.travel, np.tile([-0.06, 0.06], (6, 1)))
     assert np.allclose(limits.speed, 0.3) and not driver.limit_warnings()

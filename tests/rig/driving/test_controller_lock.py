@@ -108,8 +108,8 @@ def test_users_are_refused_and_stopped_by_each_other(device, users, before_all):
 def test_processes_that_begin_at_once_are_one(device, before_all):
     several = [python(before_all + HOLD, device) for _ in range(5)]
     try:
-        said = [process.stdout.readline() for process in several]
-        assert said.count("held\n") == 1 and sum("is driving" in line for line in said) == 4
+        output = [process.stdout.readline() for process in several]
+        assert output.count("held\n") == 1 and sum("is driving" in line for line in output) == 4
     finally:
         for process in several:
             process.kill()
@@ -201,12 +201,12 @@ def test_an_open_device_is_locked_for_others_and_free_again(device, monkeypatch)
     ],
 )
 def test_a_port_of_another_scheme_is_refused_and_writes_nothing(url, tmp_path):
-    kept = tmp_path / "kept"
-    kept.write_text("kept")
-    assert "is not a port" in port_problem(url.format(kept))
+    folder = tmp_path / "kept"
+    folder.write_text("kept")
+    assert "is not a port" in port_problem(url.format(folder))
     with pytest.raises(LinkLost, match="is not a port"):
-        SerialPort(url.format(kept), 115200, SystemClock())
-    assert kept.read_text() == "kept"
+        SerialPort(url.format(folder), 115200, SystemClock())
+    assert folder.read_text() == "kept"
 
 
 @pytest.mark.parametrize(

@@ -105,12 +105,12 @@ def test_an_interrupt_from_the_keyboard_stops_the_struts(ready, monkeypatch):
 
 def test_a_stop_from_another_thread_ends_the_move(ready, monkeypatch):
     driver, emulator, clock, home = ready
-    sleep, asked, stopped = clock.sleep, threading.Event(), []
+    sleep, requested, stopped = clock.sleep, threading.Event(), []
 
     def watched(seconds):
         sleep(seconds)
-        if emulator.machine.executed and not asked.is_set():
-            asked.set()
+        if emulator.machine.executed and not requested.is_set():
+            requested.set()
             thread = threading.Thread(target=lambda: stopped.append(driver.stop()))
             thread.start()
             while not driver.link._stop.is_set():

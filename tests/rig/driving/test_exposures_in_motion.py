@@ -224,13 +224,13 @@ def test_a_step_that_failed_with_the_struts_at_its_goal_is_made_again_from_its_s
     assert last_move(tmp_path / "rec") == (1, False)
     before = len([row for row in rows(tmp_path / "rec") if isinstance(row, Exposed)])
     moving(made, tmp_path / "rec", plan="sobol:2", resume=True)
-    first, back, again = [row for row in rows(tmp_path / "rec") if isinstance(row, Departure) and row.step == 1]
+    first, back, repeated = [row for row in rows(tmp_path / "rec") if isinstance(row, Departure) and row.step == 1]
     assert moves_to(tmp_path / "rec", 1) == [False, False, True]
-    assert again.start == back.goal == first.start and again.goal == first.goal
+    assert repeated.start == back.goal == first.start and repeated.goal == first.goal
     frames, true = require_commands_as_moved(made, tmp_path / "rec", tmp_path / "rec", before + 3)
     late = [row.frame for row in rows(tmp_path / "rec") if isinstance(row, Exposed) and row.step == 1]
-    way = true[np.isin(frames, [frame for frame in late if frame >= before])]
-    assert np.ptp(way, axis=0).max() > 0.3 * np.abs(np.array(again.goal) - again.start).max()
+    path = true[np.isin(frames, [frame for frame in late if frame >= before])]
+    assert np.ptp(path, axis=0).max() > 0.3 * np.abs(np.array(repeated.goal) - repeated.start).max()
 
 
 def test_a_way_back_that_was_broken_off_is_no_step_that_was_done():

@@ -34,12 +34,12 @@ def test_a_run_is_a_recording_as_any_other(rig, tmp_path):
     rows = read_journal(tmp_path / "rec" / "journal.jsonl")[0]
     moves = [(a, b) for a, b in zip(rows, rows[1:]) if isinstance(a, Departure)]
     for departure, arrival in moves:  # half way in time is half way in length, and the first tenth is slow
-        way = np.abs(np.array(departure.goal) - departure.start).max()
-        if way < SPEED * RAMP:
+        distance = np.abs(np.array(departure.goal) - departure.start).max()
+        if distance < SPEED * RAMP:
             continue
         middle, early = (found.commands.at(departure.t + s * (arrival.t - departure.t)) for s in (0.5, 0.05))
         np.testing.assert_allclose(middle, (np.array(departure.start) + departure.goal) / 2, atol=1e-6)
-        assert np.abs(early - departure.start).max() < 0.05 * way
+        assert np.abs(early - departure.start).max() < 0.05 * distance
     assert (
         len(moves) == len(room.planned)
         and isinstance(rows[-1], Ended)
@@ -79,7 +79,7 @@ def test_killed_at_every_instant_it_goes_on_and_repeats_no_move(rig, tmp_path, h
         room = Room(rig, folder, plan)
         room.struts.half, room.instants.at = half, at
         with pytest.raises(Killed):
-            room.process(end_is_told=False)
+            room.process(end_is_reported=False)
         if at % 3 == 0:  # the row that was being written is torn
             with open(folder / "journal.jsonl", "ab") as file:
                 file.write(b'{"row": 17, "kind": "depart')
@@ -106,7 +106,7 @@ def test_what_stands_elsewhere_is_said_and_gone_back_to(rig, tmp_path):
 
     room.eye.grab = killed
     with pytest.raises(Killed):
-        room.process(end_is_told=False)
+        room.process(end_is_reported=False)
     room.eye.grab = grab
     room.struts.at += 2e-3
     room.process()

@@ -11,8 +11,8 @@ from rig.driving.move_profiles_and_path_check import trapezoidal_profile
     [(1.0, 0.2, 1.2), (1.0, 0.2, 1.5), (0.01, 0.2, 0.3), (1.0, None, 1.3), (1.0, None, 1.0), (1.0, 0.0, 1.1)],
 )
 def test_a_trapezoid_moves_evenly_and_arrives(cruise, ramp, whole):
-    way = trapezoidal_profile(5.0, 5.0 + whole, cruise, ramp)
-    t, share = np.array([(5.0, 0.0), *way, (5.0 + whole, 1.0)]).T
+    profile = trapezoidal_profile(5.0, 5.0 + whole, cruise, ramp)
+    t, share = np.array([(5.0, 0.0), *profile, (5.0 + whole, 1.0)]).T
     assert (np.diff(t) > 0).all() and (np.diff(share) >= 0).all()
     if ramp is None:
         ramp = whole - cruise

@@ -46,7 +46,7 @@ def test_a_path_is_relative_to_rig_toml_and_reading_runs_nothing(tmp_path, monke
 
 
 @pytest.mark.parametrize(
-    "protocol, said",
+    "protocol, message",
     [
         ("file:/etc/mine.py", r"rig.toml:\d+:\d+: controller.protocol: expected file:NAME.py, a path relative"),
         ("file:mine.txt", "expected file:NAME.py"),
@@ -54,8 +54,8 @@ def test_a_path_is_relative_to_rig_toml_and_reading_runs_nothing(tmp_path, monke
         ("grbhal", "one of 'grblhal', .* 'struts', 'epics', file:NAME.py or package:NAME"),
     ],
 )
-def test_what_is_no_program_is_refused_with_its_line(tmp_path, protocol, said):
-    with pytest.raises(FileError, match=said):
+def test_what_is_no_program_is_refused_with_its_line(tmp_path, protocol, message):
+    with pytest.raises(FileError, match=message):
         design_from_rig_toml.load_design(stated(tmp_path / "lab", protocol))
 
 

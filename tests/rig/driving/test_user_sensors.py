@@ -11,7 +11,7 @@ from tests.rig.driving.test_user_programs import stated
 
 FILE = '''"""A gauge."""
 
-from rig.driving.base import UserSensors
+from rig.driving.user_base_classes import UserSensors
 
 
 class Gauge(UserSensors):
@@ -41,10 +41,10 @@ def test_readings_come_in_the_order_of_the_channels(tmp_path):
     reader.close()
 
 
-@pytest.mark.parametrize("old, new, kind, said", WRONG)
-def test_what_is_wrong_is_named(tmp_path, old, new, kind, said):
+@pytest.mark.parametrize("old, new, kind, message", WRONG)
+def test_what_is_wrong_is_named(tmp_path, old, new, kind, message):
     assert old in FILE
-    with pytest.raises(kind, match=said):
+    with pytest.raises(kind, match=message):
         open_sensors(port(tmp_path, FILE.replace(old, new, 1)), SimulatedClock()).read()
 
 

@@ -21,7 +21,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.base import Effect, Motion, Parameter
+from rig.effects.user_base_classes import Effect, Motion, Parameter
 from rig.effects.framework.parameters_covariates_and_markers import Covariate
 
 
@@ -128,8 +128,8 @@ def test_it_is_simulated(house, kind):
 
 
 def test_it_is_in_the_catalogue(house):
-    said = rig(house, "catalogue")
-    assert "### toy_tide" in said and "wait for the tide" in said
+    output = rig(house, "catalogue")
+    assert "### toy_tide" in output and "wait for the tide" in output
 
 
 @pytest.mark.slow

@@ -70,9 +70,11 @@ def test_every_effect_has_a_sketch_that_follows_its_size(name, sketches):
 
 @pytest.mark.parametrize("factor", [1.0, 0.25])
 def test_what_is_drawn_is_what_the_model_says(factor):
-    told = plotted(effect_sketch(ScaleError, factor).figures[1])  # µm over mm: a scale of 1e-3 is one over the other
-    assert len(told) > 300 and np.ptp(told[:, 0]) == pytest.approx(40, abs=0.5)
-    np.testing.assert_allclose(told[:, 1], factor * told[:, 0], atol=0.2 * factor)
+    commanded = plotted(
+        effect_sketch(ScaleError, factor).figures[1]
+    )  # µm over mm: a scale of 1e-3 is one over the other
+    assert len(commanded) > 300 and np.ptp(commanded[:, 0]) == pytest.approx(40, abs=0.5)
+    np.testing.assert_allclose(commanded[:, 1], factor * commanded[:, 0], atol=0.2 * factor)
     steps = plotted(effect_sketch(Backlash, factor).figures[1])
     far = steps[np.abs(steps[:, 0]) > 1]  # beyond a gap of 0.2 mm
     np.testing.assert_allclose(far[:, 1], -np.sign(far[:, 0]) * 100 * factor, atol=1.5)
@@ -113,18 +115,21 @@ def test_one_that_the_rig_of_sketches_cannot_have_says_why():
 
 def test_the_document_of_the_catalogue_is_current(tmp_path):
     assert main(["catalogue", "--out", str(tmp_path / "effects.md")]) == 0
-    again = "make docs, or rig effects document --force --out docs/effects.md"
+    remedy = "make docs, or rig effects document --force --out docs/effects.md"
     assert (DOCUMENTS / "effects.md").read_text(encoding="utf-8") == (tmp_path / "effects.md").read_text(
         encoding="utf-8"
-    ), again
-    made, kept = (
+    ), remedy
+    made, committed = (
         {path.name: path.read_text(encoding="utf-8") for path in folder.glob("*.svg")}
         for folder in (tmp_path / "effects", DOCUMENTS / "effects")
     )
-    assert set(made) == set(kept) == {f"{kind.name}.svg" for kind in ALL}, again
+    assert set(made) == set(committed) == {f"{kind.name}.svg" for kind in ALL}, remedy
     for name, text in made.items():  # other computers round otherwise
-        assert NUMBER.sub("#", text) == NUMBER.sub("#", kept[name]), (name, again)
+        assert NUMBER.sub("#", text) == NUMBER.sub("#", committed[name]), (name, remedy)
         np.testing.assert_allclose(
-            *(np.array(NUMBER.findall(one), float) for one in (text, kept[name])), atol=0.2, rtol=1e-3, err_msg=again
+            *(np.array(NUMBER.findall(one), float) for one in (text, committed[name])),
+            atol=0.2,
+            rtol=1e-3,
+            err_msg=remedy,
         )
-    assert sum(map(len, kept.values())) < 1e6
+    assert sum(map(len, committed.values())) < 1e6

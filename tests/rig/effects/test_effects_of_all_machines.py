@@ -61,23 +61,23 @@ def context_of(setting):
 
 
 @pytest.fixture(scope="module", params=KINDS)
-def there(request, design):
+def mechanism_setting(request, design):
     """(kind of mechanism, its setting, its Context)."""
     setting = setting_of(design, request.param)
     return request.param, setting, context_of(setting)
 
 
-def test_an_interface_is_kept_by_every_mechanism(there):
-    kind, (design, *_), context = there
+def test_an_interface_is_kept_by_every_mechanism(mechanism_setting):
+    kind, (design, *_), context = mechanism_setting
     module, m = mechanisms.kinematics_of(design.mechanism), context.motion
     assert mechanisms.axis_place_texts(design.mechanism) == tuple(f"{module.AXIS} {i + 1}" for i in range(len(m.home)))
-    power = module.axis_loads(m.T, m.lengths, design.mechanism, np.zeros((60, 6)))
+    power = module.axis_forces_and_torques(m.T, m.lengths, design.mechanism, np.zeros((60, 6)))
     assert power.shape == m.lengths.shape and not power.any()
 
 
 @pytest.mark.parametrize("kind", MOVING, ids=lambda kind: kind.name)
-def test_zero_changes_nothing_and_a_drawn_one_something(there, kind):
-    mechanism, (design, commands, t, sensors), context = there
+def test_zero_changes_nothing_and_a_drawn_one_something(mechanism_setting, kind):
+    mechanism, (design, commands, t, sensors), context = mechanism_setting
     if mechanism not in ALONE.get(kind.name, KINDS):
         with pytest.raises(RigError, match=f"{kind.name} takes"):
             kind.sites(context)
@@ -109,9 +109,9 @@ def _other(effect, context):
 
 
 @pytest.mark.parametrize("kind", MOVING, ids=lambda kind: kind.name)
-def test_columns_are_the_derivatives_of_the_model(there, kind):
+def test_columns_are_the_derivatives_of_the_model(mechanism_setting, kind):
     """A candidate's columns times its coefficients are what its effect does."""
-    mechanism, (design, *_), context = there
+    mechanism, (design, *_), context = mechanism_setting
     if (
         mechanism not in ALONE.get(kind.name, KINDS)
         or kind.stage == "command"
@@ -128,14 +128,14 @@ def test_columns_are_the_derivatives_of_the_model(there, kind):
                 0.5, 2, len(candidate.linear)
             )
             effect = check_effect_place_and_parameter_bounds(candidate.effect(shape, coefficients))
-            told = columns @ (coefficients if len(coefficients) else np.ones(1))
+            predicted = columns @ (coefficients if len(coefficients) else np.ones(1))
             np.testing.assert_allclose(
-                effect.deviation(context.motion), told, rtol=1e-6, atol=1e-3 * np.abs(told).max() * 1e-3
+                effect.deviation(context.motion), predicted, rtol=1e-6, atol=1e-3 * np.abs(predicted).max() * 1e-3
             )
 
 
-def test_covariates_are_drawn_for_every_axis(there):
-    mechanism, _, context = there
+def test_covariates_are_drawn_for_every_axis(mechanism_setting):
+    mechanism, _, context = mechanism_setting
     drawing = Drawing(context.design, context.t, context.motion, lambda effect, camera: 1.0)
     for kind in MOVING:
         if mechanism in ALONE.get(kind.name, KINDS):

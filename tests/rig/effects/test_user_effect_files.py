@@ -27,7 +27,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.base import Effect, Motion, Parameter
+from rig.effects.user_base_classes import Effect, Motion, Parameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,20 +145,22 @@ def test_a_sound_file_is_an_effect_like_any_other(tmp_path, design):
     np.testing.assert_allclose(done.deviation, 2e-5 * np.sin(90 * stroke[:, [1]]) * (np.arange(6) == 2), atol=1e-18)
 
 
-@pytest.mark.parametrize("old, new, said", WRONG, ids=[said for *_, said in WRONG])
-def test_what_is_wrong_with_a_file_is_told_with_its_line(tmp_path, old, new, said):
-    with pytest.raises(FileError, match=said):
+@pytest.mark.parametrize("old, new, message", WRONG, ids=[message for *_, message in WRONG])
+def test_what_is_wrong_with_a_file_is_told_with_its_line(tmp_path, old, new, message):
+    with pytest.raises(FileError, match=message):
         load_effect_file(written(tmp_path, old, new))
 
 
-@pytest.mark.parametrize("model, said", FAILS, ids=[said for _, said in FAILS])
-def test_a_model_that_fails_is_told_with_its_line(tmp_path, design, model, said):
+@pytest.mark.parametrize("model, message", FAILS, ids=[message for _, message in FAILS])
+def test_a_model_that_fails_is_told_with_its_line(tmp_path, design, model, message):
     (kind,) = load_effect_file(written(tmp_path, HOOK, model)).kinds
     context = context_of(setting_of(design, "hexapod"))
-    with pytest.raises(FileError, match=said) as told:
+    with pytest.raises(FileError, match=message) as raised:
         kind("strut 1", 1e-5).deviation(context.moved())
         kind.sites(context)
-    assert said.split(":")[1] == str(pickle.loads(pickle.dumps(told.value)).line)  # as a process of its own hands it on
+    assert message.split(":")[1] == str(
+        pickle.loads(pickle.dumps(raised.value)).line
+    )  # as a process of its own hands it on
 
 
 def test_two_files_do_not_share_a_name(tmp_path):
@@ -194,7 +196,7 @@ def test_commands_take_the_file(tmp_path, rig_text, capsys):
         and "cannot be read: Is a directory" in capsys.readouterr().err
     )
     assert main([*simulate, "--effects", str(path)]) == 0 and "mine at strut 3" in capsys.readouterr().out
-    again = [
+    second_command = [
         *simulate[:2],
         "--plan",
         "sobol:3",
@@ -203,8 +205,8 @@ def test_commands_take_the_file(tmp_path, rig_text, capsys):
         "--out",
         str(tmp_path / "again"),
     ]
-    assert main(again) == 1 and "truth.json" in capsys.readouterr().err
-    assert main([*again, "--effects", str(path)]) == 0
+    assert main(second_command) == 1 and "truth.json" in capsys.readouterr().err
+    assert main([*second_command, "--effects", str(path)]) == 0
 
 
 def test_a_model_may_look_at_where_the_platform_is_and_which_way_it_came(design):

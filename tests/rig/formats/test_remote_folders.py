@@ -18,7 +18,7 @@ from tests.conftest import BENCH
 
 
 @pytest.fixture
-def kept():
+def upload():
     """A function that keeps a folder in memory; what is there is forgotten at the end."""
     memory = fsspec.filesystem("memory")
     local_and_remote_input_files.clear_listing_cache()
@@ -35,12 +35,12 @@ def kept():
     local_and_remote_input_files.clear_listing_cache()
 
 
-def test_a_recording_behind_a_url_is_the_one_in_the_folder(kept, recording_folder, tmp_path, capsys):
-    here, there = recording.load_recording(recording_folder), recording.load_recording(kept(recording_folder))
+def test_a_recording_behind_a_url_is_the_one_in_the_folder(upload, recording_folder, tmp_path, capsys):
+    here, remote = recording.load_recording(recording_folder), recording.load_recording(upload(recording_folder))
     assert (
-        there.name == "rec"
-        and np.array_equal(here.corners.uv, there.corners.uv)
-        and np.array_equal(here.commands.values, there.commands.values)
+        remote.name == "rec"
+        and np.array_equal(here.corners.uv, remote.corners.uv)
+        and np.array_equal(here.commands.values, remote.commands.values)
     )
     for at, place in ((str(recording_folder), "here"), ("memory://bucket/rec", "there")):
         assert main(["measure", at, "--out", str(tmp_path / place), "--quiet"]) == 0
@@ -49,8 +49,8 @@ def test_a_recording_behind_a_url_is_the_one_in_the_folder(kept, recording_folde
     assert capsys.readouterr().out == ""
 
 
-def test_images_are_fetched_one_by_one_when_they_are_read(kept, monkeypatch):
-    address, fetched = kept(BENCH / "check"), []
+def test_images_are_fetched_one_by_one_when_they_are_read(upload, monkeypatch):
+    address, fetched = upload(BENCH / "check"), []
     monkeypatch.setattr(
         local_and_remote_input_files,
         "read_remote_bytes",
@@ -65,8 +65,8 @@ def test_images_are_fetched_one_by_one_when_they_are_read(kept, monkeypatch):
     assert [name for name in fetched if name.endswith(".png")] == [found.exposures.image[4].rsplit("/", 1)[1]]
 
 
-def test_images_that_are_missing_empty_or_cut_off_are_named(kept, capsys, tmp_path):
-    memory, address = fsspec.filesystem("memory"), kept(BENCH / "check")
+def test_images_that_are_missing_empty_or_cut_off_are_named(upload, capsys, tmp_path):
+    memory, address = fsspec.filesystem("memory"), upload(BENCH / "check")
     names = recording.load_recording(address).exposures.image
     memory.rm(f"/bucket/rec/{names[0]}")
     memory.pipe(f"/bucket/rec/{names[1]}", b"")
@@ -82,9 +82,9 @@ def test_images_that_are_missing_empty_or_cut_off_are_named(kept, capsys, tmp_pa
     assert [image.problem.split(" ")[:2] for image in left.skipped] == [["no", "such"], ["is", "an"], ["is", "cut"]]
 
 
-def test_stages_of_a_chain_are_looked_for_there_too(kept, recording_folder):
+def test_stages_of_a_chain_are_looked_for_there_too(upload, recording_folder):
     (recording_folder / "poses_stage1.csv").write_text("frame,x,y,z,rx,ry,rz\n0,0,0,0,0,0,0\n")
-    for folder in (recording_folder, kept(recording_folder)):
+    for folder in (recording_folder, upload(recording_folder)):
         with pytest.raises(FileError, match="rec/poses_stage1.csv: rig.toml has no 'stage 1' below a last platform"):
             recording.load_recording(folder)
 
@@ -99,15 +99,15 @@ def test_stages_of_a_chain_are_looked_for_there_too(kept, recording_folder):
         ("nothing://bucket/rec", "Protocol not known: nothing"),
     ],
 )
-def test_what_is_not_there_is_said(kept, recording_folder, tmp_path, capsys, name, says):
-    kept(recording_folder)
+def test_what_is_not_there_is_said(upload, recording_folder, tmp_path, capsys, name, says):
+    upload(recording_folder)
     assert main(["measure", name, "--out", str(tmp_path / "o")]) == 1
     error = capsys.readouterr().err
     assert says in error and "Traceback" not in error and not (tmp_path / "o").exists()
 
 
-def test_a_place_that_refuses_is_said(kept, recording_folder, monkeypatch):
-    address = kept(recording_folder)
+def test_a_place_that_refuses_is_said(upload, recording_folder, monkeypatch):
+    address = upload(recording_folder)
 
     def refuse(*_, **__):
         raise RuntimeError("no credentials")
@@ -130,14 +130,14 @@ def test_what_is_not_installed_is_named(monkeypatch):
         recording.load_recording("memory://bucket/other")
 
 
-def test_names_leave_no_folder_behind_a_url_and_results_stay_here(kept, recording_folder, tmp_path, capsys):
+def test_names_leave_no_folder_behind_a_url_and_results_stay_here(upload, recording_folder, tmp_path, capsys):
     text = (recording_folder / "frames.csv").read_text().splitlines()
     cells = text[1].split(",")
     (recording_folder / "frames.csv").write_text(
         "\n".join([text[0], ",".join([*cells[:3], "../other/0.png"]), *text[2:]]) + "\n"
     )
     with pytest.raises(FileError, match="lies outside the recording"):
-        recording.load_recording(kept(recording_folder))
+        recording.load_recording(upload(recording_folder))
     assert main(["design", "--radius", "0.3", "--out", "memory://bucket/rig.toml"]) == 1
     assert "results are written on this computer" in capsys.readouterr().err
     assert main(["measure", str(BENCH / "check"), "--out", "s3://bucket/measured"]) == 1
@@ -153,10 +153,10 @@ def test_a_folder_here_comes_before_a_url(tmp_path, recording_folder, monkeypatc
     )
 
 
-def test_what_is_fetched_can_be_kept(kept, recording_folder, tmp_path):
+def test_what_is_fetched_can_be_kept(upload, recording_folder, tmp_path):
     fsspec.config.conf["filecache"] = {"cache_storage": str(tmp_path / "kept")}
     try:
-        address = kept(recording_folder).replace("memory://", "filecache::memory://")
+        address = upload(recording_folder).replace("memory://", "filecache::memory://")
         found = recording.load_recording(address)
     finally:
         fsspec.config.conf.pop("filecache")

@@ -45,8 +45,8 @@ def test_a_file_with_and_without_forward_is_the_same_machine():
     values = np.random.default_rng(0).uniform(-0.2, 0.2, (20, 3))
     T = [kinematics_of(one).forward(values, one) for one in moved]
     assert np.abs(pose_difference(*T)).max() < 1e-12
-    again = pickle.loads(pickle.dumps(moved[0]))
-    assert np.abs(pose_difference(kinematics_of(again).forward(values, again), T[0])).max() == 0
+    unpickled = pickle.loads(pickle.dumps(moved[0]))
+    assert np.abs(pose_difference(kinematics_of(unpickled).forward(values, unpickled), T[0])).max() == 0
 
 
 def test_coordinates_that_are_no_freedoms_are_those_of_home():

@@ -35,8 +35,8 @@ def test_every_part_stays_in_reach_and_in_time(design, part):
     assert found.t[0] > found.commands.t[0] and found.t[-1] < found.commands.t[-1]
     speed = np.abs(np.diff(found.commands.values, axis=0)).max(axis=1) / np.diff(found.commands.t)
     assert speed.max() <= 1.01 * design.actuator.max_speed
-    again = plan.build_plan(design, part, seed=3)
-    assert (again.commands.values == found.commands.values).all()
+    rebuilt = plan.build_plan(design, part, seed=3)
+    assert (rebuilt.commands.values == found.commands.values).all()
 
 
 def test_a_wait_moves_nothing_and_ends(design):

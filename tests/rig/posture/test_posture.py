@@ -235,13 +235,15 @@ def test_motions_end_in_the_posture():
     )
     assert (rows[0] == q).all() and (rows[-1] == goal).all() and np.abs(np.diff(rows, axis=0)).max() < 0.03
     before = np.clip(q + 0.15 * rng.normal(size=7), *PANDA.limits.T)
-    way = arm_motion_between_postures.motion_with_straight_hand(before, goal, PANDA)
-    hand = mechanism.forward(way, PANDA).translation
+    motion = arm_motion_between_postures.motion_with_straight_hand(before, goal, PANDA)
+    hand = mechanism.forward(motion, PANDA).translation
     a, b = hand[0], hand[-1]
     line = (b - a) / np.linalg.norm(b - a)
-    assert np.linalg.norm(np.cross(hand - a, line), axis=1).max() < 1e-8 and (way[-1] == goal).all()
-    t = arm_motion_between_postures.posture_times(way, 0.5)
-    assert (np.diff(t) > 0).all() and (np.abs(np.diff(way, axis=0)).max(axis=1) / np.diff(t)).max() < 0.5 * (1 + 1e-9)
+    assert np.linalg.norm(np.cross(hand - a, line), axis=1).max() < 1e-8 and (motion[-1] == goal).all()
+    t = arm_motion_between_postures.posture_times(motion, 0.5)
+    assert (np.diff(t) > 0).all() and (np.abs(np.diff(motion, axis=0)).max(axis=1) / np.diff(t)).max() < 0.5 * (
+        1 + 1e-9
+    )
     with pytest.raises(RigError, match="no motion of the elbow alone"):
         arm_motion_between_postures.motion_with_hand_still(q, goal + 0.3, PANDA)
 
@@ -310,10 +312,10 @@ def test_an_arm_on_a_rail_is_told_in_mm_and_newton_where_it_slides(tmp_path, cap
     at, beyond = (",".join(map(repr, row)) for row in pose_to_vector(mechanism.forward(q, arm)).tolist())
     words = ["posture", str(tmp_path / "rail.toml"), "--force", "z", "--above", "0", "--exert", "0,0,-30", "--pose", at]
     assert command_line.main(words) == 0
-    said = capsys.readouterr().out
-    first = said.split("joint values, degrees and, of slides, mm: ")[1].split("\n")[0].split(", ")
+    output = capsys.readouterr().out
+    first = output.split("joint values, degrees and, of slides, mm: ")[1].split("\n")[0].split(", ")
     assert first[0].endswith(" mm") and not any("mm" in cell for cell in first[1:])
-    torques = said.split("margin to the limits: ")[1].split("\n")[0].split(", ")
+    torques = output.split("margin to the limits: ")[1].split("\n")[0].split(", ")
     assert " N (" in torques[0] and all(" Nm (" in cell for cell in torques[1:])
     assert command_line.main([*words, "--json"]) == 0
     tree = json.loads(capsys.readouterr().out)

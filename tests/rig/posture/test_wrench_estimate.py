@@ -222,8 +222,8 @@ def test_the_command_says_what_a_posture_can_exert_and_draws_it(capsys, tmp_path
         )
         == 0
     )
-    said = capsys.readouterr().out
-    assert "CANNOT be exerted, joint" in said and "smallest column of J^T" in said
+    output = capsys.readouterr().out
+    assert "CANNOT be exerted, joint" in output and "smallest column of J^T" in output
 
 
 @pytest.mark.parametrize(
@@ -312,20 +312,20 @@ def test_the_command_tells_the_wrench_beside_the_plain_one(tmp_path, capsys):
             )
             == 0
         )
-        printed, said = capsys.readouterr()
+        printed, error_text = capsys.readouterr()
         result = json.loads(printed)
-        assert ("motor currents" in said) == (columns == "i") and "weight and motion subtracted" in said
+        assert ("motor currents" in error_text) == (columns == "i") and "weight and motion subtracted" in error_text
         rows = csv_and_parquet_tables_and_time_origin.read_csv_table(out, ("t", "fx"))
         late = rows.matrix(DIRECTIONS)[int(SETTLED * 250) :]
         np.testing.assert_allclose(result["mean"], late.mean(axis=0), atol=1e-4)
         np.testing.assert_allclose(np.abs(result["largest"]), np.abs(late).max(axis=0), atol=1e-4)
         for part in ("", "plain_"):
-            told, sigma = (
+            estimated, sigma = (
                 rows.matrix([f"{part}{name}" for name in names])[25:]
                 for names in (("fx", "fy", "fz"), ("c00", "c11", "c22"))
             )
-            share = (np.abs(told - made[4][0][25:, :3]) < 2 * np.sqrt(sigma)).mean()
-            assert np.abs(told - made[4][0][25:, :3]).max() < 8.0 and 0.88 < share < 0.995, (part, share)
+            share = (np.abs(estimated - made[4][0][25:, :3]) < 2 * np.sqrt(sigma)).mean()
+            assert np.abs(estimated - made[4][0][25:, :3]).max() < 8.0 and 0.88 < share < 0.995, (part, share)
 
 
 @pytest.mark.parametrize(

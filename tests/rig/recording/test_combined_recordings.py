@@ -188,11 +188,11 @@ def test_a_moved_camera_is_told_and_the_diagnosis_is_of_both(tmp_path, capsys, r
     )
     capsys.readouterr()
     assert main(["diagnose", one, two, "--out", str(tmp_path / "both")]) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert (
-        "camera cam1 stands elsewhere, by 2." in said
-        and "where cameras cam0, cam2 stand;" in said
-        and "backlash at strut 3" in said
+        "camera cam1 stands elsewhere, by 2." in output
+        and "where cameras cam0, cam2 stand;" in output
+        and "backlash at strut 3" in output
     )
     assert main(["diagnose", one, "--out", str(tmp_path / "alone")]) == 0
     found = [json.loads((tmp_path / name / "diagnosis.json").read_text()) for name in ("both", "alone")]

@@ -117,9 +117,11 @@ def test_on_line_learning_takes_each_frame_once(two, tmp_path, capfd):
     for rec, status in (("fit", 0), ("fit", 1), ("measured", 1), ("check", 0), ("check", 1)):
         before = state.read_bytes() if state.exists() else b""
         assert command_line.main(["online", str(two / rec), "--state", str(state)]) == status
-        said = capfd.readouterr()
+        output = capfd.readouterr()
         if status:
-            assert "learnt already; once more they would be counted twice" in said.err and state.read_bytes() == before
+            assert (
+                "learnt already; once more they would be counted twice" in output.err and state.read_bytes() == before
+            )
     assert json.loads(state.read_text())["number"] == 60
     assert command_line.main(["online", str(two / "fit"), "--calibration", str(two / "c.json")]) == 1
     assert "count twice" in capfd.readouterr().err

@@ -197,10 +197,10 @@ def test_poses_survive_writing(tmp_path):
         np.array([0, 2, 3, 9]), exp(rng.normal(size=(4, 6)) * 0.2), A @ np.swapaxes(A, 1, 2) + 1e-12 * np.eye(6)
     )
     recording_tables.write_poses(tmp_path / "poses.csv", poses)
-    again = recording_tables.load_poses(tmp_path / "poses.csv", {0, 2, 3, 9})
-    assert again.frame.tolist() == [0, 2, 3, 9]
-    assert np.abs(pose_difference(again.T_base_platform, poses.T_base_platform)).max() < 2e-10
-    np.testing.assert_allclose(again.covariance, poses.covariance, rtol=1e-6)
+    loaded = recording_tables.load_poses(tmp_path / "poses.csv", {0, 2, 3, 9})
+    assert loaded.frame.tolist() == [0, 2, 3, 9]
+    assert np.abs(pose_difference(loaded.T_base_platform, poses.T_base_platform)).max() < 2e-10
+    np.testing.assert_allclose(loaded.covariance, poses.covariance, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -230,11 +230,11 @@ def test_corners_survive_writing(recording_folder):
     found = recording.load_recording(recording_folder).corners
     n = len(found.frame)
     covariance = np.tile(np.array([[4e-4, 1e-4], [1e-4, 9e-4]]), (n, 1, 1))
-    again = recording.Corners(found.frame, found.camera, found.marker, found.corner, found.uv, covariance)
-    recording_tables.write_corners(recording_folder / "corners.csv", again)
-    again = recording.load_recording(recording_folder).corners
-    np.testing.assert_allclose(again.uv, found.uv, atol=1e-5)
-    np.testing.assert_allclose(again.covariance, covariance, rtol=1e-3)
+    loaded = recording.Corners(found.frame, found.camera, found.marker, found.corner, found.uv, covariance)
+    recording_tables.write_corners(recording_folder / "corners.csv", loaded)
+    loaded = recording.load_recording(recording_folder).corners
+    np.testing.assert_allclose(loaded.uv, found.uv, atol=1e-5)
+    np.testing.assert_allclose(loaded.covariance, covariance, rtol=1e-3)
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="needs the shared recordings beside the project")

@@ -59,8 +59,8 @@ def test_tags_off_their_places_are_found_within_their_intervals(worked):
     rows = {int(number): row for row, number in enumerate(markers.id)}
     for move in found.moves:
         row = rows[move.place.number]
-        there = (platform if markers.on_platform[row] else base) * true.markers.T_body_marker[row]
-        inside += (np.abs(log(markers.T_body_marker[row].inv() * there) - move.by) < move.ci95).tolist()
+        true_pose = (platform if markers.on_platform[row] else base) * true.markers.T_body_marker[row]
+        inside += (np.abs(log(markers.T_body_marker[row].inv() * true_pose) - move.by) < move.ci95).tolist()
     assert np.mean(inside) > 0.85 and len(found.moves) == len(m.adjustment.unknowns.seen)
     assert sum(move.moved for move in found.moves) >= len(found.moves) - 1
     assert found.weighted[0] > 3 > 1.3 > found.weighted[1] and not found.odd
@@ -119,5 +119,5 @@ def test_places_are_written_into_rig_toml_and_read_back(worked, tmp_path):
     )
     path = tmp_path / "rig.toml"
     path.write_text(camera_instrument_and_cube_entries.replace_target_markers(text, adjusted_markers(m)))
-    again = marker_map(design_from_rig_toml.load_design(path))
-    np.testing.assert_allclose(again.corners, m.adjustment.state.markers.corners, atol=1e-8)
+    loaded = marker_map(design_from_rig_toml.load_design(path))
+    np.testing.assert_allclose(loaded.corners, m.adjustment.state.markers.corners, atol=1e-8)

@@ -89,7 +89,7 @@ def test_the_common_part_of_the_sides_is_what_the_priors_make_likeliest(design):
 @pytest.mark.slow
 def test_poses_own_up_to_how_markers_are_printed(design):
     """With places taken as stated poses would be off by some ten times what they say."""
-    chi2, alone, count, told = 0.0, [], 0, []
+    chi2, alone, count, claimed = 0.0, [], 0, []
     for seed in range(200, 206):
         observations, stated, T = off_recording(design, seed)
         m = measure_observations(observations, stated, marker_map(stated))
@@ -97,10 +97,10 @@ def test_poses_own_up_to_how_markers_are_printed(design):
         chi2, count = chi2 + joint_chi2(m, errors), count + len(errors)
         alone.append(np.mean(nees(errors, m.covariance)) / 6)
         assert m.noise == pytest.approx(NOISE, rel=0.06)
-        told.append((m.adjustment.printing.place, m.adjustment.printing.side))
+        claimed.append((m.adjustment.printing.place, m.adjustment.printing.side))
     assert chi2 / count == pytest.approx(6, rel=0.12)  # 864 numbers leave 5 % to chance
     assert np.mean(alone) < 2
-    place, side = np.sqrt(np.mean(np.square(told), axis=0))
+    place, side = np.sqrt(np.mean(np.square(claimed), axis=0))
     assert place == pytest.approx(0.6, rel=0.2) and side == pytest.approx(0.5, rel=0.35)
 
 

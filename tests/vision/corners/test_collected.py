@@ -10,20 +10,20 @@ from vision.predict import marker_cells
 LEFT, RIGHT, TOP, BOTTOM = 1, 2, 4, 8
 
 
-def told(cells, row, column, sides):
+def edge_kind(cells, row, column, sides):
     return int(pixel_edge_kinds(np.array(cells, float))[(row * 16 + column) * VIEWS + sides])
 
 
 def test_pixels_are_taken_for_what_they_see():
     corner = [[1, 1, 1], [1, 1, 0], [1, 0, 0]]
-    assert told(corner, 1, 1, LEFT | TOP) == NONE
-    assert told(corner, 1, 1, RIGHT) == 2 + 2 + 1  # one upright edge, the cell's right side, white first
-    assert told(corner, 1, 2, TOP) == 2 + 4 + 1  # one level edge, the cell's upper side, white first
+    assert edge_kind(corner, 1, 1, LEFT | TOP) == NONE
+    assert edge_kind(corner, 1, 1, RIGHT) == 2 + 2 + 1  # one upright edge, the cell's right side, white first
+    assert edge_kind(corner, 1, 2, TOP) == 2 + 4 + 1  # one level edge, the cell's upper side, white first
     assert (
-        told(corner, 1, 1, RIGHT | BOTTOM) == MEETS + 16 + 32 + 1
+        edge_kind(corner, 1, 1, RIGHT | BOTTOM) == MEETS + 16 + 32 + 1
     )  # they meet at its right and bottom: white at the top left alone
-    assert told(corner, 0, 2, LEFT | BOTTOM) == MEETS + 32 + 1 + 2 + 4
-    assert told(corner, 1, 1, 16) == 1  # where cells beyond the next are in sight
+    assert edge_kind(corner, 0, 2, LEFT | BOTTOM) == MEETS + 32 + 1 + 2 + 4
+    assert edge_kind(corner, 1, 1, 16) == 1  # where cells beyond the next are in sight
 
 
 def test_what_is_out_of_reach_is_nothing_and_large_markers_are_refused():

@@ -56,8 +56,8 @@ def test_how_it_changes_is_its_derivative():
     def ideal(u, v):
         return np.array(local_lens_and_fit_start.pixel_to_ideal(terms, u, v))
 
-    there = np.stack(
+    differences = np.stack(
         [(ideal(0.3 + du, -0.4 + dv) - ideal(0.3 - du, -0.4 - dv)) / (2 * step) for du, dv in ((step, 0), (0, step))],
         axis=1,
     )
-    assert np.abs(np.array([[found.ux, found.uy], [found.vx, found.vy]]) @ there - np.eye(2)).max() < 1e-7
+    assert np.abs(np.array([[found.ux, found.uy], [found.vx, found.vy]]) @ differences - np.eye(2)).max() < 1e-7

@@ -134,8 +134,8 @@ def test_a_grid_of_markers_is_read_too():
     view = find_board_corners(cv2.GaussianBlur(image, (0, 0), 0.8), board, camera)
     assert len(view.corner) == 48
     H, _ = cv2.findHomography(board.points[view.corner, :2], view.uv)
-    there = cv2.perspectiveTransform(board.points[view.corner, None, :2], H)[:, 0]
-    np.testing.assert_allclose(there, view.uv, atol=0.6)  # OpenCV draws to whole pixels
+    expected = cv2.perspectiveTransform(board.points[view.corner, None, :2], H)[:, 0]
+    np.testing.assert_allclose(expected, view.uv, atol=0.6)  # OpenCV draws to whole pixels
 
 
 def test_layout_is_opencvs():

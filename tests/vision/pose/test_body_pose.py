@@ -138,7 +138,7 @@ def test_a_flip_that_the_image_cannot_exclude_is_said(distance):
     )
     T, points = pose([0, 0, distance], [np.pi - 0.4, 0.1, 0.0]), markers.corners.reshape(-1, 3)
     ahead = T.apply(points)
-    said = []
+    ambiguous = []
     for seed in range(40):
         ideal = ahead[:, :2] / ahead[:, 2:] + 1e-4 * np.random.default_rng(seed).normal(size=(8, 2))
         found = body_pose_from_corners(
@@ -159,5 +159,5 @@ def test_a_flip_that_the_image_cannot_exclude_is_said(distance):
             assert np.linalg.norm(pose_difference(found.T_world_body, T)[3:]) < 0.3  # its mirrored tilt is 0.8 away
         else:
             assert ("two poses" in found.reason) == (len(found.candidates) == 2)
-        said.append("pose" if found else "two" if found.candidates else "none")
-    assert said.count("pose" if distance < 1 else "two") >= 20 and (distance > 1 or "two" not in said)
+        ambiguous.append("pose" if found else "two" if found.candidates else "none")
+    assert ambiguous.count("pose" if distance < 1 else "two") >= 20 and (distance > 1 or "two" not in ambiguous)

@@ -71,12 +71,12 @@ def test_a_moved_camera_is_named_at_once_and_once(design, ids, size):
     rng, watch = np.random.default_rng(2), Watch(design)
     for frame in range(5):
         assert watch.look(sight(design, ids, frame, rng), NOISE) == []
-    said = [watch.look(sight(design, ids, frame, rng, shift=(size, 0.0)), NOISE) for frame in range(5, 9)]
-    assert [len(alarms) for alarms in said] == [1, 0, 0, 0]
+    looks = [watch.look(sight(design, ids, frame, rng, shift=(size, 0.0)), NOISE) for frame in range(5, 9)]
+    assert [len(alarms) for alarms in looks] == [1, 0, 0, 0]
     assert (
-        said[0][0].kind == "camera"
-        and "camera 'cam1' has moved" in said[0][0].text
-        and f"{size:.1f}" in said[0][0].text
+        looks[0][0].kind == "camera"
+        and "camera 'cam1' has moved" in looks[0][0].text
+        and f"{size:.1f}" in looks[0][0].text
     )
     assert Watch(design).look(sight(design, ids, 0, rng, shift=(size, 0.0)), None) == [], (
         "before cameras are adjusted nothing is known of them"

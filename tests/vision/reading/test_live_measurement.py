@@ -96,7 +96,7 @@ def test_the_base_is_seen_from_the_platform_while_a_run_goes_on(tmp_path, opengl
     goals = sobol_configurations(strokes, TAUGHT[0] + 4, 0.5, 1)
     t = 10.0 * np.arange(len(goals) + 1)
     sensor = Sensor(blur=0.6, read_noise=1.5, electrons=8000.0)
-    eyes = EmulatedCameras(
+    cameras = EmulatedCameras(
         secret,
         Images(sensor),
         1,
@@ -105,9 +105,9 @@ def test_the_base_is_seen_from_the_platform_while_a_run_goes_on(tmp_path, opengl
     )
     live, sights, true = Live(design), [], []
     for k, goal in enumerate(goals):
-        T = RigidTransform.from_matrix(eyes.pose(t[k] + 4.0))
+        T = RigidTransform.from_matrix(cameras.pose(t[k] + 4.0))
         sights.append(
-            live.take(k, {"cam0": eyes.image("cam0", t[k] + 4.0, USUAL)}, hexapod.forward(goal, design.mechanism))
+            live.take(k, {"cam0": cameras.image("cam0", t[k] + 4.0, USUAL)}, hexapod.forward(goal, design.mechanism))
         )
         live.adjust()
         true.append(T)

@@ -155,10 +155,10 @@ def test_why_no_marker_was_found(design, case):
         image = np.ascontiguousarray(image[:, ::-1])
     if case == "nothing":
         image = np.random.default_rng(0).integers(0, 256, image.shape, np.uint8)
-    said = no_marker_reason([image], markers)
+    reason = no_marker_reason([image], markers)
     wanted = {
         "another dictionary": "DICT_6X6_1000",
         "mirrored": "the images are mirrored",
         "other identities": "other markers than rig.toml has: 6",
     }
-    assert wanted.get(case, "") in said and bool(said) == (case in wanted)
+    assert wanted.get(case, "") in reason and bool(reason) == (case in wanted)

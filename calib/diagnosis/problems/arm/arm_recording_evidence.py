@@ -102,12 +102,12 @@ def outlier_poses(arms: Arms, residuals: Floats, gate: float) -> Outliers:
     if far.sum() > MOST * len(arms):
         return Outliers(crowd=Crowd("poses", int(far.sum()), len(arms)))
     residual = np.linalg.solve(W[far], found.residual[far, :, None])[..., 0]
-    told = []
+    left_out = []
     for frame, off, relative in zip(arms.frame[far].tolist(), residual, np.abs(all_off[far])):
         turned = arms.unit == "rad" or int(relative.argmax()) >= 3
         size = float(np.linalg.norm(off[-3:] if turned else off[:3]))
-        told.append(LeftOut(frame, "pose", "rig", size, "rad" if turned else "m", float(relative.max()), REASON))
-    return Outliers(frozenset(arms.frame[far].tolist()), left_out=tuple(told))
+        left_out.append(LeftOut(frame, "pose", "rig", size, "rad" if turned else "m", float(relative.max()), REASON))
+    return Outliers(frozenset(arms.frame[far].tolist()), left_out=tuple(left_out))
 
 
 def _relative(residual: Floats) -> Floats:
@@ -146,7 +146,7 @@ class ArmEvidence:
     log_errors : {channel: (rows, q) K} of the smoothed temperatures, see `smooth_temperatures`
     stated : whether rig.toml or poses.csv state the noise of the poses, which cameras do not measure
     noise_times : {kind of noise: Value} by which the poses' covariance was scaled, over what is stated
-    beside : JointFit of what instruments show by themselves, which was fitted before the search, or None"""
+    instrument_fit : JointFit of what instruments show by themselves, which was fitted before the search, or None"""
 
     linear: Callable[[frozenset[int]], tuple[Arms, Geometry]]
     source: str
@@ -156,15 +156,15 @@ class ArmEvidence:
     log_errors: Mapping[str, Floats] = field(default_factory=dict)
     stated: bool = False
     noise_times: dict[str, Value] = field(default_factory=dict)
-    beside: JointFit | None = None
+    instrument_fit: JointFit | None = None
 
     @property
     def measured_findings(self) -> tuple[MeasuredFinding, ...]:
-        return () if self.beside is None else findings_of_measured_effects(self.beside)
+        return () if self.instrument_fit is None else findings_of_measured_effects(self.instrument_fit)
 
     @property
-    def measured_effects(self) -> tuple[Effect, ...]:
-        return () if self.beside is None else self.beside.effects
+    def effects_shown_by_instruments(self) -> tuple[Effect, ...]:
+        return () if self.instrument_fit is None else self.instrument_fit.effects
 
     @property
     def family(self) -> Family:
@@ -184,9 +184,9 @@ class ArmEvidence:
 
     def problem(self, outliers: Outliers) -> tuple[ArmProblem, list[NotAsked]]:
         arms, geometry = self.linear(outliers.frames)
-        candidates, not_asked = joint_candidates(arms, self.requested)
-        given = require_assumed_effects_testable(self.given, candidates, not_asked)
-        return ArmProblem(arms, candidates, given=given, geometry=geometry), not_asked
+        candidates, not_tested = joint_candidates(arms, self.requested)
+        given = require_assumed_effects_testable(self.given, candidates, not_tested)
+        return ArmProblem(arms, candidates, given=given, geometry=geometry), not_tested
 
     def outliers(self, fit: Fit, known: Outliers) -> Outliers:
         every = len(self.linear(frozenset())[0])
@@ -312,9 +312,9 @@ def arm_evidence(
         )
     known = sample_recording(recording, progress=progress, several_hands=True) if sampled is None else sampled
     fresh = known.samples.known is None and known.samples.tilts is not None
-    beside = fit_of_measured_effects(recording, known) if fresh else None
-    if beside is not None:
-        known = replace(known, samples=beside.samples)
+    instrument_fit = fit_of_measured_effects(recording, known) if fresh else None
+    if instrument_fit is not None:
+        known = replace(known, samples=instrument_fit.samples)
     sensors, log_errors = smooth_temperatures(recording.sensors)
     sight = None
     if known.measurement is not None and isinstance(recording.design.mechanism, Arm):
@@ -329,7 +329,13 @@ def arm_evidence(
 
     stated = known.measurement is None and not known.assumed
     return ArmEvidence(
-        linear, known.source, requested, stated_terms, log_errors=log_errors, stated=stated, beside=beside
+        linear,
+        known.source,
+        requested,
+        stated_terms,
+        log_errors=log_errors,
+        stated=stated,
+        instrument_fit=instrument_fit,
     )
 
 

@@ -27,7 +27,10 @@ from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import
 )
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
-from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_motion_inner_products, solve_candidate_at_nodes
+from calib.diagnosis.problems.arm.scores_of_all_candidates import (
+    joint_motion_normal_equations_by_frame,
+    solve_candidate_at_nodes,
+)
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     Value,
     onset_time_value,
@@ -73,7 +76,7 @@ def optimise_nonlinear_parameters(fit_without_term: Fit, term: Term) -> Term:
 
     Returns the term
     """
-    products = joint_motion_inner_products(fit_without_term, term.candidate.joint)
+    products = joint_motion_normal_equations_by_frame(fit_without_term, term.candidate.joint)
 
     def loss(node: Node) -> float:
         weights = term.candidate.weights(node)[fit_without_term.used]
@@ -129,7 +132,7 @@ def onset_time_interval(fit: Fit, number: int, dispersion: float) -> tuple[float
     around = values[max(here - AROUND, 0) : here + AROUND + 1]
     nodes = [{**term.node, name: float(value)} for value in around]
     found = solve_candidate_at_nodes(
-        rest, term.candidate, joint_motion_inner_products(rest, term.candidate.joint), nodes
+        rest, term.candidate, joint_motion_normal_equations_by_frame(rest, term.candidate.joint), nodes
     ).delta_chi2
     likely = around[found >= found.max() - ONE_IN_TWENTY * dispersion]
     return float(likely.min()), float(likely.max())

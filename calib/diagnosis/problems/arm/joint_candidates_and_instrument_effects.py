@@ -149,8 +149,8 @@ def joint_candidates(arms: Arms, requested_effects: RequestedEffects) -> tuple[l
             return EffectSites(None, (), [*lacking, NotAsked(kind.name, reason)])
         return EffectSites(found, found, lacking)
 
-    found, not_asked = requested_effects.candidates(sites_of, candidates_at)
-    return found, [*not_asked, *_beyond_poses(requested, beyond, arms)]
+    found, not_tested = requested_effects.candidates(sites_of, candidates_at)
+    return found, [*not_tested, *_beyond_poses(requested, beyond, arms)]
 
 
 def _numbers(candidate: JointCandidate, node: Node) -> int:
@@ -159,12 +159,12 @@ def _numbers(candidate: JointCandidate, node: Node) -> int:
 
 
 def _beyond_poses(
-    asked: dict[str, list[JointCandidate]], beyond: dict[str, list[tuple[int, bool]]], arms: Arms
+    requested: dict[str, list[JointCandidate]], beyond: dict[str, list[tuple[int, bool]]], arms: Arms
 ) -> list[NotAsked]:
     """What is not asked for because the poses are too few for its numbers, or for an effect as it states itself."""
     out: list[NotAsked] = []
     count, k, freedoms = arms.freedoms.shape
-    for name, found in asked.items():
+    for name, found in requested.items():
         numbers, whole = max(beyond.get(name, [(0, False)]))
         if numbers:
             most = most_parameters_of_candidate(count, k, freedoms, whole)
@@ -281,7 +281,7 @@ def _cached_function_of_node(weights: Callable[[Node], Floats]) -> Callable[[Nod
     return answer
 
 
-def measured_effects(recording: Recording, sampled: Sampled) -> tuple[Effect, ...]:
+def effects_shown_by_instruments(recording: Recording, sampled: Sampled) -> tuple[Effect, ...]:
     """Effects that are fitted with an arm's geometry since its instruments show them.
 
     Small where the fit begins.
@@ -303,11 +303,11 @@ def measured_effects(recording: Recording, sampled: Sampled) -> tuple[Effect, ..
 
 
 def fit_of_measured_effects(recording: Recording, sampled: Sampled) -> JointFit | None:
-    """JointFit of an arm's `measured_effects` with its geometry alone.
+    """JointFit of an arm's `effects_shown_by_instruments` with its geometry alone.
 
     All else is searched for beside it; None where there are none.
     """
-    effects = measured_effects(recording, sampled)
+    effects = effects_shown_by_instruments(recording, sampled)
     if not effects or recording.commands is None:
         return None
     samples, arm = sampled.samples, require_arm(recording.design.mechanism)

@@ -35,7 +35,7 @@ from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import optimise_terms
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_terms_to_poses
-from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_motion_inner_products
+from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_motion_normal_equations_by_frame
 from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
     AGREE,
     NAME,
@@ -98,7 +98,9 @@ def _best(now: Fit, joint: int, library: Library) -> Formula | None:
     """The Formula of what a Fit leaves of a joint on the poses that it used."""
     own = float(np.einsum("nkk->nk", now.arms.own)[now.used, :3].mean())
     floor = own / (own + float(np.mean(now.scatter[:3] ** 2)))
-    return Search(library, Reduced.of(joint_motion_inner_products(now, joint), np.flatnonzero(now.used)), floor).best()
+    return Search(
+        library, Reduced.of(joint_motion_normal_equations_by_frame(now, joint), np.flatnonzero(now.used)), floor
+    ).best()
 
 
 def _written(now: Fit, found: Found, formula: Formula) -> Written:
@@ -165,7 +167,7 @@ def find_lack_of_fit_by_joint(
     moved = arms.context.moved()
     axes = axis_places(moved.mechanism)
     for j in range(arms.q.shape[1]):
-        products = joint_motion_inner_products(fit, j)
+        products = joint_motion_normal_equations_by_frame(fit, j)
         information = float(products.gamma.sum())
         for depends, basis in _bases(arms, j):
             weights = basis[fit.used][:, None, :]
@@ -212,7 +214,7 @@ def excess_scatter_over_stated_noise(
         return []
     depends = ("configuration",) if recurs else tuple(c.name for c in covariates if _explains(c, len(covariates)))
     used, k = fit.used, fit.left.shape[1]
-    taken = (fit.arms.freedoms.shape[2] + fit.known()) / k  # of each number measured
+    fitted = (fit.arms.freedoms.shape[2] + fit.known()) / k  # of each number measured
     found = []
     for part, unit in ((slice(0, 3), fit.arms.unit), (slice(3, 6), "rad")):
         left, own = fit.left[used, part], fit.arms.own[used, part, part]
@@ -221,7 +223,7 @@ def excess_scatter_over_stated_noise(
             noise = float(np.sqrt(np.einsum("nii->n", own).mean()))
             found.append(
                 detect_excess_scatter(
-                    Place("rig"), unit, noise, square, left.size - left.shape[1] * taken, max(k // 3, 1), depends
+                    Place("rig"), unit, noise, square, left.size - left.shape[1] * fitted, max(k // 3, 1), depends
                 )
             )
     return [u for u in found if u is not None]
@@ -243,7 +245,7 @@ def ranked_covariates(before: Fit, after: Fit, cluster: int) -> list[Covariate]:
 def _shares(fit: Fit, cluster: int) -> dict[str, dict[str, Share]]:
     arms, used = fit.arms, fit.used
     count = arms.q.shape[1]
-    products = [joint_motion_inner_products(fit, j) for j in range(count)]
+    products = [joint_motion_normal_equations_by_frame(fit, j) for j in range(count)]
     requested = {
         **smooth_functions_of_time_and_sensors(arms.t, arms.context.sensors),
         **smooth_functions_of_axis_motion(arms.context.moved().path, arms.commands, arms.t),

@@ -270,10 +270,10 @@ def _of_chain(samples: Samples, design: Design) -> Linear:
     J = chains.parameter_jacobian(samples.commanded, chain) * sigma
     white = np.linalg.inv(np.linalg.cholesky(samples.covariance)) @ J
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->ij", white, white))
-    told = vectors[:, values > SEEN**2 * values[-1]]
+    determined = vectors[:, values > SEEN**2 * values[-1]]
     left = pose_difference(mechanism.forward(samples.commanded, chain), samples.T_base_platform)
-    geometry = Geometry(chain, sigma[:, None] * told, partial(chains.chain_with_parameter_step, chain))
-    return geometry, left, J @ told, mechanism.jacobian(samples.commanded, chain), samples.covariance
+    geometry = Geometry(chain, sigma[:, None] * determined, partial(chains.chain_with_parameter_step, chain))
+    return geometry, left, J @ determined, mechanism.jacobian(samples.commanded, chain), samples.covariance
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -250,8 +250,8 @@ def fit_terms_to_poses(
         if not last:
             break
         inverse = solve_triangular(factor[0], np.eye(len(H)), lower=False, check_finite=False)
-        taken = len(H) - (prior * (inverse**2).sum(axis=1)).sum()
-        new = _weighed(arms, left, used, min(taken / (k * used.sum()), 0.8))
+        fitted_count = len(H) - (prior * (inverse**2).sum(axis=1)).sum()
+        new = _weighed(arms, left, used, min(fitted_count / (k * used.sum()), 0.8))
         if new.like(weighing):
             break
         weighing = new

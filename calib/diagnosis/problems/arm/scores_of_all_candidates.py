@@ -54,7 +54,7 @@ def score_candidates(
     known, out = {}, []
     for i, candidate in enumerate(candidates):
         if candidate.joint not in known:
-            known[candidate.joint] = joint_motion_inner_products(fit, candidate.joint)
+            known[candidate.joint] = joint_motion_normal_equations_by_frame(fit, candidate.joint)
         score = _score(fit, candidate, known[candidate.joint], least_delta_bic, correlated_frames)
         if score is not None:
             out.append(score)
@@ -63,7 +63,7 @@ def score_candidates(
     return sorted(out, key=lambda s: -s.raw_delta_bic(fit.size))
 
 
-def joint_motion_inner_products(fit: Fit, joint: int | None) -> FrameProducts:
+def joint_motion_normal_equations_by_frame(fit: Fit, joint: int | None) -> FrameProducts:
     """Inner products (FrameProducts) of a joint's motion, or of the measured tangents (None), for the fitted poses."""
     A = _directions(fit, joint)
     turned = np.swapaxes(A, 1, 2)

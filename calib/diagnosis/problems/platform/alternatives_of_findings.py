@@ -27,14 +27,7 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 )
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CORNERS, LinearisedModel
-from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
-    residual_change_with_only_effects,
-)
-from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
-from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
-from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
-from calib.diagnosis.problems.platform.smooth_functions import SLOW
-from calib.diagnosis.problems.platform.tolerance_columns import (
+from calib.diagnosis.problems.platform.marker_and_thermometer_tolerances import (
     SignificantTolerance,
     model_with_tolerances,
     share_not_explained_by_tolerances,
@@ -42,6 +35,13 @@ from calib.diagnosis.problems.platform.tolerance_columns import (
     tolerance_model,
     tolerance_sigmas_from_residuals,
 )
+from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
+    residual_change_with_only_effects,
+)
+from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
+from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
+from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
+from calib.diagnosis.problems.platform.smooth_functions import SLOW
 from calib.diagnosis.problems.remainder_covariates_and_repeatability import time_cosines
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import ALL
@@ -81,7 +81,7 @@ def _unlogged_temperature_alternatives(problem: PlatformProblem, selection: Plat
             for place in _places(kind, f.score.candidate.place)
             if lacks_temperature_log(k, kind.follows(place, effect_context(k))) and _acts_if_warm(k, kind, place)
         ]
-        findings.append(_beside_temperatures(problem, selection, f, requested) if requested else f)
+        findings.append(_with_temperature_alternatives(problem, selection, f, requested) if requested else f)
     return replace(selection, findings=findings)
 
 
@@ -94,16 +94,16 @@ def _acts_if_warm(k: OperatingPoint, kind: type[Effect], place: str) -> bool:
     return kind(place, **{kind.parameters[0].name: STEP}).needs(known.motion(())) is None
 
 
-def _beside_temperatures(
+def _with_temperature_alternatives(
     problem: PlatformProblem,
     selection: PlatformSelection,
     finding: Finding[PlatformCandidate],
-    asked: list[tuple[type[Effect], str]],
+    requested: list[tuple[type[Effect], str]],
 ) -> Finding[PlatformCandidate]:
-    model, alternatives = problem.beside(selection.fit, finding.number), list(finding.alternatives)
+    model, alternatives = problem.model_without_term(selection.fit, finding.number), list(finding.alternatives)
     alone = problem.marginalised(model)
     own = finding.score.delta_chi2 * finding.score.dispersion
-    for kind, place in asked:
+    for kind, place in requested:
         warm = problem.marginalised(model.marginalise(_courses(model, kind, place)))
         if is_finding_significant(problem, finding, warm, selection.fit, selection.asked):
             continue

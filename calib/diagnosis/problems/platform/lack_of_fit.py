@@ -32,7 +32,7 @@ from calib.diagnosis.problems.platform.linearised_corners import MEDIAN, edge_sh
 from calib.diagnosis.problems.platform.scores_of_all_candidates import (
     axis_elongation_inner_products,
     constant_displacement_normal_equations,
-    corner_displacement_inner_products,
+    corner_displacement_normal_equations_by_frame,
 )
 from calib.diagnosis.problems.platform.smooth_functions import (
     FAST,
@@ -140,7 +140,9 @@ def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
     out: list[LackOfFit | None] = []
     at, information = Place("camera", camera.name), count / model.corner_noise() ** 2
     if i not in k.moving:
-        products = corner_displacement_inner_products(model, camera_mount_and_focal_pixel_derivatives(model, at))
+        products = corner_displacement_normal_equations_by_frame(
+            model, camera_mount_and_focal_pixel_derivatives(model, at)
+        )
         out += [
             test_lack_of_fit(
                 model.linear,
@@ -200,7 +202,7 @@ def _still(
         )
     pixels = np.zeros((len(model.point.observed.row), *moved.shape[1:]))
     pixels[hit] = moved
-    products = corner_displacement_inner_products(model, pixels)
+    products = corner_displacement_normal_equations_by_frame(model, pixels)
     weights = np.broadcast_to(np.eye(products.beta.shape[1]), products.gamma.shape)
     return test_lack_of_fit(model.linear, products, Test(place, "px", (depends,), weights, information))
 
@@ -293,7 +295,7 @@ def _shares(model: LinearisedModel) -> dict[str, dict[str, Share]]:
     if k.seen is not None and len(k.moving) < len(k.design.cameras):
         seen = np.unique(k.seen.observations.camera)
         views = [
-            corner_displacement_inner_products(
+            corner_displacement_normal_equations_by_frame(
                 model, camera_mount_and_focal_pixel_derivatives(model, Place("camera", k.design.cameras[i].name))
             )
             for i in seen

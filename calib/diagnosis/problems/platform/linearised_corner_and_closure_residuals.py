@@ -22,7 +22,11 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     cube_seat_freedoms,
     split_rows_by_frame_bases,
 )
-from calib.models.platform.closed_loop_equations import loop_covariance, scatter_of_redundant_struts, with_reading
+from calib.models.platform.closed_loop_equations import (
+    covariance_with_length_resolution,
+    loop_covariance,
+    scatter_of_redundant_struts,
+)
 from calib.models.platform.identification import PRIOR
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.hands_places_and_tolerances import FINDER, SEAT
@@ -244,8 +248,8 @@ def _corner_frames(
     far = np.abs(rho / sigma)
     excess = float((2 * clip * np.maximum(far - clip, 0)).sum())
     reach = float(np.quantile(far, REACHED)) if len(far) else 0.0
-    taken, left = split_rows_by_frame_bases(np.clip(rho / sigma, -clip, clip), local, edges)
-    inner = np.concatenate([taken, rows.inner / sigma], axis=2)
+    projected, left = split_rows_by_frame_bases(np.clip(rho / sigma, -clip, clip), local, edges)
+    inner = np.concatenate([projected, rows.inner / sigma], axis=2)
     return (
         CornerFrames(rows.order, edges, rows.whiten, local, rows.to_local * sigma, inner, sigma, excess, clip, reach),
         left[:, 0],
@@ -259,7 +263,7 @@ def _closures(k: OperatingPoint, frames: CornerFrames, scattered: Floats | None)
     if k.own is not None:
         covariance = loop_covariance(A, k.own)
     else:
-        covariance = with_reading(to_length @ np.swapaxes(to_length, 1, 2))
+        covariance = covariance_with_length_resolution(to_length @ np.swapaxes(to_length, 1, 2))
     inner = frames.inner
     rows = np.concatenate(
         [

@@ -121,12 +121,12 @@ def _wild_frames(k: OperatingPoint, covariance: Floats) -> Outliers:
     )
     if far.sum() > MOST * len(far):
         return Outliers(crowd=Crowd("frames", int(far.sum()), len(far)))
-    told = []
+    left_out = []
     for f in np.flatnonzero(far).tolist():
         i = int(np.abs(found.relative[f]).argmax())
         off, times = float(abs(found.residual[f, i]) * sigma[f, i]), float(abs(found.relative[f, i]))
-        told.append(LeftOut(int(k.frames[f]), "pose", str(k.places[i]), off, k.axis_unit, times, ALONE))
-    return Outliers(frozenset(k.frames[far].tolist()), left_out=tuple(told))
+        left_out.append(LeftOut(int(k.frames[f]), "pose", str(k.places[i]), off, k.axis_unit, times, ALONE))
+    return Outliers(frozenset(k.frames[far].tolist()), left_out=tuple(left_out))
 
 
 def _smooth(k: OperatingPoint) -> Floats:
@@ -177,7 +177,7 @@ def _wild_corners(k: OperatingPoint) -> Outliers:
     retained = np.bincount(s.frame[~wild], minlength=len(k.frames))[s.frame]
     wild &= retained >= HELD
     rows, names = np.flatnonzero(wild).tolist(), [camera.name for camera in k.design.cameras]
-    told = tuple(
+    left_out = tuple(
         LeftOut(
             int(k.frames[s.frame[i]]),
             "corners",
@@ -190,7 +190,7 @@ def _wild_corners(k: OperatingPoint) -> Outliers:
         for i in rows
     )
     keys = frozenset((int(k.frames[s.frame[i]]), int(s.camera[i]), int(s.marker[i])) for i in rows)
-    return Outliers(sightings=keys, left_out=told)
+    return Outliers(sightings=keys, left_out=left_out)
 
 
 def _near(k: OperatingPoint, middle: Floats, i: int) -> Floats:

@@ -16,7 +16,7 @@ from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Wald
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.platform import lack_of_fit as remainder
-from calib.diagnosis.problems.platform import tolerance_columns
+from calib.diagnosis.problems.platform import marker_and_thermometer_tolerances
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
     PlatformCandidate,
     PlatformScore,
@@ -79,15 +79,15 @@ class PlatformProblem:
         if self.tolerant:
             return False
         model = fit.refined.marginalised
-        found = tolerance_columns.tolerance_model(model, self.sensitivities)
+        found = marker_and_thermometer_tolerances.tolerance_model(model, self.sensitivities)
         if found is None:
             return False
         seen = found.projected(model)
-        if not tolerance_columns.tolerances_explain_residuals(seen, found.sigma):
+        if not marker_and_thermometer_tolerances.tolerances_explain_residuals(seen, found.sigma):
             return False
-        return best is None or tolerance_columns.log_likelihood_ratio_with_tolerances(seen, found.sigma) > float(
-            best.raw_delta_bic(model.size)
-        )
+        return best is None or marker_and_thermometer_tolerances.log_likelihood_ratio_with_tolerances(
+            seen, found.sigma
+        ) > float(best.raw_delta_bic(model.size))
 
     def with_tolerances(self) -> Self:
         other = replace(self, tolerant=True)
@@ -105,12 +105,12 @@ class PlatformProblem:
         return fit.refined.model.size
 
     def residual(self, fit: PlatformFit) -> LinearisedModel:
-        return self.beside_tolerances(fit.refined.marginalised)
+        return self.model_beyond_tolerances(fit.refined.marginalised)
 
     def without_term(self, fit: PlatformFit, number: int) -> LinearisedModel:
-        return self.marginalised(self.beside(fit, number))
+        return self.marginalised(self.model_without_term(fit, number))
 
-    def beside(self, fit: PlatformFit, number: int) -> LinearisedModel:
+    def model_without_term(self, fit: PlatformFit, number: int) -> LinearisedModel:
         """LinearisedModel without an admitted effect, the others' parameters not among the nuisances yet. What moves
         corners is first taken up by cameras and poses as far as they can: corners that it moved far would be clipped,
         and what it does would no longer be linear."""
@@ -124,15 +124,15 @@ class PlatformProblem:
     def marginalised(self, model: LinearisedModel) -> LinearisedModel:
         """LinearisedModel with the parameters of the effects admitted there among the nuisances."""
         _, column = effect_parameter_directions(model, self.sensitivities)
-        return self.beside_tolerances(model if column is None else model.marginalise(column))
+        return self.model_beyond_tolerances(model if column is None else model.marginalise(column))
 
-    def beside_tolerances(self, model: LinearisedModel) -> LinearisedModel:
+    def model_beyond_tolerances(self, model: LinearisedModel) -> LinearisedModel:
         """LinearisedModel with what tolerances do among the nuisances, where this problem is tolerant."""
-        found = tolerance_columns.tolerance_model(model, self.sensitivities) if self.tolerant else None
-        return model if found is None else tolerance_columns.model_with_tolerances(model, found)
+        found = marker_and_thermometer_tolerances.tolerance_model(model, self.sensitivities) if self.tolerant else None
+        return model if found is None else marker_and_thermometer_tolerances.model_with_tolerances(model, found)
 
     def covered(self, fit: PlatformFit, number: int, left: list[LackOfFit]) -> LinearisedModel:
-        model = self.beside(fit, number)
+        model = self.model_without_term(fit, number)
         whole = not fit.terms[number].site.is_axis
         return self.marginalised(model_with_smooth_functions(model, *smooth_function_columns(model, left, whole)))
 
@@ -176,7 +176,7 @@ class PlatformProblem:
         )
 
     def exchange_term(self, fit: PlatformFit, number: int, score: PlatformScore) -> PlatformFit:
-        model = self.beside(fit, number)
+        model = self.model_without_term(fit, number)
         refined = add_term(
             refinement_as_it_stands(model, self.sensitivities), score, self.sensitivities.at(model.point)
         )

@@ -107,10 +107,10 @@ class PlatformEvidence:
 
     def problem(self, outliers: Outliers) -> tuple[PlatformProblem, list[NotAsked]]:
         point = operating_point_without_distant_corners(_without_outliers(self.point, outliers))
-        candidates, not_asked = platform_candidates(point, self.requested)
+        candidates, not_tested = platform_candidates(point, self.requested)
         return PlatformProblem(
-            point, candidates, given=require_assumed_effects_testable(self.given, candidates, not_asked)
-        ), not_asked
+            point, candidates, given=require_assumed_effects_testable(self.given, candidates, not_tested)
+        ), not_tested
 
     def outliers(self, fit: PlatformFit, known: Outliers) -> Outliers:
         at, frames = fit.refined.point, self.point.frames
@@ -210,7 +210,7 @@ class PlatformEvidence:
         return (*swapped, *map(_moved_face, self.moved))
 
     @property
-    def measured_effects(self) -> tuple[Effect, ...]:
+    def effects_shown_by_instruments(self) -> tuple[Effect, ...]:
         return self.swapped
 
     def parameters(
@@ -273,7 +273,7 @@ def platform_evidence(
         else []
     )
     discrete = [kind for kind in requested.kinds if kind.discrete and requested.name(kind.name)]
-    swapped = [s for s in find_marker_swaps(point, discrete) if _exchange_asked(s, requested)]
+    swapped = [s for s in find_marker_swaps(point, discrete) if _is_exchange_requested(s, requested)]
     covariance = (
         measured.covariance if measured is not None else np.zeros((0, 6, 6)) if point.own is None else point.own
     )
@@ -327,7 +327,7 @@ def _moved_face(move: Move) -> MeasuredFinding:
     return MeasuredFinding(FACE_MOTION, str(move.place), parameters)
 
 
-def _exchange_asked(effect: Effect, requested: RequestedEffects) -> bool:
+def _is_exchange_requested(effect: Effect, requested: RequestedEffects) -> bool:
     """Whether an exchange is asked for at one of its two markers, and left out at neither."""
     places = [str(place) for place in effect.sites_touched()]
     return any(requested.place(effect.name, p) for p in places) and not any(

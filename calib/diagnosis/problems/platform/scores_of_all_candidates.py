@@ -90,7 +90,7 @@ def score_candidates(
             )
         elif candidate.reach is Reach.MOUNT:
             if candidate.place not in mounts:
-                mounts[candidate.place] = corner_displacement_inner_products(
+                mounts[candidate.place] = corner_displacement_normal_equations_by_frame(
                     model, camera_mount_pixel_derivatives(model, Place.parse(candidate.place))
                 )
             score = _mounted(model, candidate, mounts[candidate.place], least_delta_bic)
@@ -109,11 +109,7 @@ def score_candidates(
 
 
 def candidate_column(
-    model: LinearisedModel,
-    candidate: PlatformCandidate,
-    node: Node,
-    sensitivities: Sensitivities,
-    motion: Motion | None = None,
+    model: LinearisedModel, candidate: PlatformCandidate, node: Node, sensitivities: Sensitivities
 ) -> Column:
     """Column of one node of a candidate.
 
@@ -125,7 +121,7 @@ def candidate_column(
             vibration_frequency.axis_elongations_by_sinusoidal_platform_motion(model, np.array([node["frequency"]]))[0]
         )
     if candidate.reach is Reach.AXES:
-        return model.lengthened(sensitivities.deviation(candidate, node, motion or k.motion(k.effects)))
+        return model.lengthened(sensitivities.deviation(candidate, node, k.motion(k.effects)))
     if candidate.reach is Reach.MOUNT:
         pixels = (
             camera_mount_pixel_derivatives(model, Place.parse(candidate.place))
@@ -147,7 +143,7 @@ def axis_elongation_inner_products(model: LinearisedModel) -> FrameProducts:
     return FrameProducts(np.einsum("fij,fi->fj", W, y), np.swapaxes(W, 1, 2) @ W, np.einsum("fij,fip->fjp", W, Q))
 
 
-def corner_displacement_inner_products(model: LinearisedModel, pixels: Floats) -> FrameProducts:
+def corner_displacement_normal_equations_by_frame(model: LinearisedModel, pixels: Floats) -> FrameProducts:
     """Inner products (FrameProducts) of corner displacements (n, 2, a) px, frame by frame.
 
     The residual and the basis stand square to each frame's own poses, so the displacements need not be freed of them
@@ -291,6 +287,6 @@ def _viewed(
     best = int(np.argmax(solved.delta_chi2 - solved.rank * np.log(model.size)))
     if solved.delta_chi2[best] < least:
         return score_of_insignificant_candidate_without_dispersion(candidate, solved, best)
-    products = corner_displacement_inner_products(model, sensitivities.corners(*seen[best]))
+    products = corner_displacement_normal_equations_by_frame(model, sensitivities.corners(*seen[best]))
     weights = np.broadcast_to(np.eye(products.beta.shape[1]), products.gamma.shape)
     return score_at_node(model.linear, candidate, best, candidate.grid[best], solved, products, weights)

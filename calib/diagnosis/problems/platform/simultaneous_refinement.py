@@ -140,14 +140,14 @@ class Refinement:
 class _Freedom:
     """c coordinates to be stepped along. column : Column of them; values : (c,) now; loose : (c,) 1 / standard
     deviation beforehand
-    low, high : (c,) bounds; kept : (k, c) sums of them that stay"""
+    low, high : (c,) bounds; conserved : (k, c) sums of them that stay"""
 
     column: Column
     values: Floats
     loose: Floats
     low: Floats
     high: Floats
-    kept: Floats
+    conserved: Floats
 
     @staticmethod
     def of(coordinates: list[Coordinate], effects: tuple[Effect, ...], column: Column) -> "_Freedom":
@@ -162,13 +162,18 @@ class _Freedom:
             conserved_coordinate_sums(coordinates, effects),
         )
 
-    def beside(self, other: "_Freedom") -> "_Freedom":
+    def joined_with(self, other: "_Freedom") -> "_Freedom":
         """Both together."""
         values, worth, low, high = (
             np.r_[getattr(self, name), getattr(other, name)] for name in ("values", "loose", "low", "high")
         )
         return _Freedom(
-            join_columns([self.column, other.column]), values, worth, low, high, block_diag(self.kept, other.kept)
+            join_columns([self.column, other.column]),
+            values,
+            worth,
+            low,
+            high,
+            block_diag(self.conserved, other.conserved),
         )
 
 
@@ -190,7 +195,7 @@ def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensit
         )
         low, high = coefficient_bounds(score.candidate.spec)
         new = _Freedom(column, np.zeros(len(theta)), priors, low, high, np.zeros((0, len(theta))))
-        free = new if own is None else own.beside(new)
+        free = new if own is None else own.joined_with(new)
         parts, step = free.column, _step(model, free)[0]
         theta = score.candidate.allowed(step[len(refinement.coordinates) :])
         step = np.r_[step[: len(refinement.coordinates)], theta]
@@ -302,7 +307,7 @@ def _step(model: LinearisedModel, free: _Freedom) -> tuple[Floats, Floats]:
     """Step (c,) of coordinates, to a bound at most, and their covariance (c, c), of which bounds know nothing."""
     found = model.linear.project(free.column)
     b, G = found.right - free.loose**2 * free.values, found.gram + np.diag(free.loose**2)
-    return bounded_least_squares_step(b, G, free.values, np.stack([free.low, free.high], axis=1), free.kept)
+    return bounded_least_squares_step(b, G, free.values, np.stack([free.low, free.high], axis=1), free.conserved)
 
 
 def _try(

@@ -48,14 +48,14 @@ def strut_deviation_basis_functions_by_covariate(point: OperatingPoint) -> list[
         if np.ptp(series) > 0:
             bases.append((name, _alike(scaled_powers(series, 2), ones)))
     motion = point.motion(())
-    lengths, way_last = motion.lengths, motion.path.direction
+    lengths, last_direction = motion.lengths, motion.path.direction
     for j in range(point.axes):
         bases.append((f"strut {j + 1}'s position", _alike(scaled_powers(lengths[:, j], 4), ones)))
     scaled = np.stack([centred_and_scaled_to_plus_minus_one(column) for column in lengths.T], axis=1)
-    bases.append(("history", np.stack([way_last, way_last * scaled], axis=2)))
-    way = motion.path.way
-    if np.ptp(way, axis=0).min(initial=np.inf) > 0:
-        bases.append(("way travelled", np.stack([scaled_powers(column, 2) for column in way.T], axis=1)))
+    bases.append(("history", np.stack([last_direction, last_direction * scaled], axis=2)))
+    travel = motion.path.travel
+    if np.ptp(travel, axis=0).min(initial=np.inf) > 0:
+        bases.append(("way travelled", np.stack([scaled_powers(column, 2) for column in travel.T], axis=1)))
     pace = axis_speeds(point.commanded, point.t)
     speeds = np.stack([pace, pace * np.abs(pace) / max(np.abs(pace).max(), 1e-300)], axis=2)
     if pace.any():

@@ -137,7 +137,7 @@ def _of_all(k: OperatingPoint) -> Site:
 
 def _of_platform(k: OperatingPoint) -> Site:
     motion = k.motion(())
-    ways = [k.swayed(motion.tangents(np.broadcast_to(way, (len(k.t), 6)))) for way in np.eye(len(POSE))]
+    ways = [k.swayed(motion.tangents(np.broadcast_to(direction, (len(k.t), 6)))) for direction in np.eye(len(POSE))]
     return Site(
         "rig", list(range(k.axes)), np.stack(ways, axis=2), library_of_quantities(motion, None, len(POSE), True)
     )
@@ -152,7 +152,7 @@ def _found(problem: PlatformProblem, fit: PlatformFit, model: LinearisedModel, s
     first = _best(model, site)
     if first is None:
         return None
-    repeated = _weighed_beside(problem, fit, site, first)
+    repeated = _model_with_formula(problem, fit, site, first)
     second = _best(repeated, site)
     return None if second is None else (site, second, repeated)
 
@@ -188,10 +188,10 @@ def _with(problem: PlatformProblem, fit: PlatformFit, point: OperatingPoint) -> 
     coordinates, column = effect_parameter_directions(bare, problem.sensitivities)
     others = [i for i, c in enumerate(coordinates) if c.effect < len(fit.refined.point.effects)]
     new = bare.marginalise(column.take(others)) if others and column is not None else bare
-    return problem.beside_tolerances(new), bare
+    return problem.model_beyond_tolerances(new), bare
 
 
-def _weighed_beside(problem: PlatformProblem, fit: PlatformFit, site: Site, formula: Formula) -> LinearisedModel:
+def _model_with_formula(problem: PlatformProblem, fit: PlatformFit, site: Site, formula: Formula) -> LinearisedModel:
     """LinearisedModel in which nothing of a Formula is taken off, and struts count for what they scatter beside it."""
     k = fit.refined.point
     new, bare = _with(problem, fit, k.with_effects((*k.effects, _effect(site, formula))))
@@ -230,9 +230,9 @@ def _suggested(
     rows = np.repeat(fold, model.point.axes)
     for h, one in zip(np.unique(fold), chosen):
         if one is not None:
-            taken = model.marginalise(model.lengthened(site.deviation(one)))
+            marginalised = model.marginalise(model.lengthened(site.deviation(one)))
             predicted = held_out_residuals(
-                taken.linear, tuple(block.residual for block in taken.linear.blocks), fold, h
+                marginalised.linear, tuple(block.residual for block in marginalised.linear.blocks), fold, h
             ).frames[CLOSURES]
             withit[rows == h] = predicted[rows == h]
     squares = [(left.reshape(model.frames, -1) ** 2).sum(axis=1) for left in (without, withit)]

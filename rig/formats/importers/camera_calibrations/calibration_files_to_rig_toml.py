@@ -77,10 +77,10 @@ def rig_toml_with_cameras(
         named = {_ours(one, settings, known, alone=len(found) * len(settings.files) == 1): one for one in found}
         if len(named) < len(found):
             raise RigError(f"{file}: two of its cameras would be one: --set cameras.names.THEIRS=OURS separates them")
-        T_base, told = _anchor(named, known, settings, file)
+        T_base, base_remarks = _anchor(named, known, settings, file)
         changed += [_camera(name, one, known.get(name), T_base) for name, one in named.items()]
-        lines += (f"{file.name} is a result of {kind}: {len(found)} camera{'s' * (len(found) > 1)}", *told)
-        lines += tuple(line for one in found for line in one.said)
+        lines += (f"{file.name} is a result of {kind}: {len(found)} camera{'s' * (len(found) > 1)}", *base_remarks)
+        lines += tuple(line for one in found for line in one.remarks)
     names = [camera.name for camera in changed]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice:
@@ -145,19 +145,19 @@ def _pose(text: str) -> RigidTransform:
     return pose(figures[:3], figures[3:])
 
 
-def _camera(name: str, one: ForeignCamera, there: Camera | None, T_base: RigidTransform | None) -> Camera:
-    """The camera as rig.toml will have it. there : of that name, or None"""
+def _camera(name: str, one: ForeignCamera, known: Camera | None, T_base: RigidTransform | None) -> Camera:
+    """The camera as rig.toml will have it. known : of that name, or None"""
     placed = None if one.T is None or T_base is None else T_base * one.T
-    if there is not None:
-        if one.size not in (None, (there.width, there.height)):
+    if known is not None:
+        if one.size not in (None, (known.width, known.height)):
             width, height = one.size or (0, 0)
             one.at.fail(
                 f"camera {name} was calibrated at {width}x{height} px, and rig.toml has "
-                f"{there.width}x{there.height}: a lens holds for one "
+                f"{known.width}x{known.height}: a lens holds for one "
                 "size of image"
             )
         return replace(
-            there, matrix=one.matrix, distortion=one.distortion, pose=there.pose if placed is None else placed
+            known, matrix=one.matrix, distortion=one.distortion, pose=known.pose if placed is None else placed
         )
     if placed is None or one.size is None:
         lacks = "where it stands" if placed is None else "its size"

@@ -24,7 +24,8 @@ ORTHOGONAL = 1e-3  # that a rotation's product with its transpose may differ fro
 class ForeignCamera:
     """name : theirs; size : width and height, px, or None; matrix : (3, 3) px; distortion : OpenCV's order, of a length
     that a rig.toml takes
-    T : T_reference_camera, the reference being their own, or None where nothing tells; said : what became of its lens;
+    T : T_reference_camera, the reference being their own, or None where nothing tells; remarks : what became of its
+    lens;
         at : where it stands"""
 
     name: str
@@ -33,7 +34,7 @@ class ForeignCamera:
     distortion: Floats
     T: RigidTransform | None
     at: Entries
-    said: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 def checked_image_size(entries: Entries, key: str) -> tuple[int, int]:

@@ -138,13 +138,13 @@ def test_the_file_keeps_everything(plain, tmp_path):
         done.correction, done.found.covariance, done.found.scatter, (1, 2), (3,), done.held_out, {"seed": 0}
     )
     calibration_file.save(tmp_path / "c.json", calibration)
-    again = calibration_file.load(tmp_path / "c.json")
+    loaded = calibration_file.load(tmp_path / "c.json")
     np.testing.assert_allclose(
-        pose_difference(again.correction.predict(samples.commanded), done.correction.predict(samples.commanded)),
+        pose_difference(loaded.correction.predict(samples.commanded), done.correction.predict(samples.commanded)),
         0,
         atol=1e-12,
     )
-    assert again.held_out == done.held_out and again.correction.visited.shape == (150, 6)
+    assert loaded.held_out == done.held_out and loaded.correction.visited.shape == (150, 6)
     assert json.loads((tmp_path / "c.json").read_text())["parameter_order"].startswith("base x, base y")
 
 
@@ -253,7 +253,7 @@ def test_an_arms_claims_cover_what_is_found_elsewhere():
     for seed in range(6):
         rng = np.random.default_rng(seed)
         true = worlds.secret(UR10, rng)
-        samples = worlds.tracked(true, UR10, 36 + 4 * seed, rng, again=4 * seed)
+        samples = worlds.tracked(true, UR10, 36 + 4 * seed, rng, repeats=4 * seed)
         done = certify_arm(samples, UR10, worlds.TRACKER, rng)
         claim = arm_workspace_claim(samples, done, rng)
         seen = np.stack([samples.commanded.min(axis=0), samples.commanded.max(axis=0)], axis=1)
@@ -274,8 +274,8 @@ def test_an_arms_claims_cover_what_is_found_elsewhere():
 @pytest.mark.slow
 def test_real_arm_through_the_command_line(shared, tmp_path):
     arm = shared / "recordings/arm-1"
-    said = run("calibrate", arm, "--out", tmp_path / "c.json").stdout
-    assert "30 of 30 parameters fitted" in said and "random" in said
+    output = run("calibrate", arm, "--out", tmp_path / "c.json").stdout
+    assert "30 of 30 parameters fitted" in output and "random" in output
     tree = json.loads((tmp_path / "c.json").read_text())
     assert tree["held_out"]["before"]["mean"][0] > 0.7e-3 and tree["held_out"]["after"]["mean"][0] < 0.13e-3
     assert (tmp_path / "c.html").read_text().count("<svg") >= 8

@@ -99,22 +99,22 @@ def test_it_is_kept_in_the_file_and_says_how_sure_it_is(gridded, tmp_path):
         samples, UR10, worlds.TRACKER, ExtensionRequest("linear", True), np.random.default_rng(0)
     )
     claim = claim_without_geometry(samples, done, np.random.default_rng(0))
-    kept = Calibration(
+    calibration = Calibration(
         done.correction, done.found.covariance, done.found.scatter, (1,), (), done.held_out, {"seed": 0}, claim
     )
-    calibration_file.save(tmp_path / "c.json", kept)
-    again = calibration_file.load(tmp_path / "c.json")
+    calibration_file.save(tmp_path / "c.json", calibration)
+    loaded = calibration_file.load(tmp_path / "c.json")
     inner = sobol_configurations(BOX, 60, 0.7, 4)
-    np.testing.assert_array_equal(again.correction.rho(inner), done.correction.rho(inner))
+    np.testing.assert_array_equal(loaded.correction.rho(inner), done.correction.rho(inner))
     error = pose_difference(
-        again.correction.predict(inner),
+        loaded.correction.predict(inner),
         error_model_and_observations.predicted_target_poses(inner - geared(inner), true),
     )
-    stated = np.sqrt(np.einsum("nii->ni", arm_pose_covariance(again, inner))[:, :3].sum(axis=1).mean())
+    stated = np.sqrt(np.einsum("nii->ni", arm_pose_covariance(loaded, inner))[:, :3].sum(axis=1).mean())
     assert (
         0.4 < np.sqrt((error[:, :3] ** 2).sum(axis=1).mean()) / stated < 2
     )  # the extension's own error is in what is stated
-    plain = replace(again, correction=replace(again.correction, extension=None))
+    plain = replace(loaded, correction=replace(loaded.correction, extension=None))
     assert stated > 2 * np.sqrt(np.einsum("nii->ni", arm_pose_covariance(plain, inner))[:, :3].sum(axis=1).mean())
     assert "extended by linear" in claim.tolerance and claim.after[0][0] < 0.5 * claim.before[0][0]
 
@@ -162,22 +162,22 @@ def test_gears_are_corrected_through_the_command_line(tmp_path, capsys):
         q = worlds.configurations_of(UR10, count, rng)
         worlds.write(tmp_path / name, UR10, samples_at(q[np.abs(q[:, 2]) > 0.3], true, noise, count))
     figures = {}
-    for way in ("auto", "radial"):
-        said = rig("calibrate", tmp_path / "rec", "--extend", way, "--out", tmp_path / f"{way}.json")
-        figures[way] = {kind: float(mm) for kind, mm in re.findall(r"(\w+) +held out ([\d.]+) mm", said)}
-        assert re.search(r"KSF over the whole configuration space: \w+, on the fitted geometry", said)
-        assert "the single step X + KSF(X) misses the fixed point" in said and " urad RMS" in said
+    for extension in ("auto", "radial"):
+        output = rig("calibrate", tmp_path / "rec", "--extend", extension, "--out", tmp_path / f"{extension}.json")
+        figures[extension] = {kind: float(mm) for kind, mm in re.findall(r"(\w+) +held out ([\d.]+) mm", output)}
+        assert re.search(r"KSF over the whole configuration space: \w+, on the fitted geometry", output)
+        assert "the single step X + KSF(X) misses the fixed point" in output and " urad RMS" in output
     assert figures["radial"]["radial"] < 0.6 * figures["radial"]["none"]  # what is left is mostly what measuring adds
     assert (
         set(figures["auto"]) == {"none", "delaunay", "axes", "radial", "polynomial"}
         and "<svg" in (tmp_path / "auto.html").read_text()
     )
     rig("calibrate", tmp_path / "rec", "--out", tmp_path / "plain.json")
-    told = {
+    result = {
         name: json.loads(rig("verify", tmp_path / f"{name}.json", tmp_path / "rec2", "--json"))
         for name in ("radial", "plain")
     }
-    assert told["radial"]["after"]["position"]["rms"] < 0.2 * told["radial"]["before"]["position"]["rms"]
+    assert result["radial"]["after"]["position"]["rms"] < 0.2 * result["radial"]["before"]["position"]["rms"]
     wanted = error_model_and_observations.predicted_target_poses(sobol_configurations(BOX, 40, 0.9, 3), true)
     write_poses(tmp_path / "wanted.csv", Poses(np.arange(40), wanted, None))
     left = {}
@@ -222,10 +222,10 @@ def test_a_smooth_field_promises_what_it_does_where_nothing_was_measured():
     assert done.correction.extension.inflation > 1.5
     size = np.sqrt((error**2).sum(axis=1).mean())  # nearer the middle than most that were held out
     assert 0.6 < size / claim.after[0][0] < 1.3 and claim.after[0][1] < claim.after[0][2] < 4 * claim.after[0][1]
-    again = field_from_entries(
+    result = field_from_entries(
         Entries(json.loads(json.dumps(field_to_dict(done.correction.extension))), ("extension",), "c.json", {}), 6
     )
-    np.testing.assert_array_equal(again.error(q), done.correction.extension.error(q))
+    np.testing.assert_array_equal(result.error(q), done.correction.extension.error(q))
 
 
 def test_correction_values_of_an_arm_meet_what_was_measured(tmp_path, capsys):

@@ -166,15 +166,17 @@ def drives(tmp_path, capsys, name, effects, without=(), another=False):
     text = shipped_arms_and_layouts.shipped_arm_rig_toml(name)
     rig.write_text("\n".join(line for line in text.splitlines() if not (without and line.startswith(without))) + "\n")
 
-    def said(*words):
+    def printed(*words):
         assert main([str(word) for word in words]) == 0, capsys.readouterr().err
         return capsys.readouterr().out
 
     options = [word for effect in effects for word in ("--effect", effect)]
-    said("simulate", rig, "--plan", "sobol:120", *options, "--seed", "3", "--out", tmp_path / "rec", "--truth", truth)
-    said("diagnose", tmp_path / "rec", "--out", tmp_path / "d")
+    printed(
+        "simulate", rig, "--plan", "sobol:120", *options, "--seed", "3", "--out", tmp_path / "rec", "--truth", truth
+    )
+    printed("diagnose", tmp_path / "rec", "--out", tmp_path / "d")
     if another:
-        said(
+        printed(
             "simulate",
             rig,
             "--machine",
@@ -187,9 +189,9 @@ def drives(tmp_path, capsys, name, effects, without=(), another=False):
             tmp_path / "rec",
             "--force",
         )
-    told = said("calibrate", tmp_path / "rec", "--diagnosis", tmp_path / "d", "--out", tmp_path / "c.json")
-    assert "beyond the geometry: the identified effects" in told and "compensated by commands: " in told
-    said("calibrate", tmp_path / "rec", "--out", tmp_path / "plain.json")
+    output = printed("calibrate", tmp_path / "rec", "--diagnosis", tmp_path / "d", "--out", tmp_path / "c.json")
+    assert "beyond the geometry: the identified effects" in output and "compensated by commands: " in output
+    printed("calibrate", tmp_path / "rec", "--out", tmp_path / "plain.json")
     known = calibration_file.load(tmp_path / "c.json").correction
     ends = np.stack([known.visited.min(axis=0), known.visited.max(axis=0)], axis=1)
     write_poses(
@@ -201,28 +203,28 @@ def drives(tmp_path, capsys, name, effects, without=(), another=False):
         ),
     )
     out = {}
-    for way in ("c", "plain"):
-        said("correct", tmp_path / f"{way}.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / f"{way}.csv")
-        said(
+    for kind in ("c", "plain"):
+        printed("correct", tmp_path / f"{kind}.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / f"{kind}.csv")
+        printed(
             "simulate",
             rig,
             "--machine",
             truth,
             "--plan",
-            f"commands:{tmp_path / f'{way}.csv'}",
+            f"commands:{tmp_path / f'{kind}.csv'}",
             "--seed",
             "11",
             "--out",
-            tmp_path / f"drive-{way}",
+            tmp_path / f"drive-{kind}",
         )
-        taken = tmp_path / f"{way}.poses.csv"
-        out[way] = json.loads(
-            said(
+        reached_poses = tmp_path / f"{kind}.poses.csv"
+        out[kind] = json.loads(
+            printed(
                 "verify",
-                tmp_path / f"{way}.json",
-                tmp_path / f"drive-{way}",
+                tmp_path / f"{kind}.json",
+                tmp_path / f"drive-{kind}",
                 "--wanted",
-                taken if taken.exists() else tmp_path / "w.csv",
+                reached_poses if reached_poses.exists() else tmp_path / "w.csv",
                 "--json",
             )
         )["wanted"]
@@ -248,6 +250,6 @@ def test_commands_undo_what_was_found_as_sure_as_they_say(tmp_path, capsys, name
     arm.
     """
     judged = drives(tmp_path, capsys, name, effects, without, another)
-    with_physics, plain = (judged[way]["position"]["rms"] for way in ("c", "plain"))
+    with_physics, plain = (judged[kind]["position"]["rms"] for kind in ("c", "plain"))
     assert 0.8 < with_physics / judged["c"]["stated_uncertainty"]["position"] < 1.2
     assert plain > 1.5 * with_physics

@@ -22,8 +22,9 @@ from tests.numerical_derivatives import jacobian
 from tests.rig.arms import SEVEN, UR10, configurations, random_arm
 
 
-def test_parameter_jacobian_agrees_with_differences():
-    arm = random_arm(np.random.default_rng(0), 7)
+@pytest.mark.parametrize("joints, slides, count", [(7, (), 47), (5, (0, 3), 37)])
+def test_parameter_jacobian_agrees_with_differences(joints, slides, count):
+    arm = random_arm(np.random.default_rng(0), joints, slides)
     q = configurations(arm, 3, np.random.default_rng(1))
     T = error_model_and_observations.predicted_target_poses(q, arm)
     J = jacobian(
@@ -33,19 +34,26 @@ def test_parameter_jacobian_agrees_with_differences():
                 q, error_model_and_observations.arm_with_parameter_step(arm, step)
             )
         ),
-        np.zeros(47),
+        np.zeros(count),
     )
     np.testing.assert_allclose(error_model_and_observations.parameter_jacobian(q, arm), J, atol=1e-8)
     np.testing.assert_allclose(
         error_model_and_observations.joint_jacobian(q, arm),
-        error_model_and_observations.parameter_jacobian(q, arm)[..., 6:-6:5],
+        error_model_and_observations.parameter_jacobian(q, arm)[
+            ..., error_model_and_observations.joint_zero_indices(arm)
+        ],
         atol=1e-14,
     )
     assert (
         len(error_model_and_observations.parameter_names(arm))
         == len(error_model_and_observations.parameter_units(arm))
-        == 47
+        == count
     )
+
+
+def test_parameters_are_named_joint_by_joint():
+    arm = random_arm(np.random.default_rng(0), 7)
+    assert np.array_equal(error_model_and_observations.joint_zero_indices(arm), np.arange(6, 41, 5))
     assert error_model_and_observations.parameter_names(arm)[6:12] == (
         "theta 1",
         "d 1",
@@ -229,7 +237,9 @@ def test_a_plan_with_tilt_sensors_states_what_a_fit_then_finds():
     found = identify_arm(replace(observed, tilts=TiltReadings(sensors, angles, down)), UR10)
     without = identify_arm(observed, UR10)
     names = error_model_and_observations.parameter_names(UR10)
-    stated = {line.split("urad  ")[1]: float(line.split()[0]) * 1e-6 for line in planned.said if "urad  " in line}
+    stated = {
+        line.split("urad  ")[1]: float(line.split()[0]) * 1e-6 for line in planned.visibility_lines if "urad  " in line
+    }
     compared = [name for name in stated if name in names]
     fitted = [np.sqrt(found.covariance[names.index(name), names.index(name)]) for name in compared]
     assert len(compared) > 2

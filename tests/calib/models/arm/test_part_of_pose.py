@@ -17,6 +17,7 @@ from rig.model.pose import exp, pose, pose_difference
 from rig.recording import recording_folder
 from tests.calib import secret_arms as worlds
 from tests.cli import command
+from tests.closed_loops import simulate_with_truth
 from tests.numerical_derivatives import jacobian
 from tests.rig.arms import SCARA, SEVEN, UR10, configurations
 
@@ -171,20 +172,9 @@ def test_a_part_of_the_pose_calibrates_through_the_commands(tmp_path, capsys, ki
     rig("design", "--arm", "ur10", "--out", tmp_path / "stated.toml")
     text = (tmp_path / "stated.toml").read_text().replace(*change)
     (tmp_path / "rig.toml").write_text(text.replace('tool = "free"', 'tool = "rig"') if kind == "distance" else text)
-    rig(
-        "simulate",
-        tmp_path / "rig.toml",
-        "--plan",
-        f"sobol:{count}",
-        "--seed",
-        "3",
-        "--out",
-        tmp_path / "rec",
-        "--truth",
-        tmp_path / "truth.json",
-    )
-    said = rig("calibrate", tmp_path / "rec", "--out", tmp_path / "cal.json")
-    assert "no factor is claimed" in said and "nan" not in said
+    simulate_with_truth(tmp_path, f"sobol:{count}", 3)
+    output = rig("calibrate", tmp_path / "rec", "--out", tmp_path / "cal.json")
+    assert "no factor is claimed" in output and "nan" not in output
     rig(
         "simulate",
         tmp_path / "rig.toml",

@@ -144,10 +144,10 @@ def test_poses_of_one_hand_are_calibrated_and_what_the_other_would_show_is_named
     path.write_text("".join(line for line in path.read_text().splitlines(True) if f",{other}," not in line))
     assert 'base = "free"\ntool = "free"' in (tmp_path / "REC" / "rig.toml").read_text()
     assert "nothing wrong" in run("check", tmp_path / "REC").stdout
-    said = run("calibrate", tmp_path / "REC", "--quick", "--out", tmp_path / "c.json").stdout
-    assert "40 of them agree with one geometry" in said
-    assert f"{other} tool x has no effect on what was measured and remains as stated" in said
-    assert f"{seen} tool x has no effect" not in said
+    output = run("calibrate", tmp_path / "REC", "--quick", "--out", tmp_path / "c.json").stdout
+    assert "40 of them agree with one geometry" in output
+    assert f"{other} tool x has no effect on what was measured and remains as stated" in output
+    assert f"{seen} tool x has no effect" not in output
     command = ("correct", tmp_path / "c.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "commands.csv")
     write_poses(tmp_path / "wanted.csv", select_hand(rig.load(tmp_path / "REC"), seen).poses.take(np.arange(1)))
     assert f"the hand {other!r} was not measured" in run(*command, "--hand", other, ok=False).stderr

@@ -14,8 +14,7 @@ from calib.models.arm.identification_and_joint_profiles import identify_arm, ind
 from rig.errors import Unreachable
 from rig.model.pose import exp, log
 from tests.calib import secret_arms as worlds
-from tests.numerical_derivatives import jacobian
-from tests.rig.arms import GANTRY, SCARA, SEVEN, STANFORD, UR10, configurations, random_arm
+from tests.rig.arms import GANTRY, SCARA, SEVEN, STANFORD, UR10, configurations
 
 ARMS = {"6R": UR10, "scara": SCARA, "gantry": GANTRY}
 
@@ -33,29 +32,6 @@ def scores(nominal, seeds, count=80):
         assert found.rank.free.sum() == free.sum()
         out.append(worlds.scores(found, true, nominal, free))
     return np.array(out)
-
-
-def test_parameter_jacobian_of_slides_agrees_with_differences():
-    arm = random_arm(np.random.default_rng(0), 5, (0, 3))
-    q = configurations(arm, 3, np.random.default_rng(1))
-    T = error_model_and_observations.predicted_target_poses(q, arm)
-    J = jacobian(
-        lambda step: log(
-            T.inv()
-            * error_model_and_observations.predicted_target_poses(
-                q, error_model_and_observations.arm_with_parameter_step(arm, step)
-            )
-        ),
-        np.zeros(37),
-    )
-    np.testing.assert_allclose(error_model_and_observations.parameter_jacobian(q, arm), J, atol=1e-8)
-    np.testing.assert_allclose(
-        error_model_and_observations.joint_jacobian(q, arm),
-        error_model_and_observations.parameter_jacobian(q, arm)[
-            ..., error_model_and_observations.joint_zero_indices(arm)
-        ],
-        atol=1e-14,
-    )
 
 
 @pytest.mark.parametrize("arm", [SCARA, GANTRY, STANFORD, UR10, SEVEN], ids=["scara", "gantry", "stanford", "6R", "7R"])

@@ -40,11 +40,11 @@ def drawn(arm, seed, count=30, deviation=None):
 def test_the_tracker_elsewhere_changes_no_command(arm, seed):
     samples, wanted = drawn(arm, seed)
     here, _ = calibrate_arm(samples, arm, worlds.TRACKER, False)
-    there, _ = calibrate_arm(
+    displaced, _ = calibrate_arm(
         replace(samples, T_base_platform=ELSEWHERE * samples.T_base_platform), arm, worlds.TRACKER, False
     )
     commands = here.inverse(wanted)
-    np.testing.assert_allclose(there.inverse(ELSEWHERE * wanted), commands, atol=1e-8)
+    np.testing.assert_allclose(displaced.inverse(ELSEWHERE * wanted), commands, atol=1e-8)
     assert np.abs(pose_difference(here.predict(commands), wanted)).max() < 1e-10
 
 

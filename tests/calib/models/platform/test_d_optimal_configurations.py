@@ -45,8 +45,8 @@ def test_each_criterion_is_best_at_its_own(chosen):
 def test_no_single_exchange_pays_any_more(chosen, design):
     """What the exchange ends in is an optimum among its candidates: tried anew by brute force at one place."""
     found = chosen["determinant"]
-    _, kept = closing_commands_and_whitened_parameter_rows(found.commands[1:], design.mechanism, SIGMAS)
-    base = kept.reshape(-1, 42)
+    _, chosen_rows = closing_commands_and_whitened_parameter_rows(found.commands[1:], design.mechanism, SIGMAS)
+    base = chosen_rows.reshape(-1, 42)
     spread = configuration_generators.sobol_configurations(design.mechanism.strut_range, CANDIDATES, FILL, 0)[:400]
     _, others = closing_commands_and_whitened_parameter_rows(spread, design.mechanism, SIGMAS)
     now = np.linalg.slogdet((found.root * PLAUSIBLE).T @ (found.root * PLAUSIBLE))[1]

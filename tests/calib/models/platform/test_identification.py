@@ -123,13 +123,13 @@ def test_few_poses_move_what_they_tell_and_leave_the_rest(design, count):
     few = samples.take(np.arange(count))
     found = identify_platform(few, design.mechanism, prior=np.full(42, 3e-4))
     assert (np.linalg.svd(found.root * PRIOR, compute_uv=False) > 1).sum() == 6 * count and not found.scatter.any()
-    stated, told = (
+    stated, identified = (
         np.linalg.norm(geometric_parameters(true) - geometric_parameters(design.mechanism)),
         geometric_parameters(found.mechanism) - geometric_parameters(design.mechanism),
     )
     assert (
         np.linalg.norm(geometric_parameters(true) - geometric_parameters(found.mechanism)) < stated
-        and np.linalg.norm(told) < stated
+        and np.linalg.norm(identified) < stated
     )
     left = found.residuals / np.sqrt(np.einsum("nii->ni", found.residual_covariance))
     assert np.abs(left).max() < 1

@@ -85,9 +85,9 @@ def test_followers_bear_no_load_and_driven_struts_share_it_as_springs_do():
     true = sprung_platforms.drawn(8, rng)
     rows, wrench = sprung_platforms.somewhere(5, rng), rng.normal(size=(5, 6)) * [10, 10, 10, 1, 1, 1]
     lengths, stiffness, rates = true.lengths(rows), 1e6, true.by_pose(rows)
-    released = hexapod.axis_loads(poses(rows), lengths, mechanism(true), wrench)
+    released = hexapod.axis_forces_and_torques(poses(rows), lengths, mechanism(true), wrench)
     assert not released[:, [2, 7]].any()
-    loads = hexapod.axis_loads(poses(rows), lengths, mechanism(true, followers=False), wrench)
+    loads = hexapod.axis_forces_and_torques(poses(rows), lengths, mechanism(true, followers=False), wrench)
     for force in (released, loads):
         np.testing.assert_allclose(np.einsum("nij,ni->nj", rates, force), -wrench, atol=1e-6)
     moved = np.linalg.solve(
@@ -182,10 +182,10 @@ def test_commands_calibrate_to_the_bound_and_leave_no_avoidable_force(struts, tm
         forces.append(
             [bears(true, some + scatter)[0] for some in (owner.lengths(wanted), commands, true.lengths(wanted))]
         )
-        again = sprung_platforms.measured(true, 60, POSE, STRUT, rng)
-        recording(folder / "NEW", rig_toml(owner), again)
-        said = json.loads(run("verify", folder / "c.json", folder / "NEW", "--json").stdout)["strut_conflict"]
-        np.testing.assert_allclose([said["before"], said["after"]], forces[-1][:2], rtol=0.3)
+        remeasured = sprung_platforms.measured(true, 60, POSE, STRUT, rng)
+        recording(folder / "NEW", rig_toml(owner), remeasured)
+        output = json.loads(run("verify", folder / "c.json", folder / "NEW", "--json").stdout)["strut_conflict"]
+        np.testing.assert_allclose([output["before"], output["after"]], forces[-1][:2], rtol=0.3)
     of_bound = np.sqrt(np.mean(squares, axis=0) / np.mean(least, axis=0))
     before, after, unavoidable = np.sqrt(np.mean(np.square(forces), axis=0))
     print(

@@ -73,9 +73,9 @@ def test_a_calibration_is_refined_or_the_reason_said(solved, design):
 
     _, read, sampled, found, _ = solved
     correction, two = calibrate_correction(sampled.samples, read.design.mechanism)
-    better, told = refine_correction_with_cameras(sampled, read.design, correction, two)
+    better, reason = refine_correction_with_cameras(sampled, read.design, correction, two)
     np.testing.assert_allclose(geometric_parameters(better.fitted), geometric_parameters(found.mechanism), atol=1e-9)
-    np.testing.assert_allclose(told.covariance, found.covariance, rtol=1e-6, atol=1e-16)
+    np.testing.assert_allclose(reason.covariance, found.covariance, rtol=1e-6, atol=1e-16)
     with pytest.raises(RigError, match="came from poses.csv"):
         refine_correction_with_cameras(
             replace(sampled, measurement=None, source="poses.csv"), read.design, correction, two

@@ -73,15 +73,15 @@ def test_rest_is_told_by_images_from_motion_under_noise():
     )
     assert image_difference_relative_to_noise(image(0), image(3)) > 1
     clock, shifts = Ticking(), iter([9, 5, 2, 1] + [0] * 20)
-    taken = []
+    moments = []
 
     def look():
         clock.sleep(0.1)
-        taken.append(next(shifts))
-        return [image(taken[-1])]
+        moments.append(next(shifts))
+        return [image(moments[-1])]
 
     parse_settling("images").wait(clock, images=look)
-    assert taken[-3:] == [0, 0, 0] and len(taken) == 7
+    assert moments[-3:] == [0, 0, 0] and len(moments) == 7
     with pytest.raises(NotSettled, match="still change"):
         parse_settling("images").wait(clock, images=lambda: (clock.sleep(0.5), [image(int(rng.integers(1, 90)))])[1])
 

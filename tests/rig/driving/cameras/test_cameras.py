@@ -38,7 +38,7 @@ class Capture:
     """
 
     def __init__(self, clock, stamps, off=700.0):
-        self.clock, self.stamps, self.off, self.taken, self.released = (
+        self.clock, self.stamps, self.off, self.frame_number, self.released = (
             clock,
             stamps,
             off,
@@ -47,15 +47,15 @@ class Capture:
         )
 
     def grab(self):
-        self.taken = max(self.taken + 1, int(self.clock.t * 10) - 3)
-        self.clock.t = max(self.clock.t, self.taken / 10)
+        self.frame_number = max(self.frame_number + 1, int(self.clock.t * 10) - 3)
+        self.clock.t = max(self.clock.t, self.frame_number / 10)
         return True
 
     def get(self, key):
-        return (self.taken / 10 - self.off) * 1e3 if self.stamps else 0.0
+        return (self.frame_number / 10 - self.off) * 1e3 if self.stamps else 0.0
 
     def retrieve(self):
-        return True, np.full((SIZE[1], SIZE[0]), self.taken % 256, np.uint8)
+        return True, np.full((SIZE[1], SIZE[0]), self.frame_number % 256, np.uint8)
 
     def set(self, key, value):
         return True
@@ -71,11 +71,11 @@ def test_a_video_frame_is_fresh_and_its_time_is_the_hosts(stamps):
     source.set_exposure(0.02)
     for _ in range(6):
         clock.sleep(1.234)
-        asked = clock.now()
+        before = clock.now()
         frame = source.grab()
         arrived = clock.now()
         assert frame.image[0, 0] == round(arrived * 10) % 256, "the frame that came last, not one that waited"
-        assert asked <= frame.t <= arrived
+        assert before <= frame.t <= arrived
         assert abs(frame.t - (arrived - 0.01)) <= 2 * frame.t_sigma
         assert frame.t_sigma < 0.06
 

@@ -19,7 +19,7 @@ FILE = '''"""A camera that gives the number of the image."""
 
 import numpy as np
 
-from rig.driving.base import UserCamera
+from rig.driving.user_base_classes import UserCamera
 
 
 class Mine(UserCamera):
@@ -37,7 +37,7 @@ FAILS = [
 ]
 LACKS = [
     ("def grab(", "def take(", "mine.py:8: Mine lacks grab, which returns an image"),
-    ("(UserCamera)", "", r"mine.py: defines no camera: class Mine\(UserCamera\), from rig.driving.base"),
+    ("(UserCamera)", "", r"mine.py: defines no camera: class Mine\(UserCamera\), from rig.driving.user_base_classes"),
     ("count = 0", "count = ", "mine.py:9:.*is no Python"),
 ]
 WRITER = (
@@ -72,25 +72,25 @@ def test_a_file_gives_images_that_are_timed_by_the_host(tmp_path):
     source = open_camera(written(tmp_path), clock)
     grab, source._user.grab = source._user.grab, lambda: (clock.sleep(0.12), grab())[1]
     source._guarded = lambda call: call
-    asked = clock.now()
+    before = clock.now()
     frames = [source.grab() for _ in range(2)]
     assert [frame.image[0, 0] for frame in frames] == [1, 2] and not source.can_set_exposure
-    assert frames[0].t == pytest.approx(asked + 0.06) and frames[0].t_sigma == pytest.approx(0.12 / 12**0.5)
+    assert frames[0].t == pytest.approx(before + 0.06) and frames[0].t_sigma == pytest.approx(0.12 / 12**0.5)
     source.close()
 
 
-@pytest.mark.parametrize("old, new, said", FAILS)
-def test_a_camera_that_fails_is_named(tmp_path, old, new, said):
+@pytest.mark.parametrize("old, new, message", FAILS)
+def test_a_camera_that_fails_is_named(tmp_path, old, new, message):
     source = open_camera(written(tmp_path, old, new), Ticking())
-    with pytest.raises(CameraError, match=said):
+    with pytest.raises(CameraError, match=message):
         source.grab()
     with pytest.raises(CameraError, match="does not set its exposure"):
         source.set_exposure(0.01)
 
 
-@pytest.mark.parametrize("old, new, said", LACKS)
-def test_a_file_that_is_no_camera_is_refused_with_its_line(tmp_path, old, new, said):
-    with pytest.raises(FileError, match=said):
+@pytest.mark.parametrize("old, new, message", LACKS)
+def test_a_file_that_is_no_camera_is_refused_with_its_line(tmp_path, old, new, message):
+    with pytest.raises(FileError, match=message):
         open_camera(written(tmp_path, old, new), Ticking())
 
 
@@ -117,7 +117,7 @@ def test_a_program_is_run_for_each_image(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "command, said",
+    "command, message",
     [
         ("/none/such", "'cam0': /none/such cannot be run: No such file"),
         ("{python} -c 'import sys; sys.exit(\"no light\")'", "ended with 1: no light"),
@@ -126,10 +126,10 @@ def test_a_program_is_run_for_each_image(tmp_path):
         ("a 'b", "cannot be parsed"),
     ],
 )
-def test_a_program_that_gives_no_image_is_named(tmp_path, command, said):
+def test_a_program_that_gives_no_image_is_named(tmp_path, command, message):
     (tmp_path / "w.py").write_text(WRITER)
     words = command.replace("{python}", sys.executable).replace("{writer}", str(tmp_path / "w.py"))
-    with pytest.raises(CameraError, match=said):
+    with pytest.raises(CameraError, match=message):
         open_camera(camera(f"command:{words}"), SystemClock()).grab()
 
 
@@ -170,14 +170,14 @@ def test_a_stream_behind_a_url_gives_fresh_images():
         threading.Thread(target=server.serve_forever, daemon=True).start()
         clock = SystemClock()
         source = open_camera(camera(f"http://127.0.0.1:{server.server_port}/video"), clock)
-        asked = clock.now()
+        before = clock.now()
         first = source.grab()
         second = source.grab()
         server.ended.set()
         source.close()
         server.shutdown()
     assert first.image.shape[:2] == SIZE[::-1] and not source.can_set_exposure
-    assert asked <= first.t < second.t and second.image.mean() > first.image.mean()
+    assert before <= first.t < second.t and second.image.mean() > first.image.mean()
 
 
 def test_a_url_where_nothing_is_sent_is_named_without_its_password():

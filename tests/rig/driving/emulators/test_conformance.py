@@ -76,8 +76,8 @@ def test_a_new_protocol_is_written_and_tested(tmp_path, monkeypatch, capsys):
     assert "all 27 checks passed" in capsys.readouterr().out
     (tmp_path / "bad.py").write_text(TEMPLATE.replace('urgent_stop = b"!"', 'urgent_stop = b"?"'))
     assert main(["emulate", "--conform", "--protocol", "bad.py", "--moves", "20"]) == 1
-    told = capsys.readouterr()
-    assert "FAILED  stops while it moves: urgent_stop did not slow" in told.out and "checks failed" in told.err
+    output = capsys.readouterr()
+    assert "FAILED  stops while it moves: urgent_stop did not slow" in output.out and "checks failed" in output.err
 
 
 def test_the_page_shows_the_file_that_is_written_and_a_camera_that_works(tmp_path):

@@ -55,10 +55,10 @@ def test_a_move_is_commanded_as_a_pose_about_the_pivot_point(design):
     shift = np.array([1e-3, 2e-3, -3e-3])
     T = design.mechanism.home * pose(shift + PIVOT - turn.apply(PIVOT), turn.as_rotvec())
     start, target = hexapod.home_values(design.mechanism), hexapod.inverse(T, design.mechanism)
-    way = max(np.linalg.norm(T.translation - design.mechanism.home.translation), np.abs(target - start).max())
+    distance = max(np.linalg.norm(T.translation - design.mechanism.home.translation), np.abs(target - start).max())
     script = [
         *hello(),
-        (f"VLS {1e3 * way / 2.0:.6f}\nERR?\n".encode(), b"0\n"),
+        (f"VLS {1e3 * distance / 2.0:.6f}\nERR?\n".encode(), b"0\n"),
         (b"MOV X 1.000000 Y 2.000000 Z -3.000000 U 3.000000 V -2.000000 W 5.000000\nERR?\n", b"0\n"),
     ]
     segment = Segment(start, target, 2.0, np.abs(target - start) / 2, None)
@@ -75,8 +75,8 @@ def test_a_move_is_commanded_as_a_pose_about_the_pivot_point(design):
 def test_a_velocity_that_it_refuses_moves_nothing(design):
     home = hexapod.home_values(design.mechanism)
     segment = Segment(home, home + 1e-3, 1.0, np.full(6, 1e-3), None)
-    way = 1e3 * np.linalg.norm(hexapod.forward(home + 1e-3, design.mechanism).translation - [0, 0, 0.45])
-    refused = talk(design, [*hello(), (f"VLS {way:.6f}\nERR?\n".encode(), b"8\n")], lambda p: p.move(segment))
+    distance = 1e3 * np.linalg.norm(hexapod.forward(home + 1e-3, design.mechanism).translation - [0, 0, 0.45])
+    refused = talk(design, [*hello(), (f"VLS {distance:.6f}\nERR?\n".encode(), b"8\n")], lambda p: p.move(segment))
     assert refused.accepted is False and "velocity out of limits" in refused.reason
 
 

@@ -148,9 +148,9 @@ def test_a_small_receive_buffer_is_never_filled():
 
 
 def test_a_fence_takes_no_older_ok_and_notices_a_new_start():
-    asked = b"[GC:G1 G54 G17 G21 G90 G94 G49 G98 G50 M5 M9 T0 F150 S0.]\r\nok\r\n"
-    assert talk([(b"$G\n", b"ok\r\n" + asked)], lambda p: p.fence()) is True
-    assert talk([(b"$G\n", asked.replace(b"F150", b"F0"))], lambda p: p.fence()) is False
+    answer = b"[GC:G1 G54 G17 G21 G90 G94 G49 G98 G50 M5 M9 T0 F150 S0.]\r\nok\r\n"
+    assert talk([(b"$G\n", b"ok\r\n" + answer)], lambda p: p.fence()) is True
+    assert talk([(b"$G\n", answer.replace(b"F150", b"F0"))], lambda p: p.fence()) is False
 
 
 @pytest.mark.parametrize(("slowing", "held"), [(b"Hold:1", b"Hold:0"), (b"Door:2", b"Door:1")])

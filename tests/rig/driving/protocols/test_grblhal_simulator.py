@@ -105,7 +105,7 @@ def machine(tmp_path):
 
 
 @contextmanager
-def under_way(folder):
+def is_moving(folder):
     """(process, its words) of a run within its second move, in a process of its own."""
     words = ["run", str(folder / "rig.toml"), *PLAN, "--out", str(folder / "rec")]
     journal = folder / "rec" / "journal.jsonl"
@@ -132,8 +132,8 @@ def test_from_the_alarm_in_which_it_starts_the_first_run_completes(machine, tmp_
     assert "rig home ends that" in run("status", tmp_path / "rig.toml").stdout
     run("run", tmp_path / "rig.toml", *PLAN, "--out", tmp_path / "rec")
     assert complete(tmp_path / "rec")
-    again = run("run", tmp_path / "rig.toml", *PLAN, "--out", tmp_path / "rec", "--resume")
-    assert "<Idle" in simulator.report() and "is finished" in again.stdout
+    resumed = run("run", tmp_path / "rig.toml", *PLAN, "--out", tmp_path / "rec", "--resume")
+    assert "<Idle" in simulator.report() and "is finished" in resumed.stdout
 
 
 @pytest.mark.slow
@@ -152,10 +152,10 @@ def test_a_limit_switch_ends_a_run_and_no_run_homes_out_of_it_unasked(machine, t
 @pytest.mark.slow
 def test_limits_of_its_own_are_compared_before_anything_moves(machine, tmp_path):
     simulator = machine[0]("$20=1", "$130=50", "$110=600")
-    said = run("run", tmp_path / "rig.toml", *PLAN, "--out", tmp_path / "rec", "--dry-run", ok=False)
-    assert "the controller travels 50.000 mm ($130 .. with $20=1)" in said.stderr
-    said = run("status", tmp_path / "rig.toml").stdout
-    assert "$110" in said, said
+    output = run("run", tmp_path / "rig.toml", *PLAN, "--out", tmp_path / "rec", "--dry-run", ok=False)
+    assert "the controller travels 50.000 mm ($130 .. with $20=1)" in output.stderr
+    output = run("status", tmp_path / "rig.toml").stdout
+    assert "$110" in output, output
     assert "MPos:0.000,0.000,0.000,0.000,0.000,0.000" in simulator.report()
 
 
@@ -163,7 +163,7 @@ def test_limits_of_its_own_are_compared_before_anything_moves(machine, tmp_path)
 @pytest.mark.parametrize("seed", range(4))
 def test_killed_in_a_move_a_run_is_resumed_and_no_move_made_twice(machine, tmp_path, seed):
     simulator = machine[0](max_speed=0.02)
-    with under_way(tmp_path) as (process, words):
+    with is_moving(tmp_path) as (process, words):
         time.sleep(np.random.default_rng(seed).uniform(0, 0.8))
         process.send_signal(signal.SIGKILL)
     run(*words, "--resume")
@@ -173,10 +173,10 @@ def test_killed_in_a_move_a_run_is_resumed_and_no_move_made_twice(machine, tmp_p
 
 @pytest.mark.slow
 def test_a_power_cut_loses_the_position_until_it_is_homed(machine, tmp_path):
-    start, again = machine
+    start, restart = machine
     start(max_speed=0.01)
-    with under_way(tmp_path) as (process, words):
-        again(max_speed=0.01)  # a new one, which counts 0 where it stands, locked
+    with is_moving(tmp_path) as (process, words):
+        restart(max_speed=0.01)  # a new one, which counts 0 where it stands, locked
         assert process.wait(PATIENCE) != 0
     resumed = run(*words, "--resume")
     assert "hom" in resumed.stdout + resumed.stderr
@@ -185,11 +185,11 @@ def test_a_power_cut_loses_the_position_until_it_is_homed(machine, tmp_path):
 
 @pytest.mark.slow
 def test_a_power_cut_without_switches_is_not_forgotten(machine, tmp_path):
-    start, again = machine
+    start, restart = machine
     home = design_from_rig_toml.load_design(tmp_path / "new.toml").mechanism.strut_range.mean()
     start("$22=0", homing=False, zero=home, max_speed=0.01)
-    with under_way(tmp_path) as (process, words):
-        again(homing=False, zero=home, max_speed=0.01)
+    with is_moving(tmp_path) as (process, words):
+        restart(homing=False, zero=home, max_speed=0.01)
         assert process.wait(PATIENCE) != 0
     for _ in range(2):
         refused = run(*words, "--resume", ok=False)
@@ -201,7 +201,7 @@ def test_a_power_cut_without_switches_is_not_forgotten(machine, tmp_path):
 @pytest.mark.slow
 def test_a_stop_from_elsewhere_holds_it_and_keeps_its_position(machine, tmp_path):
     simulator = machine[0](max_speed=0.01)
-    with under_way(tmp_path) as (process, words):
+    with is_moving(tmp_path) as (process, words):
         run("stop", tmp_path / "rig.toml")
         assert process.wait(PATIENCE) != 0
     first = simulator.report()

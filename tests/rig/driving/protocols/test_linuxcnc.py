@@ -129,5 +129,5 @@ def test_an_emergency_stop_is_never_taken_off_by_itself():
 
 def test_a_server_that_started_anew_is_noticed_by_its_joints():
     greeting = hello()[0]
-    again = [*hello(), greeting, (b"GET JOINT_HOMED\r\n", b"JOINT_HOMED NO NO NO NO NO NO\r\n")]
-    assert talk(again, lambda p: p.hello(), lambda p: p.fence()) is False
+    second_conversation = [*hello(), greeting, (b"GET JOINT_HOMED\r\n", b"JOINT_HOMED NO NO NO NO NO NO\r\n")]
+    assert talk(second_conversation, lambda p: p.hello(), lambda p: p.fence()) is False

@@ -44,17 +44,17 @@ def written(folder, old="", new=""):
     return f"file:{folder / 'mine.py'}"
 
 
-@pytest.mark.parametrize("old, new, said", LACKS, ids=[row[2] for row in LACKS])
-def test_a_file_that_lacks_something_is_refused_with_its_line(tmp_path, driven_design, old, new, said):
+@pytest.mark.parametrize("old, new, message", LACKS, ids=[row[2] for row in LACKS])
+def test_a_file_that_lacks_something_is_refused_with_its_line(tmp_path, driven_design, old, new, message):
     controller = replace(driven_design.controller, protocol=written(tmp_path, old, new))
-    with pytest.raises(FileError, match=said):
+    with pytest.raises(FileError, match=message):
         protocol_of_controller(controller, driven_design.mechanism)
 
 
-@pytest.mark.parametrize("old, new, said", FAILS, ids=[row[2] for row in FAILS])
-def test_a_protocol_that_fails_names_its_file_and_line(tmp_path, driven_design, old, new, said):
+@pytest.mark.parametrize("old, new, message", FAILS, ids=[row[2] for row in FAILS])
+def test_a_protocol_that_fails_names_its_file_and_line(tmp_path, driven_design, old, new, message):
     driver, emulator, _ = emulated_bench(driven_design, written(tmp_path, old, new))
-    with pytest.raises(ControllerFault, match=said):
+    with pytest.raises(ControllerFault, match=message):
         driver.open()
         driver.home()
         driver.move(driver.lengths() + 1e-3)
@@ -62,8 +62,8 @@ def test_a_protocol_that_fails_names_its_file_and_line(tmp_path, driven_design, 
 
 
 def test_a_file_that_is_not_there_or_behind_a_url_is_not_run(tmp_path, driven_design):
-    for place, said in ((tmp_path / "none.py", "cannot be read"), ("https://host/mine.py", "behind a URL")):
-        with pytest.raises(FileError, match=said):
+    for place, message in ((tmp_path / "none.py", "cannot be read"), ("https://host/mine.py", "behind a URL")):
+        with pytest.raises(FileError, match=message):
             protocol_of_controller(replace(driven_design.controller, protocol=f"file:{place}"), driven_design.mechanism)
 
 

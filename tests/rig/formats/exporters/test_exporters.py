@@ -74,7 +74,7 @@ def test_genhexkins_refuses_what_it_cannot_hold(true):
 def test_sheets_hold_every_bit_of_a_hexapod(true):
     m = true.mechanism
     tree = json.loads(geometry_and_camera_files.geometry_json(m))
-    again = Hexapod(
+    rebuilt = Hexapod(
         tree["base_joints"],
         tree["platform_joints"],
         tree["strut_range"],
@@ -83,7 +83,7 @@ def test_sheets_hold_every_bit_of_a_hexapod(true):
     )
     lengths = configuration_generators.sobol_configurations(m.strut_range, 20)
     np.testing.assert_allclose(
-        pose_difference(hexapod.forward(lengths, m), hexapod.forward(lengths, again)), 0, atol=1e-14
+        pose_difference(hexapod.forward(lengths, m), hexapod.forward(lengths, rebuilt)), 0, atol=1e-14
     )
     rows = np.array(
         [

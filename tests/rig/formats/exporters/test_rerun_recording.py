@@ -18,7 +18,7 @@ from rig.recording import recording_folder
 from rig.recording.recording_folder import Poses
 from rig.recording.recording_tables import write_poses
 from tests.calib.checks.good import recorded
-from tests.calib.checks.test_mistakes import said
+from tests.calib.checks.test_mistakes import run_in_process
 
 
 class Stream:
@@ -77,34 +77,34 @@ def seen(tmp_path_factory):
 
 def test_all_that_a_recording_holds_is_where_it_is(seen, stand_in, tmp_path):
     streams, rr = stand_in
-    there = recording_folder.load_recording(seen)
-    there = replace(there, stages={1: there.poses})
-    assert recording_as_rerun_tum_parquet.write_rerun_file(there, tmp_path / "x.rrd", rr) == 0
+    loaded = recording_folder.load_recording(seen)
+    loaded = replace(loaded, stages={1: loaded.poses})
+    assert recording_as_rerun_tum_parquet.write_rerun_file(loaded, tmp_path / "x.rrd", rr) == 0
     logged = streams[0].logged
-    for camera in there.design.cameras:
+    for camera in loaded.design.cameras:
         T, lens = (
             next(what for place, what, _ in logged if place == f"base/{camera.name}{end}") for end in ("", "/image")
         )
         np.testing.assert_array_equal(T.mat3x3, camera.pose.rotation.as_matrix())
         np.testing.assert_array_equal(lens.image_from_camera[:2, 2], camera.matrix[:2, 2] + 0.5)
     moved = [(what, times) for place, what, times in logged if place == "base/platform"]
-    t = dict(zip(*(values.tolist() for values in there.exposures.times())))
-    assert len(moved) == len(there.poses.frame) == 60
+    t = dict(zip(*(values.tolist() for values in loaded.exposures.times())))
+    assert len(moved) == len(loaded.poses.frame) == 60
     for k, (what, times) in enumerate(moved):
-        np.testing.assert_array_equal(what.translation, there.poses.T_base_platform[k].translation)
-        assert times == {"t": t[int(there.poses.frame[k])], "frame": int(there.poses.frame[k])}
+        np.testing.assert_array_equal(what.translation, loaded.poses.T_base_platform[k].translation)
+        assert times == {"t": t[int(loaded.poses.frame[k])], "frame": int(loaded.poses.frame[k])}
     stage = [(what.translation.tolist(), times) for place, what, times in logged if place == "base/stage_1"]
     assert sorted(stage, key=str) == sorted(((what.translation.tolist(), times) for what, times in moved), key=str)
     struts = [what.given[0] for place, what, _ in logged if place == "base/struts"]
-    lengths = np.linalg.norm(np.diff(struts[7], axis=1)[:, 0], axis=1) - there.design.mechanism.strut_zeros
+    lengths = np.linalg.norm(np.diff(struts[7], axis=1)[:, 0], axis=1) - loaded.design.mechanism.strut_zeros
     np.testing.assert_allclose(
-        lengths, hexapod.inverse(there.poses.T_base_platform[7], there.design.mechanism), atol=1e-12
+        lengths, hexapod.inverse(loaded.poses.T_base_platform[7], loaded.design.mechanism), atol=1e-12
     )
     corners = [(place, what.given[0], times) for place, what, times in logged if place.endswith("/corners")]
-    assert sum(len(uv) for _, uv, _ in corners) == len(there.corners.uv)
+    assert sum(len(uv) for _, uv, _ in corners) == len(loaded.corners.uv)
     place, uv, times = corners[5]
-    own = (there.corners.frame == times["frame"]) & (np.array(there.corners.camera) == place.split("/")[1])
-    np.testing.assert_array_equal(uv - 0.5, there.corners.uv[own])
+    own = (loaded.corners.frame == times["frame"]) & (np.array(loaded.corners.camera) == place.split("/")[1])
+    np.testing.assert_array_equal(uv - 0.5, loaded.corners.uv[own])
     assert [what.media_type for _, what, _ in logged if getattr(what, "kind", "") == "EncodedImage"] == ["image/png"]
     assert [place for place, *_ in streams[0].columns][:6] == [f"commands/l{i}" for i in range(1, 7)]
 
@@ -118,14 +118,14 @@ def test_a_missing_library_says_what_installs_it(seen, tmp_path, monkeypatch):
             (_ for _ in ()).throw(ImportError(name)) if name == "rerun" else whole(name, *rest, **more)
         ),
     )
-    status, text = said("view", seen, "--rerun", tmp_path / "x.rrd")
+    status, text = run_in_process("view", seen, "--rerun", tmp_path / "x.rrd")
     assert status == 1 and "pip install 'rig[rerun]'" in text and not (tmp_path / "x.rrd").exists()
 
 
 @pytest.mark.slow
 def test_rerun_itself_reads_what_is_written(seen, tmp_path):
     pytest.importorskip("rerun")
-    status, text = said("view", seen, "--rerun", tmp_path / "x.rrd")
+    status, text = run_in_process("view", seen, "--rerun", tmp_path / "x.rrd")
     assert status == 0 and "60 frames" in text, text
     done = subprocess.run(
         [sys.executable, "-m", "rerun", "rrd", "verify", str(tmp_path / "x.rrd")], capture_output=True, text=True

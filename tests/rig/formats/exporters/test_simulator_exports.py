@@ -17,7 +17,7 @@ from rig.model.mechanisms import hexapod
 from rig.planning import configuration_generators
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from synthetic import secret_machine_and_truth_file
-from tests.calib.checks.test_mistakes import said
+from tests.calib.checks.test_mistakes import run_in_process
 
 
 @pytest.fixture(scope="module")
@@ -112,5 +112,7 @@ def test_simulators_files_come_from_the_command_line(tmp_path):
         hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=2, cubes=2)
     )
     for kind in ("urdf", "sdf"):
-        assert said("export", tmp_path / "rig.toml", "--format", kind, "--out", tmp_path / f"h.{kind}")[0] == 0
+        assert (
+            run_in_process("export", tmp_path / "rig.toml", "--format", kind, "--out", tmp_path / f"h.{kind}")[0] == 0
+        )
         assert ElementTree.parse(tmp_path / f"h.{kind}").getroot().tag == {"urdf": "robot", "sdf": "sdf"}[kind]

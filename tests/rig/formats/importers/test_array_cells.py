@@ -61,8 +61,8 @@ def test_a_pose_in_one_cell_is_read_in_every_form(tmp_path, arm, form):
     done = imported(tmp_path, arm, table, *RADIANS, *stated)
     assert "data.csv: joints holds 6 numbers: axis1" in done.stdout and "data.csv: pose holds" in done.stdout
     holds(tmp_path, arm)
-    kept = tmp_path / "REC.import.toml"
-    run("import", "--recipe", kept, "--out", tmp_path / "AGAIN")
+    recipe = tmp_path / "REC.import.toml"
+    run("import", "--recipe", recipe, "--out", tmp_path / "AGAIN")
     assert (tmp_path / "AGAIN" / "poses.csv").read_text() == (tmp_path / "REC" / "poses.csv").read_text()
 
 
@@ -109,14 +109,14 @@ def test_a_cell_that_is_no_pose_is_named_with_line_and_column(tmp_path, arm, cel
     cells = [GOOD] * N
     cells[4] = cell
     table = write_csv(tmp_path, arm[1], cells)
-    said = imported(tmp_path, arm, table, *RADIANS, ok=False).stderr
-    assert message in said and "data.csv:6:3:" in said
+    error_text = imported(tmp_path, arm, table, *RADIANS, ok=False).stderr
+    assert message in error_text and "data.csv:6:3:" in error_text
 
 
 def test_as_many_numbers_as_mean_nothing_are_named(tmp_path, arm):
     table = write_csv(tmp_path, arm[1], [[0.1, 0.2, 0.3, 0.4, 0.5]] * N)
-    said = imported(tmp_path, arm, table, *RADIANS, ok=False).stderr
-    assert "data.csv:2:3: column 'pose' holds 5 numbers; a pose is 3, 6 or 7 numbers or a 4x4 matrix" in said
+    error_text = imported(tmp_path, arm, table, *RADIANS, ok=False).stderr
+    assert "data.csv:2:3: column 'pose' holds 5 numbers; a pose is 3, 6 or 7 numbers or a 4x4 matrix" in error_text
 
 
 def test_a_list_of_rows_and_lists_of_columns_are_read_from_yaml(tmp_path, arm):
@@ -197,12 +197,15 @@ def test_a_file_of_matlab_that_cannot_be_read_is_named(tmp_path, arm, content, m
 
 def test_variables_of_matlab_without_rows_in_common_are_named(tmp_path, arm):
     savemat(tmp_path / "log.mat", {"t": np.arange(5.0), "x": np.arange(7.0)})
-    said = imported(tmp_path, arm, tmp_path / "log.mat", *RADIANS, ok=False).stderr
-    assert "has no variables with as many rows as each other: t (5)" in said
+    error_text = imported(tmp_path, arm, tmp_path / "log.mat", *RADIANS, ok=False).stderr
+    assert "has no variables with as many rows as each other: t (5)" in error_text
 
 
 def test_the_order_of_a_quaternion_in_a_cell_is_asked_for(tmp_path, arm):
     """Turns between poses are the same in both orders, so that commands do not decide."""
     table = write_csv(tmp_path, arm[1], [FORMS["seven"](T) for T in arm[2]])
-    said = imported(tmp_path, arm, table, *RADIANS, ok=False).stderr
-    assert "--set 'poses.rotation=quaternion-wxyz'" in said and "--set 'poses.rotation=quaternion-xyzw'" in said
+    error_text = imported(tmp_path, arm, table, *RADIANS, ok=False).stderr
+    assert (
+        "--set 'poses.rotation=quaternion-wxyz'" in error_text
+        and "--set 'poses.rotation=quaternion-xyzw'" in error_text
+    )

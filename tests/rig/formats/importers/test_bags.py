@@ -18,7 +18,7 @@ from rig.errors import RigError
 from rig.formats.importers.ros_messages_to_images_and_rows import encode_image_message
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
-from tests.calib.checks.test_mistakes import said
+from tests.calib.checks.test_mistakes import run_in_process
 
 START, WIDTH, HEIGHT = 1763800000 * 10**9, 64, 48
 JOINTS = ("leg3", "leg1", "leg2", "leg6", "leg5", "leg4")  # a driver's order
@@ -189,7 +189,7 @@ def test_a_bag_becomes_the_recording_that_it_holds(made, rig, tmp_path):
         "--set",
         "bag.sensors.ambient_temperature_C=/room",
     )
-    status, text = said(*words, "--out", tmp_path / "rec")
+    status, text = run_in_process(*words, "--out", tmp_path / "rec")
     assert status == 0 and "/joints is commands" in text and "/rig/cam2/image_raw is camera cam2" in text, text
     found = recording_folder.load_recording(tmp_path / "rec")
     assert np.abs(found.commands.values - what.q).max() < 1e-15 and found.commands.t.tolist() == list(range(N + 1))
@@ -204,7 +204,7 @@ def test_a_bag_becomes_the_recording_that_it_holds(made, rig, tmp_path):
     apart = found.poses.T_base_platform.inv() * what.T[::10]
     assert np.abs(apart.translation).max() < 1e-9 and apart.rotation.magnitude().max() < 1e-9
     assert found.sensors.channels["ambient_temperature_C"].tolist() == [20.0 + n for n in range(N + 1)]
-    assert said("import", "--recipe", tmp_path / "rec.import.toml", "--out", tmp_path / "again")[0] == 0
+    assert run_in_process("import", "--recipe", tmp_path / "rec.import.toml", "--out", tmp_path / "again")[0] == 0
     for name in ("commands", "poses", "sensors", "frames"):
         assert (tmp_path / "again" / f"{name}.csv").read_text() == (tmp_path / "rec" / f"{name}.csv").read_text()
 
@@ -214,15 +214,15 @@ def test_what_is_not_stated_and_could_be_several_is_asked(rig, tmp_path):
     others = [("/other" + topic, *rest) for topic, *rest in found if topic in ("/joints", "/rig/cam1/image_raw")]
     twice = sorted([*found, *others], key=lambda m: m[2])
     bag = mcap(tmp_path / "run", twice)
-    status, text = said("import", "--rig", rig, "--bag", bag, "--out", tmp_path / "rec")
+    status, text = run_in_process("import", "--rig", rig, "--bag", bag, "--out", tmp_path / "rec")
     assert status == 1 and all(
         f"--set 'bag.topics.commands={topic}'" in text for topic in ("/joints", "/other/joints")
     ), text
     setting = ("--set", "bag.topics.commands=/joints")
-    status, text = said("import", "--rig", rig, "--bag", bag, *setting, "--out", tmp_path / "rec")
+    status, text = run_in_process("import", "--rig", rig, "--bag", bag, *setting, "--out", tmp_path / "rec")
     assert status == 1 and "bag.cameras.cam1=/other/rig/cam1/image_raw" in text
     cameras = [word for c in range(2) for word in ("--set", f"bag.cameras.cam{c}=/rig/cam{c}/image_raw")]
-    assert said("import", "--rig", rig, "--bag", bag, *setting, *cameras, "--out", tmp_path / "rec")[0] == 0
+    assert run_in_process("import", "--rig", rig, "--bag", bag, *setting, *cameras, "--out", tmp_path / "rec")[0] == 0
     assert {path.name for path in (tmp_path / "rec" / "images").iterdir()} == {"cam0", "cam1"}
     for key, topic, says in (
         ("cameras.cam0", "/nowhere", "has no topic '/nowhere' for camera cam0; it has /joints, "),
@@ -230,7 +230,7 @@ def test_what_is_not_stated_and_could_be_several_is_asked(rig, tmp_path):
         ("topics.poeses", "/joints", "unknown key 'bag.topics.poeses'"),
         ("sensors.x y", "/room", "cannot be a name"),
     ):
-        status, text = said(
+        status, text = run_in_process(
             "import",
             "--rig",
             rig,
@@ -249,7 +249,7 @@ def test_what_is_not_stated_and_could_be_several_is_asked(rig, tmp_path):
 def test_messages_without_stamps_have_the_times_at_which_they_were_received(rig, tmp_path):
     what = held(np.random.default_rng(3))
     bag = ros1(tmp_path / "run", messages(what, stamped=False))
-    status, text = said(
+    status, text = run_in_process(
         "import", "--rig", rig, "--bag", bag, "--set", "commands.shift=-5e-9", "--out", tmp_path / "rec"
     )
     assert status == 0 and "/joints: messages have no stamps" in text, text
@@ -270,13 +270,13 @@ def test_a_damaged_bag_is_refused_by_its_name(made, rig, tmp_path):
             for at in rng.integers(0, len(whole), 200):
                 data[at] = rng.integers(256)
         file.write_bytes(data)
-        status, text = said("import", "--rig", rig, "--bag", bag, "--out", tmp_path / f"rec{trial}")
+        status, text = run_in_process("import", "--rig", rig, "--bag", bag, "--out", tmp_path / f"rec{trial}")
         assert "Traceback" not in text and (
             status == 0 or (bag.name in text and not (tmp_path / f"rec{trial}").exists())
         ), text
-    status, text = said("import", "--rig", rig, "--bag", tmp_path / "none.bag", "--out", tmp_path / "rec")
+    status, text = run_in_process("import", "--rig", rig, "--bag", tmp_path / "none.bag", "--out", tmp_path / "rec")
     assert status == 1 and "none.bag: no such file" in text
-    status, text = said("import", "--rig", rig, "--bag", rig, "--out", tmp_path / "rec")
+    status, text = run_in_process("import", "--rig", rig, "--bag", rig, "--out", tmp_path / "rec")
     assert status == 1 and "rig.toml: is not a readable bag" in text
 
 
@@ -326,5 +326,5 @@ def test_a_missing_library_says_what_installs_it(rig, tmp_path, monkeypatch):
 
     (tmp_path / "x.bag").write_bytes(b"")
     monkeypatch.setattr(builtins, "__import__", without)
-    status, text = said("import", "--rig", rig, "--bag", tmp_path / "x.bag", "--out", tmp_path / "rec")
+    status, text = run_in_process("import", "--rig", rig, "--bag", tmp_path / "x.bag", "--out", tmp_path / "rec")
     assert status == 1 and "pip install 'rig[ros]'" in text

@@ -15,7 +15,7 @@ from rig.formats.exporters import geometry_and_camera_files as exported
 from rig.formats.rig_toml import camera_instrument_and_cube_entries, design_from_rig_toml
 from rig.model.pose import exp
 from rig.planning.layout import hexapod_layout_and_camera_placement
-from tests.calib.checks.test_mistakes import said
+from tests.calib.checks.test_mistakes import run_in_process
 from vision.lens import project
 
 WIDE = {"pinhole": [620.0, 615.0, 642.5, 480.25], "equidistant": [0.012, -0.004, 0.0015, -0.0003]}
@@ -178,7 +178,7 @@ def test_a_result_of_another_program_sees_what_opencv_sees(name, stated, true, t
         if theirs
         else []
     )
-    status, text = said(
+    status, text = run_in_process(
         "import", "--rig", stated[0], "--cameras", made(true, tmp_path), *names, "--out", tmp_path / "out.toml"
     )
     assert status == 0 and f"is a result of {name.partition(',')[0]}: 3 cameras" in text, text
@@ -198,11 +198,11 @@ def test_cameras_that_rig_toml_lacks_are_added_where_their_place_is_told(true, t
     bare = tmp_path / "bare.toml"
     bare.write_text('schema = "rig/1"\n[mechanism]\nkind = "free"\n')
     file = kalibr(true, tmp_path)
-    status, text = said("import", "--rig", bare, "--cameras", file, "--out", tmp_path / "out.toml")
+    status, text = run_in_process("import", "--rig", bare, "--cameras", file, "--out", tmp_path / "out.toml")
     assert status == 1 and "cameras.at=X Y Z RX RY RZ" in text
     first = true[0].pose
     at = " ".join(map(repr, (*first.translation.tolist(), *first.rotation.as_rotvec().tolist())))
-    status, text = said(
+    status, text = run_in_process(
         "import", "--rig", bare, "--cameras", file, "--set", f"cameras.at={at}", "--out", tmp_path / "out.toml"
     )
     assert (
@@ -222,7 +222,7 @@ def test_an_equidistant_lens_becomes_a_rational_one_that_opencvs_fisheye_agrees_
         "intrinsics": WIDE["pinhole"],
     }
     (tmp_path / "camchain.yaml").write_text(yaml.safe_dump(tree))
-    status, text = said(
+    status, text = run_in_process(
         "import", "--rig", stated[0], "--cameras", tmp_path / "camchain.yaml", "--out", tmp_path / "out.toml"
     )
     assert status == 0 and "cam1: its equidistant lens becomes OpenCV's rational one" in text, text
@@ -254,12 +254,12 @@ def test_what_opencv_writes_is_read_and_what_it_reads_is_written(suffix, stated,
         file.write(key, value)
     file.release()
     words = ("import", "--rig", stated[0], "--cameras", tmp_path / f"lens.{suffix}", "--out", tmp_path / "out.toml")
-    assert said(*words)[0] == 1  # of which camera?
-    assert said(*words, "--set", f"cameras.names.lens={meant.name}")[0] == 0
+    assert run_in_process(*words)[0] == 1  # of which camera?
+    assert run_in_process(*words, "--set", f"cameras.names.lens={meant.name}")[0] == 0
     found = design_from_rig_toml.load_design(tmp_path / "out.toml").camera(meant.name)
     np.testing.assert_allclose(found.matrix, meant.matrix, atol=1e-6)
     np.testing.assert_allclose(found.distortion, meant.distortion, atol=1e-9)
-    assert said("export", tmp_path / "out.toml", "--format", "opencv", "--out", tmp_path / "cv")[0] == 0
+    assert run_in_process("export", tmp_path / "out.toml", "--format", "opencv", "--out", tmp_path / "cv")[0] == 0
     read = cv2.FileStorage(str(tmp_path / "cv" / f"{meant.name}.yaml"), cv2.FILE_STORAGE_READ)
     assert (
         np.array_equal(read.getNode("camera_matrix").mat(), found.matrix) and read.getNode("image_height").real() == 960
@@ -270,7 +270,7 @@ def test_what_opencv_writes_is_read_and_what_it_reads_is_written(suffix, stated,
 def test_camera_info_goes_both_ways(stated, true, tmp_path):
     out = tmp_path / "changed.toml"
     out.write_text(camera_instrument_and_cube_entries.replace_cameras(stated[0].read_text(), true))
-    assert said("export", out, "--format", "camera-info", "--out", tmp_path / "info")[0] == 0
+    assert run_in_process("export", out, "--format", "camera-info", "--out", tmp_path / "info")[0] == 0
     tree = yaml.safe_load((tmp_path / "info" / f"{true[1].name}.yaml").read_text())
     assert (
         tree["distortion_model"] == "plumb_bob"
@@ -278,13 +278,15 @@ def test_camera_info_goes_both_ways(stated, true, tmp_path):
     )
     assert all(isinstance(value, float) for value in tree["distortion_coefficients"]["data"])
     files = [tmp_path / "info" / f"{camera.name}.yaml" for camera in true]
-    assert said("import", "--rig", stated[0], "--cameras", *files, "--out", tmp_path / "back.toml")[0] == 0
-    for camera, there, meant in zip(design_from_rig_toml.load_design(tmp_path / "back.toml").cameras, stated[1], true):
+    assert run_in_process("import", "--rig", stated[0], "--cameras", *files, "--out", tmp_path / "back.toml")[0] == 0
+    for camera, original, meant in zip(
+        design_from_rig_toml.load_design(tmp_path / "back.toml").cameras, stated[1], true
+    ):
         assert (
             np.abs(camera.matrix - meant.matrix).max() < 1e-6
             and np.abs(camera.distortion[:4] - meant.distortion).max() < 1e-9
         )
-        assert np.abs((camera.pose.inv() * there.pose).translation).max() < 1e-9  # a camera_info has no place
+        assert np.abs((camera.pose.inv() * original.pose).translation).max() < 1e-9  # a camera_info has no place
     with pytest.raises(RigError, match="12 terms; camera_info"):
         exported.ros_camera_info(replace(true[0], distortion=np.zeros(12)))
 
@@ -322,7 +324,7 @@ def test_what_has_no_place_here_is_refused_by_name_with_file_and_line(name, stat
     changes, says = WRONG[name]
     file = tmp_path / "camchain.yaml"
     file.write_text(spoilt(true, **changes))
-    status, text = said("import", "--rig", stated[0], "--cameras", file, "--out", tmp_path / "out.toml")
+    status, text = run_in_process("import", "--rig", stated[0], "--cameras", file, "--out", tmp_path / "out.toml")
     line = int(text.partition("camchain.yaml:")[2].partition(":")[0])
     assert status == 1 and says in text and line >= 20 and not (tmp_path / "out.toml").exists(), text
 
@@ -346,12 +348,14 @@ def test_half_files_and_other_files_are_refused(stated, true, tmp_path):
     }
     for name, (text, says) in texts.items():
         (tmp_path / name).write_text(text)
-        status, told = said("import", "--rig", stated[0], "--cameras", tmp_path / name, "--out", tmp_path / "out.toml")
-        assert status == 1 and says in told and name in told and "Traceback" not in told, told
-    status, told = said(
+        status, message = run_in_process(
+            "import", "--rig", stated[0], "--cameras", tmp_path / name, "--out", tmp_path / "out.toml"
+        )
+        assert status == 1 and says in message and name in message and "Traceback" not in message, message
+    status, message = run_in_process(
         "import", "--rig", stated[0], "--cameras", tmp_path / "nowhere.yaml", "--out", tmp_path / "out.toml"
     )
-    assert status == 1 and "nowhere.yaml: no such file" in told
+    assert status == 1 and "nowhere.yaml: no such file" in message
 
 
 def test_a_recording_keeps_the_cameras_and_its_recipe_brings_them_again(stated, true, tmp_path):
@@ -361,7 +365,7 @@ def test_a_recording_keeps_the_cameras_and_its_recipe_brings_them_again(stated, 
             cv2.imwrite(str(tmp_path / "images" / camera.name / f"{frame}.png"), np.zeros((960, 1280), np.uint8))
     (tmp_path / "times.csv").write_text("frame,t [s]\n0,0\n1,1\n")
     rec = tmp_path / "rec"
-    status, text = said(
+    status, text = run_in_process(
         "import",
         tmp_path / "images",
         "--rig",
@@ -374,5 +378,5 @@ def test_a_recording_keeps_the_cameras_and_its_recipe_brings_them_again(stated, 
         rec,
     )
     assert status == 0, text
-    assert said("import", "--recipe", tmp_path / "rec.import.toml", "--out", tmp_path / "again")[0] == 0
+    assert run_in_process("import", "--recipe", tmp_path / "rec.import.toml", "--out", tmp_path / "again")[0] == 0
     assert (rec / "rig.toml").read_text() == (tmp_path / "again" / "rig.toml").read_text() != stated[0].read_text()

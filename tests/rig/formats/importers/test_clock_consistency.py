@@ -8,7 +8,7 @@ import pytest
 from rig.checks.mistake_dataclass_and_clock_mistakes import dwell_clock_offset_mistake, dwell_clock_shift
 from rig.planning.plan import build_plan
 from rig.recording import recording_folder
-from tests.calib.checks.test_mistakes import said
+from tests.calib.checks.test_mistakes import run_in_process
 from tests.rig.formats.importers.test_importing import words
 
 
@@ -80,10 +80,10 @@ def test_another_clock_is_refused_with_a_setting_that_works(good, tmp_path):
     header, *rows = files["commands"].read_text().splitlines()
     moved = [f"{float(row.split(',')[0]) + 812345.0:.4f},{row.split(',', 1)[1]}" for row in rows]
     files["commands"].write_text("\n".join([header, *moved]) + "\n")
-    status, text = said(*words(good, files, None, *STATED), "--out", tmp_path / "rec")
+    status, text = run_in_process(*words(good, files, None, *STATED), "--out", tmp_path / "rec")
     setting = re.search(r"--set (poses\.shift=(\S+)) is what puts (\d+) of 60 frames", text)
     assert status == 1 and setting and abs(float(setting[2]) - 812345) < 3 and int(setting[3]) > 55, text
-    status, text = said(*words(good, files, None, *STATED, setting[1]), "--out", tmp_path / "rec")
+    status, text = run_in_process(*words(good, files, None, *STATED, setting[1]), "--out", tmp_path / "rec")
     assert status == 0, text
 
 
@@ -91,14 +91,14 @@ def test_rows_that_a_log_has_twice_are_taken_once(good, tmp_path):
     files = timed(good, tmp_path)
     lines = files["commands"].read_text().splitlines()
     files["commands"].write_text("\n".join([*lines[:5], lines[4], *lines[5:]]) + "\n")
-    status, text = said(*words(good, files, None, *STATED), "--out", tmp_path / "rec")
+    status, text = run_in_process(*words(good, files, None, *STATED), "--out", tmp_path / "rec")
     assert (
         status == 0
         and "commands.csv: 1 rows occur twice, with their times, and are used once; the first is line 6" in text
     ), text
     assert len(recording_folder.load_recording(tmp_path / "rec").commands.t) == len(lines) - 1
     files["commands"].write_text("\n".join([*lines[:5], f"{lines[4]}1", *lines[5:]]) + "\n")
-    status, text = said(*words(good, files, None, *STATED), "--out", tmp_path / "again")
+    status, text = run_in_process(*words(good, files, None, *STATED), "--out", tmp_path / "again")
     assert status == 1 and "commands.csv:6: two rows are of one time" in text, text
 
 

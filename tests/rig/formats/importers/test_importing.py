@@ -13,7 +13,7 @@ from rig.formats import importers
 from rig.formats.importers import units_and_timestamps
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.recording import recording_folder
-from tests.calib.checks.test_mistakes import said
+from tests.calib.checks.test_mistakes import run_in_process
 from tests.rig.formats.importers.foreign import DIALECTS, export
 
 
@@ -31,11 +31,11 @@ def words(folder, files, dialect=None, *more):
 @pytest.mark.parametrize("dialect", DIALECTS, ids=lambda dialect: dialect.name)
 def test_a_dialect_imports_to_the_same_arrays(dialect, good, tmp_path):
     files = export(good, tmp_path / "theirs", dialect, design_from_rig_toml.load_design(good / "rig.toml"))
-    status, text = said(*words(good, files, dialect), "--out", tmp_path / "rec")
+    status, text = run_in_process(*words(good, files, dialect), "--out", tmp_path / "rec")
     assert status == 0, text
     assert text.splitlines()[0].startswith("imported: 60 frames, ") and "60 poses" in text.splitlines()[0]
     same(recording_folder.load_recording(good), recording_folder.load_recording(tmp_path / "rec"))
-    assert said("import", "--recipe", tmp_path / "rec.import.toml", "--out", tmp_path / "again")[0] == 0
+    assert run_in_process("import", "--recipe", tmp_path / "rec.import.toml", "--out", tmp_path / "again")[0] == 0
     for name in ("commands", "poses", "sensors", "frames"):
         assert (tmp_path / "again" / f"{name}.csv").read_text() == (tmp_path / "rec" / f"{name}.csv").read_text()
 
@@ -96,7 +96,7 @@ def test_what_is_ambiguous_is_refused_with_what_decides(name, good, tmp_path):
         "\n".join([sep.join(header), *(sep.join([time(t), *values(q)]) for t, q in zip(c.t, c.values))])
     )
     (tmp_path / "p.csv").write_bytes((good / "poses.csv").read_bytes())
-    status, text = said(
+    status, text = run_in_process(
         *words(good, {"commands": tmp_path / "c.csv", "poses": tmp_path / "p.csv"}), "--out", tmp_path / "rec"
     )
     assert status == 1 and "Traceback" not in text and not (tmp_path / "rec").exists()
@@ -128,7 +128,7 @@ def test_iso_times_keep_nanoseconds_and_zones():
     assert [float(t - read.seconds[0]) for t in read.seconds] == [0, 0.499999999]
     with pytest.raises(RigError, match="some times state a time zone"):
         units_and_timestamps.read_times(["2026-01-31T12:00:00Z", "2026-01-31T12:00:00"], "x", "x", None, None, 0.0)
-    assert "UTC" in units_and_timestamps.read_times(["2026-01-31T12:00:00"], "x", "x", None, None, 0.0).said[-1]
+    assert "UTC" in units_and_timestamps.read_times(["2026-01-31T12:00:00"], "x", "x", None, None, 0.0).remarks[-1]
 
 
 def test_rotations_that_nothing_decides_are_refused(good, tmp_path):
@@ -136,24 +136,27 @@ def test_rotations_that_nothing_decides_are_refused(good, tmp_path):
     (tmp_path / "p.csv").write_text(
         "\n".join([header.replace("rx,ry,rz", "rx [deg],ry [deg],rz [deg]").replace("frame", "t [s]"), *rows])
     )
-    status, text = said(*words(good, {"poses": tmp_path / "p.csv"}), "--out", tmp_path / "rec")
-    assert status == 1 and all(f"poses.rotation={way}" in text for way in ("rotvec", "zyx", "xyz")), text
+    status, text = run_in_process(*words(good, {"poses": tmp_path / "p.csv"}), "--out", tmp_path / "rec")
+    assert status == 1 and all(f"poses.rotation={notation}" in text for notation in ("rotvec", "zyx", "xyz")), text
     assert (
-        said(*words(good, {"poses": tmp_path / "p.csv"}, None, "poses.rotation=zyx"), "--out", tmp_path / "rec")[0] == 0
+        run_in_process(
+            *words(good, {"poses": tmp_path / "p.csv"}, None, "poses.rotation=zyx"), "--out", tmp_path / "rec"
+        )[0]
+        == 0
     )
 
 
 def test_an_import_is_told_to_programs(good, tmp_path, capsys):
     files = export(good, tmp_path / "theirs", DIALECTS[0], design_from_rig_toml.load_design(good / "rig.toml"))
     assert main([str(word) for word in (*words(good, files), "--out", tmp_path / "rec", "--json")]) == 0
-    out, said_of_it = capsys.readouterr()
-    told = json.loads(out)
-    assert (told["schema"], told["frames"], told["poses"]) == (
+    out, remarks_on_it = capsys.readouterr()
+    result = json.loads(out)
+    assert (result["schema"], result["frames"], result["poses"]) == (
         "imported/1",
         60,
         60,
-    ) and "imported: 60 frames" in said_of_it
-    assert told["assumed"] and all(line in said_of_it for line in told["assumed"])
+    ) and "imported: 60 frames" in remarks_on_it
+    assert result["assumed"] and all(line in remarks_on_it for line in result["assumed"])
 
 
 def test_settings_that_mean_nothing_are_refused(good, tmp_path):
@@ -166,7 +169,7 @@ def test_settings_that_mean_nothing_are_refused(good, tmp_path):
         ("poses.shift=soon", "takes a number"),
         ("pozes.unit=mm", "unknown key 'pozes'"),
     ):
-        status, text = said(*words(good, files, None, setting), "--out", tmp_path / "rec")
+        status, text = run_in_process(*words(good, files, None, setting), "--out", tmp_path / "rec")
         assert status == 1 and says in text, (setting, text)
 
 
@@ -178,6 +181,6 @@ def test_what_is_imported_is_never_written_over(good, tmp_path):
         f'schema = "import/1"\nrig = "{good}/rig.toml"\n[poses]\nfile = "in/poses.csv"\nrotation = '
         '"rotvec"\nunit = "m"\n'
     )
-    status, text = said("import", "--recipe", recipe, "--out", tmp_path / "in", "--force")
+    status, text = run_in_process("import", "--recipe", recipe, "--out", tmp_path / "in", "--force")
     assert status == 1 and (tmp_path / "in" / "poses.csv").read_bytes() == (good / "poses.csv").read_bytes()
     assert importers.load_recipe(recipe).poses.rotation == "rotvec"

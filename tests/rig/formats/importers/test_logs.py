@@ -16,7 +16,7 @@ from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.importers import csv_dialect
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.recording import recording_folder
-from tests.calib.checks.test_mistakes import said
+from tests.calib.checks.test_mistakes import run_in_process
 from tests.rig.formats.importers.foreign import columns
 from tests.rig.formats.importers.test_importing import same, words
 
@@ -44,23 +44,23 @@ def test_a_tum_trajectory_is_read_with_and_without_its_header(header, good, tmp_
         "poses": tum(good, tmp_path / "poses.tum", header),
         "sensors": good / "sensors.csv",
     }
-    status, text = said(*words(good, files, None, "commands.unit=m"), "--out", tmp_path / "rec")
+    status, text = run_in_process(*words(good, files, None, "commands.unit=m"), "--out", tmp_path / "rec")
     assert status == 0 and ("a trajectory as TUM's" in text) != header, text
     same(recording_folder.load_recording(good), recording_folder.load_recording(tmp_path / "rec"))
-    assert said("import", "--recipe", tmp_path / "rec.import.toml", "--out", tmp_path / "again")[0] == 0
+    assert run_in_process("import", "--recipe", tmp_path / "rec.import.toml", "--out", tmp_path / "again")[0] == 0
 
 
 def test_a_tum_trajectory_goes_out(good, tmp_path):
-    assert said("export", good, "--format", "tum", "--out", tmp_path / "poses.tum")[0] == 0
+    assert run_in_process("export", good, "--format", "tum", "--out", tmp_path / "poses.tum")[0] == 0
     rows = np.loadtxt(tmp_path / "poses.tum")
-    there = recording_folder.load_recording(good)
+    loaded = recording_folder.load_recording(good)
     T = RigidTransform.from_components(rows[:, 1:4], Rotation.from_quat(rows[:, 4:]))
-    apart = there.poses.T_base_platform.inv() * T
+    apart = loaded.poses.T_base_platform.inv() * T
     assert len(rows) == 60 and np.abs(apart.translation).max() < 1e-11 and apart.rotation.magnitude().max() < 1e-11
-    assert np.array_equal(rows[:, 0], there.exposures.times()[1])
+    assert np.array_equal(rows[:, 0], loaded.exposures.times()[1])
     shutil.copytree(good, tmp_path / "rec")
     (tmp_path / "rec" / "poses.csv").unlink()
-    assert said("export", tmp_path / "rec", "--format", "tum", "--out", tmp_path / "x.tum")[0] == 1
+    assert run_in_process("export", tmp_path / "rec", "--format", "tum", "--out", tmp_path / "x.tum")[0] == 1
 
 
 def sampled(folder, out, tag, lost=()):
@@ -84,7 +84,7 @@ def test_samples_of_linuxcnc_are_commands_at_their_times(good, tmp_path):
     log = sampled(good, tmp_path / "struts.log", True, lost=(7, 8, 20))
     files = {"commands": log, "poses": tum(good, tmp_path / "poses.tum", False)}
     settings = ("commands.header=sample l1 l2 l3 l4 l5 l6", "commands.period=1.0")
-    status, text = said(*words(good, files, None, *settings), "--out", tmp_path / "rec")
+    status, text = run_in_process(*words(good, files, None, *settings), "--out", tmp_path / "rec")
     assert "samples were lost 2 times, first at line" in text, text
     assert status == 0, text
     found = recording_folder.load_recording(tmp_path / "rec").commands
@@ -98,12 +98,12 @@ def test_samples_of_linuxcnc_are_commands_at_their_times(good, tmp_path):
 def test_samples_lost_that_nothing_counts_are_refused(good, tmp_path):
     log = sampled(good, tmp_path / "struts.log", False, lost=(7,))
     files = {"commands": log, "poses": tum(good, tmp_path / "poses.tum", False)}
-    status, text = said(
+    status, text = run_in_process(
         *words(good, files, None, "commands.header=l1 l2 l3 l4 l5 l6", "commands.period=1"), "--out", tmp_path / "rec"
     )
     assert status == 1 and "struts.log:8: samples were lost here" in text
     sampled(good, log, False)
-    status, text = said(
+    status, text = run_in_process(
         *words(good, files, None, "commands.header=l1 l2 l3", "commands.period=1"), "--out", tmp_path / "rec"
     )
     assert status == 1 and "struts.log:1: has 6 cells in a row, and commands.header names 3 columns" in text
@@ -141,17 +141,19 @@ def test_parquet_tables_come_in_as_csv_does(good, tmp_path):
         tmp_path / "p.parquet",
     )
     files = {"commands": tmp_path / "c.parquet", "poses": tmp_path / "p.parquet"}
-    status, text = said(*words(good, files, None, "poses.rotation=rotvec", "poses.unit=m"), "--out", tmp_path / "rec")
+    status, text = run_in_process(
+        *words(good, files, None, "poses.rotation=rotvec", "poses.unit=m"), "--out", tmp_path / "rec"
+    )
     assert status == 0, text
     a, b = recording_folder.load_recording(good), recording_folder.load_recording(tmp_path / "rec")
     assert (
         np.abs(a.commands.values - b.commands.values).max() < 1e-12 and np.abs(a.commands.t - b.commands.t).max() < 2e-9
     )
-    assert said("import", "--recipe", tmp_path / "rec.import.toml", "--out", tmp_path / "again")[0] == 0
+    assert run_in_process("import", "--recipe", tmp_path / "rec.import.toml", "--out", tmp_path / "again")[0] == 0
 
 
 def test_tables_go_out_as_parquet(good, tmp_path):
-    assert said("export", good, "--format", "parquet", "--out", tmp_path / "tables")[0] == 0
+    assert run_in_process("export", good, "--format", "parquet", "--out", tmp_path / "tables")[0] == 0
     for name in ("commands", "frames", "poses", "sensors"):
         table, csv = pq.read_table(tmp_path / "tables" / f"{name}.parquet"), columns(good / f"{name}.csv")
         assert table.column_names == list(csv)
@@ -172,7 +174,7 @@ def test_what_is_no_parquet_is_refused_and_a_missing_library_says_what_installs_
     }
     for name, data in bad.items():
         (tmp_path / f"{name}.parquet").write_bytes(data)
-        status, text = said(
+        status, text = run_in_process(
             *words(good, {"commands": tmp_path / f"{name}.parquet", "poses": good / "poses.csv"}),
             "--out",
             tmp_path / "rec",

@@ -12,7 +12,7 @@ import pytest
 
 from rig.formats.importers.foreign_table_columns import axis_header_names, find_columns
 from rig.recording import recording_folder
-from tests.calib.checks.test_mistakes import said
+from tests.calib.checks.test_mistakes import run_in_process
 from tests.conftest import BENCH
 from tests.rig.formats.importers.foreign import EPOCH
 
@@ -37,7 +37,7 @@ def theirs(folder):
 @pytest.mark.slow
 def test_twenty_images_become_a_calibration(tmp_path):
     theirs(tmp_path)
-    status, text = said(
+    status, text = run_in_process(
         "import",
         tmp_path / "pictures",
         "--rig",
@@ -54,12 +54,12 @@ def test_twenty_images_become_a_calibration(tmp_path):
         np.abs(ours.exposures.times()[1] - good.exposures.times()[1]).max() < 1e-3
         and ours.exposures.camera == good.exposures.camera
     )
-    assert said("check", tmp_path / "rec") == (0, "nothing wrong or unlikely was found\n")
-    status, text = said("measure", tmp_path / "rec", "--out", tmp_path / "measured")
+    assert run_in_process("check", tmp_path / "rec") == (0, "nothing wrong or unlikely was found\n")
+    status, text = run_in_process("measure", tmp_path / "rec", "--out", tmp_path / "measured")
     assert status == 0 and "20 of 20 frames solved" in text.splitlines()[0], text
-    status, text = said("calibrate", tmp_path / "measured", "--out", tmp_path / "calibration.json")
+    status, text = run_in_process("calibrate", tmp_path / "measured", "--out", tmp_path / "calibration.json")
     assert status == 0 and (tmp_path / "calibration.json").exists(), text
-    status, text = said(
+    status, text = run_in_process(
         "certify", tmp_path / "calibration.json", tmp_path / "rec", "--out", tmp_path / "certificate.html"
     )
     assert status == 1 and "20 of 20 frames" in text and "--mask" in text, text
@@ -69,10 +69,10 @@ def test_twenty_images_become_a_calibration(tmp_path):
 def test_twenty_images_become_a_certificate_in_four_commands(tmp_path):
     theirs(tmp_path)
     made = ("--rig", BENCH / "fit" / "rig.toml", "--commands", tmp_path / "log.csv", "--out", tmp_path / "rec")
-    assert said("import", tmp_path / "pictures", *made)[0] == 0
-    assert said("check", tmp_path / "rec")[0] == 0
-    held, kept = "1,4,7,10,13,16", "0,2-3,5-6,8-9,11-12,14-15,17-19"
-    status, text = said("calibrate", tmp_path / "rec", "--mask", held, "--out", tmp_path / "calibration.json")
+    assert run_in_process("import", tmp_path / "pictures", *made)[0] == 0
+    assert run_in_process("check", tmp_path / "rec")[0] == 0
+    held, fitted = "1,4,7,10,13,16", "0,2-3,5-6,8-9,11-12,14-15,17-19"
+    status, text = run_in_process("calibrate", tmp_path / "rec", "--mask", held, "--out", tmp_path / "calibration.json")
     assert status == 0 and "from 14 distinct configurations" in text, text
     words = (
         "certify",
@@ -85,10 +85,10 @@ def test_twenty_images_become_a_certificate_in_four_commands(tmp_path):
         "--out",
         tmp_path / "certificate.html",
     )
-    status, text = said(*words, "--mask", kept)
+    status, text = run_in_process(*words, "--mask", fitted)
     assert status == 0 and "From 6 distinct configurations, none of which was used in fitting" in text, text
     assert "With 90 % confidence, 60 % of poses" in (tmp_path / "certificate.html").read_text()
-    status, text = said(*words, "--mask", "0-12", "--force")
+    status, text = run_in_process(*words, "--mask", "0-12", "--force")
     assert status == 1 and "5 of 7 frames" in text and "took part in fitting" in text, text
 
 
@@ -96,7 +96,7 @@ def test_a_log_that_is_cut_off_names_its_last_line(tmp_path):
     theirs(tmp_path)
     lines = (tmp_path / "log.csv").read_text(encoding="utf-8-sig").splitlines()
     (tmp_path / "log.csv").write_text("\n".join([*lines[:9], lines[9][:30]]))
-    status, text = said(
+    status, text = run_in_process(
         "import",
         tmp_path / "pictures",
         "--rig",
@@ -123,10 +123,10 @@ def test_a_header_that_is_not_known_is_asked_for(tmp_path):
         tmp_path / "rec",
     )
     (tmp_path / "log.csv").write_text(log.replace("Time [ms]", "Tick [ms]"))
-    status, text = said(*words)
+    status, text = run_in_process(*words)
     assert status == 1 and "--set 'commands.columns.t=Tick [ms]'" in text, text
     (tmp_path / "log.csv").write_text(log.replace("Time [ms]", "Zeitstempel (ms)"))
-    assert said(*words)[0] == 0
+    assert run_in_process(*words)[0] == 0
 
 
 @pytest.mark.parametrize("header, values", [("temp", "20 20 19"), ("load", "20 21 22"), ("step", "0 1 2")])

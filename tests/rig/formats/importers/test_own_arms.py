@@ -131,7 +131,7 @@ FORKED = robot(
 
 
 @pytest.mark.parametrize(
-    "text, options, said",
+    "text, options, message",
     [
         (SIX, {"tips": ("l33",)}, "--tip 'l33' is no link; is 'l3' meant?"),
         (SIX, {"root": "elsewhere"}, "--root 'elsewhere' is no link; there are l0, l1, l2, l3"),
@@ -164,8 +164,8 @@ FORKED = robot(
         ),
     ],
 )
-def test_refusals_name_the_line_and_what_to_do(tmp_path, text, options, said):
-    with pytest.raises(RigError, match=said):
+def test_refusals_name_the_line_and_what_to_do(tmp_path, text, options, message):
+    with pytest.raises(RigError, match=message):
         read_arm_file(ArmFileOptions(written(tmp_path, text), **options))
 
 
@@ -203,7 +203,7 @@ def test_units_of_a_table_by_header_or_stated(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text, options, said",
+    "text, options, message",
     [
         ("theta,d,a,alpha\n0,0.1,0,90\n", {}, r"dh.csv:2:4: alpha = 90 rad is implausible.*alpha_deg"),
         ("theta,d,a,alpha\n0,127.3,0,1\n", {}, "d_mm"),
@@ -218,8 +218,8 @@ def test_units_of_a_table_by_header_or_stated(tmp_path):
         ("theta,d,a,alpha\n0,0.1,0,1\n0,0.1\n", {}, "cut off|rows of as many cells"),
     ],
 )
-def test_refusals_of_a_table(tmp_path, text, options, said):
-    with pytest.raises(RigError, match=said):
+def test_refusals_of_a_table(tmp_path, text, options, message):
+    with pytest.raises(RigError, match=message):
         read_arm_file(ArmFileOptions(dh=written(tmp_path, text, "dh.csv"), **options))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.recording import recording_folder
-from tests.calib.checks.test_mistakes import said
+from tests.calib.checks.test_mistakes import run_in_process
 
 CAMERAS = {"cam0": "Kamera links", "cam1": "Kamera rechts"}
 START = datetime(2026, 3, 1, 9, tzinfo=UTC)
@@ -45,14 +45,14 @@ def test_an_owners_own_words(good, tmp_path):
         "--out",
         tmp_path / "rec",
     ]
-    status, text = said(*made)
+    status, text = run_in_process(*made)
     assert (
         status == 1 and "--set 'images.cameras.Kamera links=cam0' --set 'images.cameras.Kamera rechts=cam1'" in text
     ), text
     made += ["--set", "images.cameras.Kamera links=cam0", "--set", "images.cameras.Kamera rechts=cam1"]
-    status, text = said(*made)
+    status, text = run_in_process(*made)
     assert status == 1 and "Aufnahme Prüfung 4.png: is an empty file (--skip-unreadable" in text, text
-    status, text = said(*made, "--skip-unreadable")
+    status, text = run_in_process(*made, "--skip-unreadable")
     assert status == 0 and "left out: " in text, text
     assert "Bilder.csv names images that are not there, 1 of 8: Kamera links/Aufnahme Prüfung 2.png" in text, text
     found = recording_folder.load_recording(tmp_path / "rec")
@@ -82,14 +82,16 @@ def test_a_shift_of_images_moves_the_times_that_a_table_gives_them(good, tmp_pat
         "--set",
         "images.cameras.Kamera rechts=cam1",
     ]
-    assert said(*made, "--out", tmp_path / "as they are")[0] == 0
+    assert run_in_process(*made, "--out", tmp_path / "as they are")[0] == 0
     for setting in ("images.shift=37.4", "frames.shift=37.4"):
-        status, text = said(*made, "--set", setting, "--out", tmp_path / setting)
+        status, text = run_in_process(*made, "--set", setting, "--out", tmp_path / setting)
         assert status == 0, text
         stated, moved = (
             Decimal((tmp_path / name / "frames.csv").read_text().splitlines()[1].split(",")[1])
             for name in ("as they are", setting)
         )
         assert moved - stated == Decimal("37.4")
-    status, text = said(*made, "--set", "images.shift=1", "--set", "frames.shift=2", "--out", tmp_path / "both")
+    status, text = run_in_process(
+        *made, "--set", "images.shift=1", "--set", "frames.shift=2", "--out", tmp_path / "both"
+    )
     assert status == 1 and "both move the times of Bilder.csv; state one" in text

@@ -13,7 +13,7 @@ from rig.model.mechanisms import hexapod
 from rig.model.pose import exp
 from rig.planning.configuration_generators import evenly_spread_configurations
 from rig.recording.recording_folder import load_recording
-from tests.calib.checks.test_mistakes import said
+from tests.calib.checks.test_mistakes import run_in_process
 from tests.conftest import BENCH
 
 ARM = """schema = "rig/1"
@@ -42,7 +42,7 @@ def imported(folder, rig, commands, poses, *settings):
     """Recording of two tables as `rig import` makes it, and what it says."""
     for name, text in (("rig.toml", rig), ("robot.csv", commands), ("tracker.csv", poses)):
         (folder / name).write_text(text)
-    status, text = said(
+    status, text = run_in_process(
         *("import", "--rig", folder / "rig.toml", "--commands", folder / "robot.csv"),
         *("--poses", folder / "tracker.csv", "--out", folder / "rec"),
         *(word for setting in settings for word in ("--set", setting)),
@@ -60,8 +60,8 @@ def test_positions_alone_leave_no_rotation_sigma(tmp_path):
     found = imported(tmp_path, stated, JOINTS, POINTS)
     assert found.status == 0 and "rotation_sigma is left out" in found.text, found.text
     assert found.recording.design.instrument.rotation_sigma is None
-    kept = (tmp_path / "rec" / "rig.toml").read_text()
-    assert kept == stated.replace("rotation_sigma = 1e-4  # rad\n", "")
+    text = (tmp_path / "rec" / "rig.toml").read_text()
+    assert text == stated.replace("rotation_sigma = 1e-4  # rad\n", "")
     np.testing.assert_allclose(found.recording.poses.T_base_platform.translation[3], [0.303, 0.06, 0.397])
 
 
@@ -179,8 +179,8 @@ def test_temperatures_get_the_names_by_which_they_count(tmp_path, header, names)
     mechanism = load_recording(BENCH / "fit").design.mechanism
     read = read_sensors(table, lambda t: True, mechanism)
     assert [name for name, _ in read.channels] == names
-    again = read_sensors(read.table, lambda t: True, mechanism)  # as a recipe repeats it
-    assert [name for name, _ in again.channels] == names
+    reread = read_sensors(read.table, lambda t: True, mechanism)  # as a recipe repeats it
+    assert [name for name, _ in reread.channels] == names
 
 
 def test_directions_of_two_units_and_of_none(tmp_path):

@@ -15,7 +15,7 @@ from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.pose_table import POSITION, VECTOR
 from rig.formats.importers.units_and_timestamps import UnclearInput
 from rig.recording import recording_folder
-from tests.calib.checks.test_mistakes import said
+from tests.calib.checks.test_mistakes import run_in_process
 from tests.conftest import BENCH
 from tests.rig.formats.importers.foreign import EPOCH
 
@@ -72,7 +72,7 @@ def words(folder):
 
 def test_the_first_attempt_names_everything_and_the_second_is_right(tmp_path):
     own_data(tmp_path)
-    status, text = said(*words(tmp_path))
+    status, text = run_in_process(*words(tmp_path))
     assert status == 1 and not (tmp_path / "rec").exists()
     assert "no column is t, l1, l2, l3, l4, l5, l6" in text
     assert "t: likely 'Zaehlerstand'" in text and "l6: likely 'Teleskop 6'" in text
@@ -82,14 +82,14 @@ def test_the_first_attempt_names_everything_and_the_second_is_right(tmp_path):
     options = shlex.split(text.strip().splitlines()[-1])
     shift = next(float(one.partition("=")[2]) for one in options if one.startswith("images.shift="))
     assert abs(shift + AHEAD) < 2.0
-    status, text = said(*words(tmp_path), *options)
+    status, text = run_in_process(*words(tmp_path), *options)
     assert status == 0 and f"imported: {FRAMES} frames, {3 * FRAMES} images of 3 cameras" in text, text
     assert len(re.findall(r"found: camera cam\d: the base markers put it (?:19|20)\d mm", text)) == 3, text
     ours, good = (recording_folder.load_recording(path) for path in (tmp_path / "rec", BENCH / "fit"))
     times = [r.exposures.times()[1][:FRAMES] for r in (ours, good)]
     np.testing.assert_allclose(np.diff(times[0]), np.diff(times[1]), atol=1e-6)
     np.testing.assert_allclose(ours.commands.values, good.commands.values[: len(ours.commands.values)], atol=1e-12)
-    status, text = said("measure", tmp_path / "rec", "--out", tmp_path / "measured")
+    status, text = run_in_process("measure", tmp_path / "rec", "--out", tmp_path / "measured")
     assert status == 0 and f"{FRAMES} of {FRAMES} frames solved" in text, text
     assert len(re.findall(r"camera cam\d: (?:19|20)\d\.?\d* mm", text)) == 3, text
     moved = recording_folder.load_recording(tmp_path / "measured").design.cameras
@@ -142,7 +142,7 @@ def test_one_image_name_with_two_times_needs_its_camera(tmp_path):
     lines = (tmp_path / "bilder.csv").read_text().splitlines()
     later = lines[1].replace("IMG_0001", "IMG_0002")
     (tmp_path / "bilder.csv").write_text("\n".join([lines[0], later, *lines[1:]]) + "\n")
-    status, text = said(*words(tmp_path), "--set", "frames.columns.t=Uhrstand")
+    status, text = run_in_process(*words(tmp_path), "--set", "frames.columns.t=Uhrstand")
     assert status == 1 and "bilder.csv:4: IMG_0002.png has two times; a column camera" in text
 
 
@@ -158,5 +158,5 @@ def test_an_option_that_nothing_uses_is_refused(tmp_path, options, says):
     named = ("commands.columns.t=Zaehlerstand", *(f"commands.columns.l{i}=Teleskop {i}" for i in range(1, 7)))
     named += ("frames.columns.t=Uhrstand", "images.shift=-37", *(f"images.cameras.{b}={a}" for a, b in FOLDERS.items()))
     stated = [word for setting in named for word in ("--set", setting)]
-    status, text = said(*words(tmp_path), *stated, *options)
+    status, text = run_in_process(*words(tmp_path), *stated, *options)
     assert status == 1 and says in text and "leave it out" in text

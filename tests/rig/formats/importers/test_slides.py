@@ -41,6 +41,6 @@ def test_columns_of_other_names_are_likely_in_the_order_of_their_units(tmp_path)
     header = "frame;joint_a1_deg;joint_a2_deg;hub_mm;joint_a3_deg"
     with pytest.raises(RigError) as raised:
         read_commands(table(tmp_path / "c.csv", header, "0;90;-45;120;0.5"), design)
-    said = str(raised.value)
+    message = str(raised.value)
     pairs = zip(range(1, 5), ("joint_a1_deg", "joint_a2_deg", "hub_mm", "joint_a3_deg"))
-    assert all(f"--set commands.columns.q{i}={name}" in said for i, name in pairs), said
+    assert all(f"--set commands.columns.q{i}={name}" in message for i, name in pairs), message

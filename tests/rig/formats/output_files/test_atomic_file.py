@@ -124,11 +124,11 @@ def test_a_planted_link_is_not_followed(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "path, said", [(".", "is a folder"), ("no/x", "No such file or directory"), ("loop", "levels of symbolic links")]
+    "path, message", [(".", "is a folder"), ("no/x", "No such file or directory"), ("loop", "levels of symbolic links")]
 )
-def test_what_cannot_be_a_file_is_said(path, said, tmp_path):
+def test_what_cannot_be_a_file_is_said(path, message, tmp_path):
     (tmp_path / "loop").symlink_to("loop")
-    with pytest.raises(FileError, match=said):
+    with pytest.raises(FileError, match=message):
         write_text(tmp_path / path, "x")
 
 

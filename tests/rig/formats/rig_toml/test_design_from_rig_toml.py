@@ -10,8 +10,6 @@ from rig.model import mechanisms
 from rig.model.pose import exp, pose_difference
 from tests.conftest import SHARED
 
-MILLIMETRES = ("base_joints = [[0.2911", "base_joints = [[291.1")
-
 
 def spoiled(rig_text, tmp_path, old, new):
     assert old in rig_text
@@ -185,9 +183,9 @@ def test_cameras_are_written_back_and_all_else_stays(rig_text, design, tmp_path)
     text = camera_instrument_and_cube_entries.replace_cameras("# keep me\n" + rig_text, [moved])
     path = tmp_path / "rig.toml"
     path.write_text(text)
-    again = design_from_rig_toml.load_design(path)
-    np.testing.assert_allclose(again.cameras[1].distortion, moved.distortion)
-    assert np.abs(pose_difference(again.cameras[1].pose, moved.pose)).max() < 1e-8
+    loaded = design_from_rig_toml.load_design(path)
+    np.testing.assert_allclose(loaded.cameras[1].distortion, moved.distortion)
+    assert np.abs(pose_difference(loaded.cameras[1].pose, moved.pose)).max() < 1e-8
     assert text.startswith("# keep me") and "# camera in base" in text
     assert camera_instrument_and_cube_entries.replace_cameras(rig_text, []) == rig_text
 

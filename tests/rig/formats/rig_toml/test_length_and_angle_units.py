@@ -10,7 +10,7 @@ import pytest
 import tomlkit
 
 from docs.make import rig_toml
-from docs.make.told import fields_told
+from docs.make.field_texts import texts_of_fields
 from rig.errors import FileError
 from rig.formats.json_toml_and_yaml_loading import json_data, toml_entries
 from rig.formats.numbers_and_units import LengthAndAngleUnits, parse_length_and_angle_units
@@ -37,10 +37,10 @@ def scaled(value, factor):
     return [scaled(one, factor) for one in value] if isinstance(value, list) else value * factor
 
 
-def told_units(heading):
+def units_in_text(heading):
     """{key: unit} as the docstring of a table's dataclass states it."""
     kind = rig_toml.TABLES[heading][0]
-    found = {key: UNIT.match(words) for key, words in fields_told(kind).items()} if kind else {}
+    found = {key: UNIT.match(words) for key, words in texts_of_fields(kind).items()} if kind else {}
     return {key: match[1] for key, match in found.items() if match}
 
 
@@ -58,7 +58,7 @@ def in_mm(tree, path=()):
     else:
         heading = next((h for h in (f"[{'.'.join(path)}]", f"[[{'.'.join(path)}]]") if h in rig_toml.TABLES), None)
     heading = "name and [environment]" if path == ("environment",) else heading
-    units, out = {} if heading is None or kind == "chain" else told_units(heading), {}
+    units, out = {} if heading is None or kind == "chain" else units_in_text(heading), {}
     slides = [isinstance(row[0], str) for row in tree.get("joints", []) if isinstance(row, list)]
     for key, value in tree.items():
         if isinstance(value, dict) and "position" in value:
@@ -125,9 +125,9 @@ def test_a_rig_in_mm_and_degrees_is_the_rig_in_m_and_rad(k):
 
 def test_the_units_that_the_reader_asks_for_are_those_that_the_docstrings_state():
     checked = 0
-    for (heading, key), what in rig_toml.asked().items():
+    for (heading, key), what in rig_toml.requested_entries().items():
         kind = rig_toml.TABLES[heading][0]
-        match = UNIT.match(fields_told(kind).get(str(key), "")) if kind else None
+        match = UNIT.match(texts_of_fields(kind).get(str(key), "")) if kind else None
         stated = {"m per revolution": "m"}.get(match[1], match[1]) if match else ""
         stated = "grey levels" if stated == "grey" else stated
         if key == "limits":  # "rad, of a slide m", where the page is made with a slide

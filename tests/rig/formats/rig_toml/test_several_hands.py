@@ -23,12 +23,12 @@ def test_branches_and_hands_are_read_and_survive_a_calibration_file():
     arm = humanoid().mechanism
     assert [hand.name for hand in arm.hands] == ["left", "right"] and arm.kind == "arm"
     assert arm.parents.tolist() == [-1, 0, 1, 2, 3, 4, 5, 6, 7, 2, 9, 10, 11, 12, 13]
-    again = mechanism_from_entries(Entries(mechanism_dict(arm), (), HUMANOID, {}))
+    reread = mechanism_from_entries(Entries(mechanism_dict(arm), (), HUMANOID, {}))
     q = np.random.default_rng(0).uniform(*arm.limits.T, (4, 15))
     for hand in ("left", "right"):
-        found, stated = (serial.forward(q, one.of_hand(hand)).as_matrix() for one in (again, arm))
+        found, stated = (serial.forward(q, one.of_hand(hand)).as_matrix() for one in (reread, arm))
         np.testing.assert_allclose(found, stated, atol=1e-14)
-    assert again.hands[1].mass == 3.0 and again.hands[0].centre_of_mass.tolist() == [0.03, 0.0, -0.02]
+    assert reread.hands[1].mass == 3.0 and reread.hands[0].centre_of_mass.tolist() == [0.03, 0.0, -0.02]
 
 
 @pytest.mark.parametrize(

@@ -149,8 +149,8 @@ def test_a_link_that_grows_takes_its_slide_along():
         rows = arm.rows.copy()
         rows[:, 1:3] *= 1 + share[k, :, None]
         grown = Arm(rows, arm.limits, arm.base, arm.tool, arm.slides)
-        there = mechanism.forward(np.where(arm.slides, q[k] * (1 + share[k]), q[k]), grown)
-        np.testing.assert_allclose(log(T[k].inv() * there), sway[k], atol=1e-12)
+        expected = mechanism.forward(np.where(arm.slides, q[k] * (1 + share[k]), q[k]), grown)
+        np.testing.assert_allclose(log(T[k].inv() * expected), sway[k], atol=1e-12)
 
 
 @pytest.mark.parametrize("name, reached", [("scara", (0, 1, 2, 5)), ("gantry", (0, 1, 2))])
@@ -163,8 +163,8 @@ def test_few_joints_come_as_near_as_they_can_and_say_what_is_left(name, reached)
     assert count == (3, len(reached) - 3)
     off = np.zeros((200, 6))
     off[:, [3, 4]] = 2e-3 * rng.normal(size=(200, 2))
-    asked = 1e-2 * np.eye(6)[list(reached)].T @ rng.normal(size=(len(reached), 200))
-    wanted = mechanism.forward(q, arm) * exp(asked.T) * exp(off)
+    requested = 1e-2 * np.eye(6)[list(reached)].T @ rng.normal(size=(len(reached), 200))
+    wanted = mechanism.forward(q, arm) * exp(requested.T) * exp(off)
     found, rest, settled = closed_form_and_numerical_arm_inverse.nearest_joint_values(wanted, arm, q, count)
     assert settled.all() and np.abs(rest[:, :3]).max() < 1e-12
     np.testing.assert_allclose(pose_difference(mechanism.forward(found, arm), wanted), rest, atol=1e-12)

@@ -17,7 +17,7 @@ def test_every_branch_is_read_joint_by_joint_and_returns_to_zero(name):
     T = mechanism.forward(np.random.default_rng(3).uniform(-2.5, 2.5, (12, 6)), ARMS[name])
     found = closed_form_and_numerical_arm_inverse.closed_form_inverse(T, six)
     zero = six.hand + (six.key - six.hand[0])
-    for i, b in np.argwhere(found.there):
+    for i, b in np.argwhere(found.exists):
         steps = arm_dynamics_and_step_by_step_kinematics.steps_of_closed_form_inverse(T[i], six, found.q[i, b])
         assert [step.joint for step in steps] == list(range(7))
         np.testing.assert_allclose(

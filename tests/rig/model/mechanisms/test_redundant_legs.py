@@ -150,11 +150,11 @@ def test_the_command_chooses_checks_and_names(limbed, tmp_path, capsys):
     )
     given = [str(read.folder), "--calibration", str(calibration), "--limbs", str(limbs), "--out", str(out)]
     assert main(["closure", *given]) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert (
-        "12 legs for six freedoms" in said
-        and "the best-conditioned six" in said
-        and "times what is expected" not in said
+        "12 legs for six freedoms" in output
+        and "the best-conditioned six" in output
+        and "times what is expected" not in output
     )
     assert out.read_text().startswith("frame,e_") and len(out.read_text().splitlines()) == 81
     assert main(["closure", *given, "--use", "l1,l2,l3,m4,m5,m6"]) == 0

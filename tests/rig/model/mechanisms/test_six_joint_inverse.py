@@ -58,13 +58,13 @@ def check(six, q):
     matrix = mechanism.link_frames(q, six.arm)[:, -1]
     T = mechanism.forward(q, six.arm)
     found = closed_form_and_numerical_arm_inverse.closed_form_inverse(T, six)
-    back = mechanism.link_frames(np.where(found.there[..., None], found.q, 0), six.arm)[..., -1, :, :]
-    closure = np.where(found.there, np.abs(back - matrix[:, None]).max(axis=(-1, -2)), 0).max(axis=1)
-    apart = np.abs(np.exp(1j * np.where(found.there[..., None], found.q, np.nan)) - np.exp(1j * q[:, None])).max(
+    back = mechanism.link_frames(np.where(found.exists[..., None], found.q, 0), six.arm)[..., -1, :, :]
+    closure = np.where(found.exists, np.abs(back - matrix[:, None]).max(axis=(-1, -2)), 0).max(axis=1)
+    apart = np.abs(np.exp(1j * np.where(found.exists[..., None], found.q, np.nan)) - np.exp(1j * q[:, None])).max(
         axis=-1
     )
     sine = np.minimum(1, np.abs(np.sin(q[:, 4])))
-    return closure, ~(np.nanmin(np.where(found.there, apart, 9), axis=1) * sine < 1e-8), found
+    return closure, ~(np.nanmin(np.where(found.exists, apart, 9), axis=1) * sine < 1e-8), found
 
 
 def test_the_frame_stands_at_the_crossing_of_the_first_axes():
@@ -82,7 +82,7 @@ def test_every_branch_returns_and_none_is_missed(name):
         near_singular(rng.uniform(-np.pi, np.pi, (4000, 6)), rng),
     )
     assert closure.max() < 1e-11 and not missed.any() and not found.reason.any()
-    assert np.isnan(found.q[~found.there]).all()
+    assert np.isnan(found.q[~found.exists]).all()
 
 
 def test_a_spherical_wrist_over_two_parallel_axes_has_eight_branches():
@@ -99,7 +99,7 @@ def test_a_spherical_wrist_over_two_parallel_axes_has_eight_branches():
         numeric = numeric[left < 1e-10]
         apart = np.abs(np.exp(1j * numeric[:, None]) - np.exp(1j * found.q[i])).max(axis=-1)
         assert np.nanmin(apart, axis=1).max() < 1e-7  # nothing beyond the listed
-        assert len(np.unique(np.nanargmin(apart, axis=1))) == found.there[i].sum()  # and every listed one is real
+        assert len(np.unique(np.nanargmin(apart, axis=1))) == found.exists[i].sum()  # and every listed one is real
 
 
 def test_singular_poses_are_named():
@@ -141,7 +141,7 @@ def test_poses_out_of_reach_say_why(position, reason):
     found = closed_form_and_numerical_arm_inverse.closed_form_inverse(
         T, closed_form_and_numerical_arm_inverse.six_joint_arm(bare)
     )
-    assert not found.there.any() and reason in found.why(0)
+    assert not found.exists.any() and reason in found.why(0)
 
 
 @pytest.mark.parametrize(

@@ -105,7 +105,10 @@ def test_whole_numbers_have_whole_ticks():
 
 def places(svg):
     """(n, 2) places of the dots of a figure, and its scales: [(low, high, start, end, whether log)] of x and y."""
-    scales = [(*map(float, said.split()[:4]), said.endswith("log")) for said in re.findall(r'data-[xy]="([^"]*)"', svg)]
+    scales = [
+        (*map(float, scale_text.split()[:4]), scale_text.endswith("log"))
+        for scale_text in re.findall(r'data-[xy]="([^"]*)"', svg)
+    ]
     return np.array([[float(v) for v in pair] for pair in re.findall(r"M([-\d.]+) ([-\d.]+)h\.01", svg)]), scales
 
 

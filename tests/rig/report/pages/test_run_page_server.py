@@ -272,17 +272,17 @@ def test_the_page_of_a_run_that_was_killed_says_within_two_seconds_that_it_is_de
 
 
 def test_nothing_is_drawn_that_nobody_looks_at_and_once_for_all_who_do(page):
-    drawn, told = [], []
+    drawn, sent = [], []
 
     def event():
         drawn.append(1)
         return {"phase": len(drawn)}
 
     for _ in range(5):
-        page.show(event, {"cam0": lambda: told.append(1) or b"jpeg"})
-    assert drawn == told == []
+        page.show(event, {"cam0": lambda: sent.append(1) or b"jpeg"})
+    assert drawn == sent == []
     assert [page.listen(-1, 0)[1] for _ in range(3)] == [b'{"phase": 1}'] * 3 and drawn == [1]
-    assert {page.image("cam0") for _ in range(3)} == {b"jpeg"} and told == [1]
+    assert {page.image("cam0") for _ in range(3)} == {b"jpeg"} and sent == [1]
     page.show(event)
     assert page.listen(5, 0)[1] == b'{"phase": 2}' and page.image("cam0") == b"jpeg"
 

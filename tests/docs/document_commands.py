@@ -12,8 +12,8 @@ SKETCH = re.compile(r" \.\.|\.\. | \| |\[")  # a line that leaves something to t
 def commands(page: Path) -> list[str]:
     """Lines of a page's blocks that are commands, without what is said beside them after two spaces or more."""
     lines = re.findall(r"^    (rig [a-z].*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
-    told = [part for line in lines for part in re.split(r"\s{2,}(?=rig )", line)]
-    return [re.split(r"\s{2,}", line)[0] for line in told if not SKETCH.search(re.split(r"\s{2,}", line)[0])]
+    parts = [part for line in lines for part in re.split(r"\s{2,}(?=rig )", line)]
+    return [re.split(r"\s{2,}", line)[0] for line in parts if not SKETCH.search(re.split(r"\s{2,}", line)[0])]
 
 
 def words(command: str) -> list[str]:

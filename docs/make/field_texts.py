@@ -6,15 +6,15 @@ import re
 _NAMES = re.compile(r"(?:^|[;.] |;?\n)[ ]*((?:[a-z_]\w*, )*[a-z_]\w*) : ")
 
 
-def fields_told(kind: type) -> dict[str, str]:
+def texts_of_fields(kind: type) -> dict[str, str]:
     """{field: what the docstring says of it}, in one line each."""
     text = inspect.cleandoc(kind.__doc__ or "")
     parts = _NAMES.split(text)
-    told = {}
+    texts = {}
     for names, words in zip(parts[1::2], parts[2::2]):
         for name in names.split(", "):
-            told[name] = one_line(words)
-    return told
+            texts[name] = one_line(words)
+    return texts
 
 
 def one_line(text: str) -> str:

@@ -125,7 +125,7 @@ def tolerance_model(model: LinearisedModel, sensitivities: Sensitivities) -> Tol
     return ToleranceModel(table, inner, closures, np.array(sigma), tuple(sites), np.array(kinds)) if sigma else None
 
 
-def _markers(model: LinearisedModel, kept: Sensitivities) -> tuple[list[Site], list[float], csr_array]:
+def _markers(model: LinearisedModel, sensitivities: Sensitivities) -> tuple[list[Site], list[float], csr_array]:
     """([Site], standard deviations (q,), (2n, q) of corners whitened) of each marker's place, angle and side, and of
     all sides together.
     """
@@ -143,14 +143,14 @@ def _markers(model: LinearisedModel, kept: Sensitivities) -> tuple[list[Site], l
         sites.append(replace(site, columns=slice(len(sigma), len(sigma) + len(sizes))))
         sigma.extend(sizes)
 
-    everywhere, scaled = kept.touched(*_derivatives(kept, SIDES, ALL_MARKERS))
+    everywhere, scaled = sensitivities.touched(*_derivatives(sensitivities, SIDES, ALL_MARKERS))
     add(_site(SIDES, ALL_MARKERS), [SIDES.sigma], everywhere, scaled)
     own = ids[o.sightings.marker][o.row[everywhere]]
     _, prints = np.unique(ids, return_index=True)
     for m in np.sort(prints[np.isin(ids[prints], own)]):
         place, half = str(Place("marker", str(ids[m]))), o.markers.side[m] / 2
         sizes = [PLACES.sigma] * 3 + [PLACES.sigma / half] * 3
-        add(_site(PLACES, place), sizes, *kept.touched(*_derivatives(kept, PLACES, place)))
+        add(_site(PLACES, place), sizes, *sensitivities.touched(*_derivatives(sensitivities, PLACES, place)))
         add(_site(SIDES, place), [SIDES.sigma], everywhere[own == ids[m]], scaled[own == ids[m]])
     values, at_rows, at_columns = (np.concatenate(part) for part in zip(*entries))
     return sites, sigma, csr_array((values, (at_rows, at_columns)), (2 * len(c.order), len(sigma)))
@@ -162,11 +162,11 @@ def _site(tolerance: Tolerance, place: str) -> Site:
     return Site(kind.name, place, tuple((p.name, p.unit, p.size) for p in kind.parameters), tolerance, slice(0))
 
 
-def _derivatives(kept: Sensitivities, tolerance: Tolerance, place: str) -> tuple[Integers, Floats]:
+def _derivatives(sensitivities: Sensitivities, tolerance: Tolerance, place: str) -> tuple[Integers, Floats]:
     """(sighting rows (s,), (s, 4, 2, q) px per unit) of the numbers of what a tolerance may move at a place."""
     kind = effect_of_tolerance(tolerance)
     columns = [Linear(p.name, None if p.size == 1 else j, STEP) for p in kind.parameters for j in range(p.size)]
-    found = [kept.derivative(kind, place, column, {}) for column in columns]
+    found = [sensitivities.derivative(kind, place, column, {}) for column in columns]
     return found[0][0], np.stack([quads for _, quads in found], axis=-1)
 
 
@@ -200,10 +200,10 @@ def share_not_explained_by_tolerances(
     """Share of a Column's explained chi-square that tolerances do not explain."""
     alone, tolerances = model.linear.project(column), tolerance_effects.projected(model)
     cross = tolerance_effects.with_column(column) - alone.onto.T @ tolerances.onto
-    taken = np.linalg.solve(
+    explained = np.linalg.solve(
         tolerances.gram + np.diag(tolerance_effects.sigma**-2.0), np.column_stack([tolerances.right, cross.T])
     )
-    right, gram = alone.right - cross @ taken[:, 0], alone.gram - cross @ taken[:, 1:]
+    right, gram = alone.right - cross @ explained[:, 0], alone.gram - cross @ explained[:, 1:]
     deltas = [
         (chi2_reduction_at_unit_coefficient if sized else solve_normal_equations)(
             Normal(b[None], G[None], np.diag(alone.gram)[None])

@@ -185,10 +185,12 @@ def _calibration_evidence(
     """OfCalibrations made from a recording that are in its folder's parent; and what the one that learning starts from
     leaves unexplained.
     """
-    beside = unexplained_findings_and_refutations(
+    findings_and_refutations = unexplained_findings_and_refutations(
         content_hashes_of_frames(recording), json_files_in_same_folders_as([recording.folder]), True
     )
     if calibration is None:
-        return beside
+        return findings_and_refutations
     start = calibration_evidence(calibration, refutations).unexplained
-    return beside._replace(unexplained=tuple(dict.fromkeys([*beside.unexplained, *start])))
+    return findings_and_refutations._replace(
+        unexplained=tuple(dict.fromkeys([*findings_and_refutations.unexplained, *start]))
+    )

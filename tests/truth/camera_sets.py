@@ -80,7 +80,7 @@ class Sight:
 
 
 @dataclass(frozen=True)
-class Eyes:
+class CameraSet:
     """cameras : as they are; stated : as their owner has them; cubes; sigma : px of a corner, a coordinate; fault"""
 
     cameras: tuple[Camera, ...]
@@ -113,10 +113,12 @@ class Eyes:
                     uv = self._rolled(early[0], now[0], late[0])
                     uv = self.fault.bordered(number, uv)
                     seen = now[1] & (uv > 8).all(axis=(1, 2)) & (uv < np.array([WIDE, HIGH]) - 9).all(axis=(1, 2))
-                    there, turns = self.fault.read(cube, face)
+                    visible, turns = self.fault.read(cube, face)
                     uv = np.roll(uv, turns, axis=1) + rng.normal(0, self.sigma, uv.shape)
                     for frame in np.flatnonzero(seen):
-                        rows += [(frame, number, cube.first + there, corner, *uv[frame, corner]) for corner in range(4)]
+                        rows += [
+                            (frame, number, cube.first + visible, corner, *uv[frame, corner]) for corner in range(4)
+                        ]
         return np.array(rows)
 
     def _squares(
@@ -182,8 +184,8 @@ def looking(name: str, place: np.ndarray, at: np.ndarray, focal: float, lens: np
     return Camera(name, out, focal, np.array([(WIDE - 1) / 2, (HIGH - 1) / 2]), lens)
 
 
-def watching(radius: float, height: float, fault: Sight, sigma: float, rng: np.random.Generator) -> Eyes:
-    """Eyes of three cameras about a platform of a radius (m) at a height (m): two cubes on it, two on the base."""
+def watching(radius: float, height: float, fault: Sight, sigma: float, rng: np.random.Generator) -> CameraSet:
+    """CameraSet of three cameras about a platform of a radius (m) at a height (m): two cubes on it, two on the base."""
     cubes = []
     for k in range(4):
         moves, edge = k < 2, 0.28 * radius
@@ -210,4 +212,4 @@ def watching(radius: float, height: float, fault: Sight, sigma: float, rng: np.r
                 lens=camera.lens + rng.normal(0, 1, 5) * [1e-3, 1e-3, 1e-4, 1e-4, 0],
             )
         )
-    return Eyes(tuple(cameras), tuple(stated), tuple(cubes), sigma, fault)
+    return CameraSet(tuple(cameras), tuple(stated), tuple(cubes), sigma, fault)
