@@ -89,3 +89,17 @@ def test_a_late_clock_that_one_struts_hysteresis_hides_at_first_is_one_finding_o
     result, effects, hidden = diagnosed(71009, 2, tmp_path)
     assert not result.left and len(effects) == 2
     require_named_or_stated(effects, hidden)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "seed, faults",
+    [
+        pytest.param(76000, 3, id="waves in every screw, screws that turn the platform, and one drive that lags"),
+        pytest.param(71018, 2, id="struts that creep with two times, and a clock that is late"),
+    ],
+)
+def test_what_a_finding_hid_that_was_none_is_searched_for_once_it_is_gone(seed, faults, tmp_path):
+    result, effects, hidden = diagnosed(seed, faults, tmp_path)
+    assert not result.left
+    require_named_or_stated(effects, hidden)

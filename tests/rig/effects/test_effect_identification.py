@@ -2,7 +2,6 @@
 counts are bounded.
 """
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -95,7 +94,6 @@ def test_what_is_no_effect_is_refused(tree):
     ],
 )
 def test_plans_are_bounded_with_a_word(design, text):
-    start = time.monotonic()
     with pytest.raises(RigError, match="exposes|whole number"):
         plan.build_plan(design, text)
-    assert time.monotonic() - start < 5 and np.isfinite(plan.build_plan(design, "sobol:00004").t).all()
+    assert np.isfinite(plan.build_plan(design, "sobol:00004").t).all()
