@@ -252,8 +252,10 @@ def _sites(selection: Selection[Fit, C]) -> list[Site]:
 def _without_insignificant_findings(
     problem: Problem[Fit, Model, C], selection: Selection[Fit, C], progress: Progress | None
 ) -> tuple[Selection[Fit, C], list[LackOfFit]]:
-    """(Selection without findings that are none beside smooth functions of what is left, what is left then). What they
-    hid is searched for once they are gone, and found where less is left with it than without.
+    """(Selection without findings that are none beside smooth functions of what is left, what is left then).
+
+    What such a finding hid beside others is searched for once it is gone, and found where that is more than one name in
+    its place, which its alternatives would have shown, and leaves less.
     """
     left = problem.lack_of_fit(problem.residual(selection.fit))
     kept = remove_findings_insignificant_with_smooth_functions(problem, selection, left)
@@ -261,13 +263,14 @@ def _without_insignificant_findings(
     if not sites:
         return kept, left
     left = problem.lack_of_fit(problem.residual(kept.fit))
-    again = search_beside(problem, kept, sites, progress)
+    again = search_beside(problem, kept, sites, progress) if kept.findings else kept
     if again is kept:
         return kept, left
     still = problem.lack_of_fit(problem.residual(again.fit))
     again = remove_findings_insignificant_with_smooth_functions(problem, again, still)
     still = problem.lack_of_fit(problem.residual(again.fit))
-    return (again, still) if len(still) < len(left) else (kept, left)
+    is_more = len(again.findings) > len(selection.findings) and len(still) < len(left)
+    return (again, still) if is_more else (kept, left)
 
 
 def _explained(
