@@ -89,11 +89,6 @@ class JointCandidate(Candidate):
         return self.specs[0].kind
 
     @property
-    def of_posture(self) -> bool:
-        """Whether it is a function of the joint's own angle, or of the load that the posture brings."""
-        return self.form in OWN_ANGLE or self.kind.form == "load"
-
-    @property
     def sought(self) -> str:
         """The one parameter that the grid goes through."""
         return next(iter(self.grid[0]))

@@ -21,7 +21,6 @@ from calib.diagnosis.engine.reduced_least_squares import (
     solve_with_prior,
 )
 from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import Form, JointCandidate, JointScore
-from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
 from rig.array_and_json_types import Floats, Integers
 
@@ -35,7 +34,6 @@ PROMISING, SLOW = (
 # times what a term's first number has to bring, what each of a curve's has to: neighbouring poses tell of a curve
 # nearly the same
 MANY = 1.5
-APART = 0.7  # times the distance of any two postures, from which those in a row are in no order
 SEEN = 4.0  # times what a later node explains with the nuisances in, the most that it does without
 SLOWEST = 0.05  # cycles per radian times 2 pi; a sinusoid of a lower order is a line
 
@@ -88,8 +86,6 @@ def _score(
     fit: Fit, candidate: JointCandidate, products: FrameProducts, least: float, cluster: int
 ) -> JointScore | None:
     log = np.log(fit.size)
-    if candidate.of_posture and _has_poses_in_no_order(fit.arms):
-        cluster = 1  # what it does in a pose and what the geometry leaves there have nothing in common with the next
     solved = solve_candidate_at_all_nodes(fit, candidate, products, least)
     best = int(np.argmax(solved.delta_chi2 - solved.rank * log))
     node, penalty = candidate.grid[best], (np.ceil(solved.rank[best]) + candidate.extra) * log
@@ -113,16 +109,6 @@ def _score(
     return score_at_node(
         fit.linear, candidate, fewer, node, solved, products, _node_weights(fit, candidate, node), cluster
     )
-
-
-def _has_poses_in_no_order(arms: Arms) -> bool:
-    """Whether poses in a row are no nearer to each other than any others.
-
-    What postures do is then no neighbour's. Those of one trajectory, or of several hands in one posture, are near.
-    """
-    scaled = arms.q / np.maximum(np.ptp(arms.q, axis=0), 1e-12)
-    step, any_two = (np.linalg.norm(scaled - np.roll(scaled, by, axis=0), axis=1) for by in (1, len(scaled) // 2))
-    return bool(np.median(step) > APART * np.median(any_two))
 
 
 def _node_weights(fit: Fit, candidate: JointCandidate, node: Node) -> Floats:
