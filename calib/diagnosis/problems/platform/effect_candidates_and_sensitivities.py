@@ -347,9 +347,6 @@ def effect_parameter_directions(
             pixels = [sensitivities.corners(*_still(effect, c, sensitivities)) for c in own]
             parts.append(model.fold(np.concatenate(pixels, axis=2)))
             continue
-        if _is_linear_vector(effect, own):
-            parts.append(model.lengthened(_vector_directions(effect, own, motion())))
-            continue
         for c in own:
             ends = c.around(effect)
             both = [k.effects[:number] + (c.written(effect, end),) + k.effects[number + 1 :] for end in ends]
@@ -371,22 +368,3 @@ def _still(effect: Effect, c: Coordinate, sensitivities: Sensitivities) -> tuple
         node[COUNT] = len(getattr(effect, c.name))
     rows, quads = sensitivities.derivative(type(effect), effect.place, Linear(c.name, c.index, c.step), node)
     return rows, quads[..., None]
-
-
-def _is_linear_vector(effect: Effect, own: list[Coordinate]) -> bool:
-    """Whether an effect lengthens axes alone, in proportion to each of all numbers of one vector."""
-    names = {c.name for c in own}
-    plain = not (affects_images_only(effect) or effect.retimes() or type(effect).sway is not Effect.sway)
-    return (
-        plain
-        and len(names) == 1
-        and all(c.role == "linear" and c.index is not None for c in own)
-        and len(own) == len(getattr(effect, names.pop()))
-    )
-
-
-def _vector_directions(effect: Effect, own: list[Coordinate], motion: Motion) -> Floats:
-    """(F, axes, q) m per unit of each number of such a vector."""
-    node: Node = {p.name: getattr(effect, p.name) for p in effect.parameters if p.name != own[0].name}
-    linear = [Linear(c.name, c.index, c.step) for c in own]
-    return EffectCandidate(type(effect), effect.place, [], linear).deviation({**node, COUNT: len(own)}, motion)
