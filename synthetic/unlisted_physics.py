@@ -124,7 +124,7 @@ class SlippingClutch(Effect):
     places: ClassVar = ("strut",)
 
     def deviation(self, motion: Motion) -> Floats:
-        return -self.axes(motion.places) * self.share * motion.path.travel
+        return -self.axes(motion.places) * self.share * motion.path.way
 
 
 @dataclass(frozen=True, slots=True)

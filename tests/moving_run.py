@@ -26,7 +26,7 @@ import time
 
 import numpy as np
 
-from rig.driving.user_base_classes import UserCamera
+from rig.driving.base import UserCamera
 
 DELAYS = {delays}
 LATE = {late}

@@ -25,7 +25,7 @@ from calib.diagnosis.engine.finding_removal_with_smooth_functions import (
 )
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Fit, Model, Problem, Progress
-from calib.diagnosis.engine.term_selection import Selection, search_beside, select_terms
+from calib.diagnosis.engine.term_selection import Selection, search_further_terms, select_terms
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     Evidence,
     HeldOutPoses,
@@ -258,19 +258,19 @@ def _without_insignificant_findings(
     its place, which its alternatives would have shown, and leaves less.
     """
     left = problem.lack_of_fit(problem.residual(selection.fit))
-    kept = remove_findings_insignificant_with_smooth_functions(problem, selection, left)
-    sites = {(c.name, c.place) for c in problem.terms(selection.fit)} - set(_sites(kept))
-    if not sites:
-        return kept, left
-    left = problem.lack_of_fit(problem.residual(kept.fit))
-    again = search_beside(problem, kept, sites, progress) if kept.findings else kept
-    if again is kept:
-        return kept, left
-    still = problem.lack_of_fit(problem.residual(again.fit))
-    again = remove_findings_insignificant_with_smooth_functions(problem, again, still)
-    still = problem.lack_of_fit(problem.residual(again.fit))
-    is_more = len(again.findings) > len(selection.findings) and len(still) < len(left)
-    return (again, still) if is_more else (kept, left)
+    retained = remove_findings_insignificant_with_smooth_functions(problem, selection, left)
+    removed = {(c.name, c.place) for c in problem.terms(selection.fit)} - set(_sites(retained))
+    if not removed:
+        return retained, left
+    left = problem.lack_of_fit(problem.residual(retained.fit))
+    further = search_further_terms(problem, retained, removed, progress) if retained.findings else retained
+    if len(further.findings) <= len(selection.findings):
+        return retained, left
+    further_left = problem.lack_of_fit(problem.residual(further.fit))
+    further = remove_findings_insignificant_with_smooth_functions(problem, further, further_left)
+    further_left = problem.lack_of_fit(problem.residual(further.fit))
+    is_more = len(further.findings) > len(selection.findings) and len(further_left) < len(left)
+    return (further, further_left) if is_more else (retained, left)
 
 
 def _explained(

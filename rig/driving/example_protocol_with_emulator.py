@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.driving.user_base_classes import Dialogue, LineEmulator, LineProtocol, Segment, State
+from rig.driving.base import Dialogue, LineEmulator, LineProtocol, Segment, State
 
 
 class Acme(LineProtocol):

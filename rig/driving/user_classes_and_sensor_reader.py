@@ -70,7 +70,7 @@ def load_user_class(stated: str, base: type[T], group: str, what: str) -> tuple[
     found = module.classes(base)
     if len(found) != 1:
         names = ", ".join(one.__name__ for one in found)
-        expected = f"class Mine({base.__name__}), from rig.driving.user_base_classes"
+        expected = f"class Mine({base.__name__}), from rig.driving.base"
         raise FileError(
             module.path,
             f"defines {f'several: {names}; expected one' if found else 'no'} {what}: {expected}",

@@ -245,7 +245,7 @@ class Marker:
     def T_body_marker(self) -> RigidTransform:
         """The pose. Raises RigError where none is stated and none was found."""
         if self.pose is None:
-            raise RigError(f"the pose of marker {self.id} is not stated; `rig measure REC --out DIR` writes it")
+            raise RigError(f"rig.toml: the pose of marker {self.id} is not stated; `rig measure --out DIR` writes it")
         return self.pose
 
 

@@ -80,10 +80,10 @@ def select_terms(
     return Selection(problem, before, fit, findings, len(problem.candidates))
 
 
-def search_beside(
+def search_further_terms(
     problem: Problem[Fit, Model, C], selection: Selection[Fit, C], removed: set[Site], progress: Progress | None
 ) -> Selection[Fit, C]:
-    """Selection with the terms that are found beside its findings, but for those that were removed: (name, place)."""
+    """Selection with the terms found in addition to its findings, but for those that were removed: (name, place)."""
     scans, refused = Scans[C](), [c for c in problem.candidates if (c.name, c.place) in removed]
     more = _steps(problem, selection.fit, scans, progress, refused)
     if more is None or len(problem.terms(more)) == len(problem.terms(selection.fit)):

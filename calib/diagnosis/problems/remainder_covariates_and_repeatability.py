@@ -192,7 +192,7 @@ def smooth_functions_of_time_and_sensors(t: Floats, sensors: Sensors | None) -> 
 def smooth_functions_of_axis_motion(path: Path, commands: Commands, t: Floats) -> dict[str, Floats]:
     """Smooth functions {covariate: (F, axes or 1, q)} of the axes' motion up to times (F,) s."""
     wait = np.log(np.maximum(path.dwell, AT_ONCE))
-    own = {"step": path.last_step, "speed": axis_speeds(commands, t), "way travelled": path.travel}
+    own = {"step": path.last_step, "speed": axis_speeds(commands, t), "way travelled": path.way}
     out = {
         name: np.stack([scaled_powers(column, 2) for column in values.T], axis=1)
         for name, values in own.items()

@@ -85,7 +85,7 @@ class Path:
         return np.sign(self.since_reversal)
 
     @property
-    def travel(self) -> Floats:
+    def way(self) -> Floats:
         """(n, axes) m or rad that the axes have travelled by the exposures, whichever way."""
         return np.abs(self._steps).cumsum(axis=0)[self.at]
 

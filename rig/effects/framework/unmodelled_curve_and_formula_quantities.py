@@ -136,8 +136,8 @@ def _own(name: str, unit: str, word: str) -> Quantity:
             name,
             "way",
             unit,
-            "motion.path.travel",
-            lambda m: m.path.travel,
+            "motion.path.way",
+            lambda m: m.path.way,
             f"move that {word} to and fro between the same poses",
             2,
         )

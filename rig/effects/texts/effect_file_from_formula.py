@@ -164,8 +164,7 @@ class Written:
             "",
             "import numpy as np",
             "",
-            "from rig.effects.user_base_classes import "
-            f"{'REFERENCE_TEMPERATURE, ' if uses else ''}Effect, Motion, Parameter",
+            f"from rig.effects.base import {'REFERENCE_TEMPERATURE, ' if uses else ''}Effect, Motion, Parameter",
             "",
             "",
             "@dataclass(frozen=True, slots=True)",

@@ -228,7 +228,7 @@ def effects_of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
     """
     found: list[type[Effect]] = UserModule(path, text, "", run_user_text(text, path)).classes(Effect)
     if not found:
-        raise FileError(path, "defines no effect: a dataclass derived from rig.effects.user_base_classes.Effect")
+        raise FileError(path, "defines no effect: a dataclass derived from rig.effects.base.Effect")
     for kind in found:
         reserved = next((name for name in _field_names(kind) if name in RESERVED), None)
         if reserved is not None:

@@ -331,7 +331,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.user_base_classes import Effect, Parameter
+from rig.effects.base import Effect, Parameter
 
 
 @dataclass(frozen=True, slots=True)

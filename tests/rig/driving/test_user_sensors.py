@@ -11,7 +11,7 @@ from tests.rig.driving.test_user_programs import stated
 
 FILE = '''"""A gauge."""
 
-from rig.driving.user_base_classes import UserSensors
+from rig.driving.base import UserSensors
 
 
 class Gauge(UserSensors):

@@ -95,4 +95,4 @@ def test_one_play_of_a_history_lags_by_its_half_width(motion):
 def test_recent_travel_grows_by_the_way_and_fades(motion):
     kind = curve_class_over_covariate(TRAVEL)
     long, short = (kind("strut 6", memory=memory)._covariate(motion, 5) for memory in (1e9, 1e-3))
-    assert np.allclose(long, motion.path.travel[:, 5], rtol=1e-6) and short.max() < 1e-5
+    assert np.allclose(long, motion.path.way[:, 5], rtol=1e-6) and short.max() < 1e-5

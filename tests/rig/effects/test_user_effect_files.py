@@ -27,7 +27,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.user_base_classes import Effect, Motion, Parameter
+from rig.effects.base import Effect, Motion, Parameter
 
 
 @dataclass(frozen=True, slots=True)

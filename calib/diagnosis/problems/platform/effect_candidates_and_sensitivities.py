@@ -225,9 +225,7 @@ class Sensitivities:
     def _change(self, effect: Effect, motion: Motion) -> Floats:
         kind, k = type(effect), self.point
         if not kind.retimes():
-            out = effect.deviation(motion)
-            sway = effect.sway(motion)
-            return out + k.swayed(sway) if sway.any() else out
+            return k.elongation(effect, motion)
         return k.effective((*k.effects, effect)) - k.effective()
 
     def seen(self, candidate: PlatformCandidate, node: Node) -> tuple[Integers, Floats]:
@@ -349,15 +347,14 @@ def effect_parameter_directions(
             continue
         for c in own:
             ends = c.around(effect)
-            both = [k.effects[:number] + (c.written(effect, end),) + k.effects[number + 1 :] for end in ends]
-            apart = ends[0] - ends[1]
-            if affects_images_only(effect):
-                parts.append(model.fold(((k.pixels(both[0]) - k.pixels(both[1])) / apart)[..., None]))
-            elif effect.retimes():
-                parts.append(model.lengthened(((k.effective(both[0]) - k.effective(both[1])) / apart)[..., None]))
+            moved, apart = [c.written(effect, end) for end in ends], ends[0] - ends[1]
+            if not affects_images_only(effect) and not effect.retimes():
+                high, low = (k.elongation(one, motion()) for one in moved)
             else:
-                high, low = (k.elongation(c.written(effect, end), motion()) for end in ends)
-                parts.append(model.lengthened(((high - low) / apart)[..., None]))
+                change = k.pixels if affects_images_only(effect) else k.effective
+                high, low = (change((*k.effects[:number], one, *k.effects[number + 1 :])) for one in moved)
+            column = model.fold if affects_images_only(effect) else model.lengthened
+            parts.append(column(((high - low) / apart)[..., None]))
     return coordinates, join_columns(parts) if parts else None
 
 

@@ -53,7 +53,7 @@ def strut_deviation_basis_functions_by_covariate(point: OperatingPoint) -> list[
         bases.append((f"strut {j + 1}'s position", _alike(scaled_powers(lengths[:, j], 4), ones)))
     scaled = np.stack([centred_and_scaled_to_plus_minus_one(column) for column in lengths.T], axis=1)
     bases.append(("history", np.stack([last_direction, last_direction * scaled], axis=2)))
-    travel = motion.path.travel
+    travel = motion.path.way
     if np.ptp(travel, axis=0).min(initial=np.inf) > 0:
         bases.append(("way travelled", np.stack([scaled_powers(column, 2) for column in travel.T], axis=1)))
     pace = axis_speeds(point.commanded, point.t)

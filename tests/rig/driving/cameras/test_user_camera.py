@@ -19,7 +19,7 @@ FILE = '''"""A camera that gives the number of the image."""
 
 import numpy as np
 
-from rig.driving.user_base_classes import UserCamera
+from rig.driving.base import UserCamera
 
 
 class Mine(UserCamera):
@@ -37,7 +37,7 @@ FAILS = [
 ]
 LACKS = [
     ("def grab(", "def take(", "mine.py:8: Mine lacks grab, which returns an image"),
-    ("(UserCamera)", "", r"mine.py: defines no camera: class Mine\(UserCamera\), from rig.driving.user_base_classes"),
+    ("(UserCamera)", "", r"mine.py: defines no camera: class Mine\(UserCamera\), from rig.driving.base"),
     ("count = 0", "count = ", "mine.py:9:.*is no Python"),
 ]
 WRITER = (
