@@ -56,12 +56,13 @@ class FrameProducts:
 
 class Normal(NamedTuple):
     """Normal equations of k candidates. b : (k, q) projections of the residual; G : (k, q, q) Gram matrices, nuisances
-    taken out;
-    raw : (k, q) squares before they were"""
+    taken out; raw : (k, q) squares before they were; onto : (k, q, r) products with the nuisances' orthonormal basis,
+    where they are wanted later"""
 
     b: Floats
     G: Floats
     raw: Floats
+    onto: Floats | None = None
 
 
 class Solved(NamedTuple):
@@ -93,7 +94,7 @@ def normal_equations_by_direction_weights(products: FrameProducts, weights: Floa
     K = products.onto(rows @ products.kappa.reshape(F * a, -1))
     pushed = products.gamma * weights if a == 1 else products.gamma @ weights
     G = rows @ pushed.reshape(k, F * a, q)
-    return Normal(b, G - K @ np.swapaxes(K, 1, 2), np.einsum("kqq->kq", G).copy())
+    return Normal(b, G - K @ np.swapaxes(K, 1, 2), np.einsum("kqq->kq", G).copy(), K)
 
 
 def normal_equations_by_common_weights(products: FrameProducts, frame_weights: Floats) -> Normal:
@@ -109,7 +110,7 @@ def solve_normal_equations(normal: Normal) -> Solved:
 
     Least squares in the directions that nuisances leave visible.
     """
-    b, G, raw = normal
+    b, G, raw = normal[:3]
     scale = np.sqrt(np.maximum(raw, 1e-300))
     values, vectors = np.linalg.eigh(G / scale[:, :, None] / scale[:, None, :])
     retained = values > SWALLOWED
@@ -126,7 +127,7 @@ def solve_nonnegative(normal: Normal) -> Solved:
     Given which are above zero, what they explain is distributed as if no others had been there (Kudo, Biometrika 50,
     1963, 403-418). Source of the solution: Lawson and Hanson, Solving Least Squares Problems, 1974, ch. 23
     """
-    b, G, raw = normal
+    b, G, raw = normal[:3]
     scale = np.sqrt(np.maximum(raw, 1e-300))
     values, vectors = np.linalg.eigh(G / scale[:, :, None] / scale[:, None, :])
     root = np.sqrt(np.where(values > SWALLOWED, values, 0.0))
@@ -143,7 +144,7 @@ def solve_with_prior(normal: Normal, prior: Floats | float) -> Solved:
 
     Standard deviations (q,), on the coefficients.
     """
-    b, G, raw = normal
+    b, G, raw = normal[:3]
     size = np.linalg.solve(G + np.eye(b.shape[1]) / np.square(prior), np.concatenate([b[..., None], G], axis=2))
     rank = np.round(np.einsum("sqq->s", size[..., 1:]), 1)
     return Solved((b * size[..., 0]).sum(axis=1), list(size[..., 0]), rank, np.ones(len(b)))
