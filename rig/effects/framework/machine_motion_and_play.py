@@ -48,9 +48,8 @@ class Path:
     @property
     def firsts(self) -> Floats:
         """(k + 1,) the knots at which history begins."""
-        if not len(self.starts):
-            return np.zeros(1, int)
-        return np.concatenate([np.zeros(1, int), np.searchsorted(self.t, self.starts)])
+        first = np.zeros(1, int)
+        return np.concatenate([first, np.searchsorted(self.t, self.starts)]) if len(self.starts) else first
 
     def walked(self, walk: Callable[[Floats, Floats], Floats]) -> Floats:
         """(m, axes) of walk(t (r,), lengths (r, axes)) -> (r, axes), which remembers, along each stretch from where

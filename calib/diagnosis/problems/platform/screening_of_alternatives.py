@@ -42,7 +42,10 @@ class ReleasedDirections:
     def of(
         refinement: Refinement, full: LinearisedModel, without: LinearisedModel, number: int
     ) -> "ReleasedDirections":
-        """Of one effect of a Refinement. full : its model, all effects among the nuisances; without : without this"""
+        """Of one effect of a Refinement. full : its model, all effects among the nuisances; without : without this
+
+        Raises ValueError for a Refinement that has no effects
+        """
         column, before = refinement.column, refinement.model.linear.columns.count
         if column is None:
             raise ValueError("a refinement without effects has none to leave out")
