@@ -315,18 +315,18 @@ def _scores_of_other_members(problem: Problem[Fit, Model, C], model: Model, term
 
 
 def _likelier_member(
-    problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int, scanned: Score[C], but: Sequence[C]
+    problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int, scanned: Score[C], excluded: Sequence[C]
 ) -> Fit | None:
     """The Fit with another member of a term's law in its place, the last of the terms, where that is likelier once all
     is fitted by what an alternative must lead by; None where none is.
 
-    model : without the term, scanned as this Score; but : members that are not tried
+    model : without the term, scanned as this Score; excluded : members that are not tried
     """
     policy, size = problem.policy, problem.linear(model).size
     if not np.isfinite(policy.takes_over):
         return None
     term = problem.terms(fit)[number]
-    others = [s for s in _scores_of_other_members(problem, model, term) if not any(s.candidate is c for c in but)]
+    others = [s for s in _scores_of_other_members(problem, model, term) if not any(s.candidate is c for c in excluded)]
     if not others:
         return None
     reach = 1.0
@@ -358,17 +358,17 @@ def _at_likelier_node(problem: Problem[Fit, Model, C], fit: Fit, number: int, sc
 
 
 def refit_with_other_member_of_law(
-    problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int, but: Sequence[C] = ()
+    problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int, excluded: Sequence[C] = ()
 ) -> Fit | None:
     """Refit with another member of a term's law in its place that explains its residuals.
 
     None where none does. It is the last of the terms. A law is a family, and a machine need not follow its first
     formula.
-    model : without it; but : members that are not tried
+    model : without it; excluded : members that are not tried
     """
     site, size = problem.terms(fit)[number].site, problem.linear(model).size
     for score in _scores_of_other_members(problem, model, problem.terms(fit)[number]):
-        if any(score.candidate is c for c in but):
+        if any(score.candidate is c for c in excluded):
             continue
         if is_significant(score, len(problem.candidates), size, problem.policy):
             new = problem.exchange_term(fit, number, score)

@@ -258,7 +258,7 @@ class Reduced:
         """(f a, q) columns of weights (f, a, q)."""
         return (self.root @ weights).reshape(len(self.y), -1)
 
-    def beside(self, columns: Floats) -> "Reduced | None":
+    def with_nuisances(self, columns: Floats) -> "Reduced | None":
         """The same with columns (f a, q) fitted and taken out; None where nuisances and columns swallow one another."""
         free = columns - self.basis @ (self.basis.T @ columns)
         gram = columns.T @ free
@@ -292,7 +292,7 @@ class Reduced:
         out since it was made.
         """
         b: Floats = (self.y @ stack.columns.reshape(len(self.y), -1)).reshape(stack.own.shape)
-        since = self.basis[:, stack.beside :]
+        since = self.basis[:, stack.eliminated :]
         gram = stack.gram if not since.shape[1] else stack.gram - _grams(_onto(since, stack.columns))
         if b.shape[1] == 1:
             seen = gram[:, 0, 0] > SWALLOWED * stack.own[:, 0]
@@ -307,12 +307,12 @@ class Reduced:
 class Stack:
     """Columns that are tried, each by itself. columns : (f a, k, q), q = 1 or 2; gram : (k, q, q) of them, what was
     taken out first left out
-    own : (k, q) squares before; beside : how many columns were taken out first"""
+    own : (k, q) squares before; eliminated : how many columns were taken out first"""
 
     columns: Floats
     gram: Floats
     own: Floats
-    beside: int
+    eliminated: int
 
 
 def _onto(basis: Floats, columns: Floats) -> Floats:
