@@ -23,6 +23,7 @@ from calib.diagnosis.engine.problem_interface import (
 from rig.model.hands_places_and_tolerances import Place
 
 TAKEN = 0.5  # of a smooth function's delta chi-square, which it keeps at most beside a name that stands for the same
+LISTED = 3  # terms that the label of a search names
 RESTARTS = 2  # times the most terms that there may be, replacements after which terms are confirmed as they stand
 
 
@@ -155,6 +156,13 @@ class Finding(Generic[C]):
 def is_significant(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
     """Whether a Score is significant: too good for chance over all candidates, and worth its parameters."""
     return score.p_value * count <= policy.alpha and score.delta_bic(size) >= policy.delta_bic
+
+
+def search_label(terms: Sequence[C]) -> str:
+    """Label of a search beside terms, which names what is found so far and not yet confirmed."""
+    places = [f"{term.name} at {term.place}" for term in terms]
+    more = f" and {len(places) - LISTED} more" if len(places) > LISTED else ""
+    return f"so far {', '.join(places[:LISTED])}{more}, not yet confirmed; searching on" if places else "searching"
 
 
 def labelled_progress(progress: Progress | None, label: str) -> Callable[[int, int], None] | None:

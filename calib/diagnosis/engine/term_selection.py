@@ -24,6 +24,7 @@ from calib.diagnosis.engine.finding_confirmation import (
     is_significant,
     labelled_progress,
     may_become_significant_when_fitted,
+    search_label,
 )
 from calib.diagnosis.engine.linear_model import Projection, join_columns
 from calib.diagnosis.engine.problem_interface import (
@@ -166,7 +167,7 @@ def _steps(
     while len(problem.terms(fit)) < policy.most:
         model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
         model_size = problem.linear(model).size
-        label = f"searching beside {admitted} effects" if admitted else "searching"
+        label = search_label(problem.terms(fit))
         scores = problem.search(model, _admissible(problem, fit), policy.delta_bic, labelled_progress(progress, label))
         scans.keep(problem.terms(fit), scores)
         fresh = [s for s in scores if _hypothesis_key(s) not in keys and not any(s.candidate is c for c in refused)]

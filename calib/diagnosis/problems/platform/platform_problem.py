@@ -44,7 +44,7 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import (
 from calib.diagnosis.problems.platform.smooth_functions import model_with_smooth_functions, smooth_function_columns
 from rig.model.hands_places_and_tolerances import Place
 
-SCREENED = 0.5  # of what a term explains, from which a candidate is searched exactly for in its place
+SCREENED = 0.3  # of what a term explains, from which a candidate is searched exactly for in its place
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,9 +164,14 @@ class PlatformProblem:
         explained = screen_axis_candidates(
             full, self.candidates, self.sensitivities.at(fit.refined.point), released, progress
         )
-        own = [next(i for i, c in enumerate(self.candidates) if c is term) for term in fit.terms]
-        least = SCREENED * explained[own, range(len(own))]
-        return [[self.candidates[i] for i in np.flatnonzero(row)] for row in (explained >= least).T]
+        own = explained[
+            [next(i for i, c in enumerate(self.candidates) if c is t) for t in fit.terms], range(len(released))
+        ]
+        least = np.where(np.isfinite(own), SCREENED * own, -np.inf)
+        # what shifts the times of the whole machine does something else beside other terms
+        follows_terms = np.array([c.kind.retimes() and not c.site.is_axis for c in self.candidates])
+        passed = (explained >= least) | follows_terms[:, None]
+        return [[self.candidates[i] for i in np.flatnonzero(row)] for row in passed.T]
 
     def rescored(self, model: LinearisedModel, fit: PlatformFit, number: int) -> PlatformScore:
         return self.search(model, [fit.terms[number]])[0]
