@@ -315,7 +315,9 @@ def travel_until_earlier_path_is_forgotten(machine: Machine) -> Floats:
     return np.max([e.axes(places) * e.forgets() for e in machine.effects] or [np.zeros(len(places))], axis=0)
 
 
-def unknown_history_uncertainty(machine: Machine, T: RigidTransform, route: Route, commands: Floats) -> Floats:
+def command_uncertainty_from_unknown_history(
+    machine: Machine, T: RigidTransform, route: Route, commands: Floats
+) -> Floats:
     """Uncertainty (n, axes) of commands by the unknown history of motion before them.
 
     Half the change between a start approached from below and above.

@@ -20,9 +20,9 @@ from calib.correction.correction import Responses
 from calib.correction.physics_compensation import (
     Machine,
     Physics,
+    command_uncertainty_from_unknown_history,
     compensated_commands_at_poses,
     travel_until_earlier_path_is_forgotten,
-    unknown_history_uncertainty,
 )
 from calib.models.machine_models import corrected_pose_covariance
 from rig.array_and_json_types import Booleans, Floats
@@ -112,7 +112,7 @@ def commands_along_route(
             route, values = found, compensated_commands_at_poses(of, T, found, values)
             base = _covariance(calibration, calibration.physics, of, T, (route, values))
     doubt = (
-        unknown_history_uncertainty(of, T, route, values) ** 2 / 3
+        command_uncertainty_from_unknown_history(of, T, route, values) ** 2 / 3
     )  # anywhere between the two, as likely here as there
     forgotten = np.einsum("nij,nj,nkj->nik", base.responses.axes, doubt, base.responses.axes)
     return RouteCommands(values, route, T, base.covariance + forgotten, base.missing, base.uncovered)
@@ -134,7 +134,7 @@ def _approached(of: Machine, T: RigidTransform, route: Route, values: Floats, pa
         if sure is None:
             due = ~refused & ~reach.any(axis=1)
         else:
-            unsure = unknown_history_uncertainty(of, T, route, values) ** 2 / 3 > sure
+            unsure = command_uncertainty_from_unknown_history(of, T, route, values) ** 2 / 3 > sure
             due = (unsure & (side != 0) & (reach == 0)).any(axis=1) & ~refused
             due &= np.arange(n) == (np.argmax(due) if due.any() else -1)  # what one forgets, those after it need not
         if not due.any():

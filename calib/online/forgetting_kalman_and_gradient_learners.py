@@ -1,4 +1,4 @@
-"""Forgetting, Kalman and gradient learners.
+"""Learners: least squares with forgetting, a Kalman filter, and gradient descent.
 
 They learn the 42 parameters pose by pose, and are kept in a JSON file.
 

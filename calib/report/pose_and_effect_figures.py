@@ -21,7 +21,7 @@ from rig.effects.sketches.motion_effect_sketches import (
     enlargement_text,
     example_run_with_effect,
     largest_suitable_unit,
-    place_and_values_text,
+    place_and_changed_values_text,
     sketch_hexapod,
 )
 from rig.errors import RigError
@@ -196,7 +196,7 @@ def rig_scene(
 def mechanism_scene(
     mechanism: Arm | Chain, frames: Integers, values: Floats, effects: tuple[DrawnEffect, ...] = ()
 ) -> Scene:
-    """3-D scene of a mechanism without cameras and targets.
+    """3-D scene of a mechanism, with effects drawn at their places, without cameras and targets.
 
     frames : (n,) numbers; values : (n, axes) rad or m
     """
@@ -318,12 +318,12 @@ def effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     )
     size = np.sqrt(np.mean(np.sum((found - true) ** 2, axis=-1), axis=(1, 2)))
     if np.ptp(size) <= CHANGES * size.max():
-        return Sketch(place_and_values_text(run.effect), (picture,))
+        return Sketch(place_and_changed_values_text(run.effect), (picture,))
     scale, unit = largest_suitable_unit(run.t[-1], TIMES)
     through = plot_panel_svg(
         "Through time", (f"time, {unit}", "RMS, px"), [Series(run.t / scale, size, "", "line", 1)], high=HIGH
     )
-    return Sketch(place_and_values_text(run.effect), (picture, through))
+    return Sketch(place_and_changed_values_text(run.effect), (picture, through))
 
 
 def _corner_displacement(effect: Effect, camera: Camera) -> float:

@@ -107,8 +107,9 @@ def recording_in_machine_frames(recording: Recording) -> Recording:
 def poses_aligned_with_machine(
     T: RigidTransform, predicted: RigidTransform, ends: tuple[bool, bool], level: bool
 ) -> tuple[RigidTransform, Floats, str]:
-    """Poses (n,) in the frames in which a parallel machine as calibrated predicts them; (6, 6) what turns their
-    tangents; and a sentence. What the numbers take of the noise is given back.
+    """Poses (n,) aligned with what a calibrated parallel machine predicts.
+
+    Also the (6, 6) transform of their tangents, and a sentence. What the numbers take of the noise is given back.
 
     ends : which are unknown; level : whether the platform stays level
     """

@@ -1,4 +1,4 @@
-"""rig new: write a rig.toml from questions; rig new design: from a radius or an arm.
+"""rig new: write a rig.toml from answers to questions; rig new design: from a radius or an arm.
 
 A folder is filled from four questions or options. A design comes from a radius, an arm's name, its URDF or its table of
 rows.

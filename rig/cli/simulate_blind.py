@@ -15,8 +15,8 @@ from rig.cli.shared import blind_case_process
 from rig.cli.shared.common_options import (
     add_json_result_option,
     add_overwrite_option,
+    open_worker_pool,
     results_with_progress,
-    worker_pool,
 )
 from rig.compute.worker_processes import run_child_process
 from rig.errors import RigError
@@ -95,7 +95,7 @@ def run(arguments: Namespace) -> None:
     out = a.outputs.growing(a.out, own=(a.out / "campaign.json").exists()).resolve()
     campaign = Campaign(out, lambda text: print(text, file=sys.stderr))
     campaign.begin(settings)
-    with worker_pool() as workers:
+    with open_worker_pool() as workers:
         undrawn = [(str(out), i, settings) for i in campaign.undrawn(indices)]
         for _ in results_with_progress(workers, _drawn, undrawn, "drawing"):
             pass

@@ -71,8 +71,8 @@ def straight_move_segment(
     return Segment(start - controller.zero, target - controller.zero, duration, travel / duration, acceleration, pose)
 
 
-def speed_share_of_move(start: Floats, target: Floats, speed: float, controller: Controller) -> float:
-    """Share of the greatest speeds at which the strut that moves most has a speed (m/s).
+def speed_fraction_of_move(start: Floats, target: Floats, speed: float, controller: Controller) -> float:
+    """Fraction of the greatest speeds at which the strut that moves most has a speed (m/s).
 
     start, target : (n,) m, lengths
     Raises ValueError where a strut would exceed its greatest speed.

@@ -27,7 +27,7 @@ from rig.driving.controller_status_and_limits import (
     limits_of_linuxcnc_ini,
     operator_advice,
 )
-from rig.driving.move_profiles_and_path_check import speed_share_of_move, straight_move_segment
+from rig.driving.move_profiles_and_path_check import speed_fraction_of_move, straight_move_segment
 from rig.driving.ports_and_numbered_frames import open_port
 from rig.driving.protocols.protocol_bases import Dialogue, Segment, State, Verdict
 from rig.driving.request_and_answer_exchange_with_controller import Link, Port
@@ -215,7 +215,7 @@ class Driver:
             start = self._ready()
             self.check(target, start)
             if speed is not None:
-                share = speed_share_of_move(start, target, speed, self.controller)
+                share = speed_fraction_of_move(start, target, speed, self.controller)
             if permit is not None:
                 permit()
             begun = self.clock.now()

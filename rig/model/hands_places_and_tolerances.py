@@ -165,7 +165,7 @@ def _parsed(text: str) -> Place:
     return Place(kind, name, int(found[1]) if found else 0)
 
 
-def parse_stage_place(text: str, kinds: Collection[str]) -> Place | None:
+def parse_place_in_stage(text: str, kinds: Collection[str]) -> Place | None:
     """Parse a Place in a stage of a chain ("stage2strut3").
 
     None for any other text.

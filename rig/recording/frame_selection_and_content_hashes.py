@@ -110,7 +110,7 @@ def hands_with_seen_targets(recording: Recording, corners: Corners | None) -> tu
     return tuple(name for k, name in enumerate(hand_names(recording.design.mechanism)) if k in seen)
 
 
-def first_seen_hand(recording: Recording, corners: Corners) -> tuple[Recording, Corners]:
+def recording_of_first_seen_hand(recording: Recording, corners: Corners) -> tuple[Recording, Corners]:
     """(Recording, Corners) of the first of an arm's hands whose target is seen in corners; as they are without one."""
     names = hands_with_seen_targets(recording, corners)
     if not names:

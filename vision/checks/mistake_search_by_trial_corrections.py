@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.checks import Mistake, command_and_pose_disagreements, sort_mistakes
 from rig.model.design import Camera, Design
-from rig.recording.frame_selection_and_content_hashes import first_seen_hand
+from rig.recording.frame_selection_and_content_hashes import recording_of_first_seen_hand
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from vision.checks import camera_mistake_trials as cameras
@@ -47,7 +47,7 @@ def find_corner_mistakes(recording: Recording, corners: Corners, thorough: bool 
     corners : Corners of its images or its corners.csv; thorough : whether many frames are held against the commands,
     not a few, and the search goes on for longer. Of an arm with several hands the first is checked whose target is seen
     """
-    recording, corners = first_seen_hand(recording, corners)
+    recording, corners = recording_of_first_seen_hand(recording, corners)
     held, recording = has_hand_cameras(recording.design), recording_seen_from_hand(recording)
     seen = sample_frames(recording.design, corners, *recording.exposures.times())
     if seen is None:

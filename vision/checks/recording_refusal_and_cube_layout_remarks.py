@@ -97,10 +97,7 @@ BODIES = {"platform": "the platform", "base": "the base"}
 
 
 def uneven_cube_layout_remarks(design: Design) -> tuple[str, ...]:
-    """Remarks on an uneven layout of a Design's cubes, mm and degrees.
-
-    None where all is even.
-    """
+    """Remarks on an uneven layout of a Design's cubes, by how many mm and degrees; none where all is even."""
     if not design.targets or not are_markers_placed(design):
         return ()
     found = marker_map(design.without_stages())

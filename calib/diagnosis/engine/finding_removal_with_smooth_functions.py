@@ -1,4 +1,4 @@
-"""Removal of findings that are insignificant once smooth functions of the unexplained are fitted with them."""
+"""Removal of findings that are no longer significant when fitted together with smooth functions of what is left."""
 
 from dataclasses import replace
 

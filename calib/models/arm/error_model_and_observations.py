@@ -283,7 +283,7 @@ def orientation_observations(q: Floats, orientations: RigidTransform, sigma: flo
 
 
 def direction_observations(q: Floats, pointing: RigidTransform, sigma: float | Floats) -> Observations:
-    """Direction observations: poses (m,) whose z axes the target's points along at q (m, n); sigma (rad) across it."""
+    """Direction observations: poses (m,), their z axes along the target's axis at q (m, n); sigma (rad) across."""
     variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
     return Observations("direction", np.asarray(q, float), pointing, variance * np.eye(2), np.zeros((len(q), 2, 0)))
 

@@ -301,7 +301,7 @@ def use_requested_workers(arguments: Namespace) -> Iterator[None]:
 
 
 @contextmanager
-def worker_pool() -> Iterator[Executor]:
+def open_worker_pool() -> Iterator[Executor]:
     """Worker pool of a command (context manager).
 
     A pool of workers, threads that wait for processes, or the cluster.

@@ -1,4 +1,4 @@
-"""Hysteresis of friction and springs in a drive.
+"""Hysteresis of a strut or joint, from friction and springs in its drive.
 
 Nested loops that do not saturate at one gap.
 """

@@ -120,7 +120,7 @@ def sketch_hexapod() -> Design:
     return replace(design, platform=platform, actuator=replace(design.actuator, screw_lead=LEAD))
 
 
-def place_and_values_text(effect: Effect) -> str:
+def place_and_changed_values_text(effect: Effect) -> str:
     """Text of an effect's place and of its values that differ from the defaults."""
     default = {field.name: field.default for field in fields(effect)}
     shown = [
@@ -223,7 +223,7 @@ def draw_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     run = example_run_with_effect(kind, place, factor)
     error = _strut_errors(run)
     first = _displaced(run) if kind.stage == "structure" or kind.on_pose else _through_time(run, error)
-    return Sketch(place_and_values_text(run.effect), (first, _over_covariate(run, error)))
+    return Sketch(place_and_changed_values_text(run.effect), (first, _over_covariate(run, error)))
 
 
 def _strut_errors(run: ExampleRun) -> Floats:
@@ -292,7 +292,9 @@ def _displaced(run: ExampleRun) -> str:
         parts.append(f'<path class="{style}" d="{struts}{_ring(tips[k])}"/>')
     parts.append(f'<path class="axis" d="{_ring(base[0])}"/>')
     return svg_figure(
-        int(top + scale * (high - low)[1] + 12), f"the platform displaced, {place_and_values_text(run.effect)}", parts
+        int(top + scale * (high - low)[1] + 12),
+        f"the platform displaced, {place_and_changed_values_text(run.effect)}",
+        parts,
     )
 
 

@@ -28,7 +28,7 @@ from rig.formats.numbers_and_units import parse_number
 from rig.formats.user_python_file import UserModule, line_of_class, line_within, read_user_text, run_user_text
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.hands_places_and_tolerances import AXES, Place, parse_stage_place
+from rig.model.hands_places_and_tolerances import AXES, Place, parse_place_in_stage
 
 Kinds = Mapping[str, type[Effect]]  # effects by their names
 
@@ -70,7 +70,7 @@ def _place(text: str, kind: type[Effect]) -> str:
     kinds = [*kind.places, *(AXES if "axis" in kind.places else ())]
     if text in kinds or any(re.fullmatch(rf"{place} \S+", text) for place in kinds):
         return text
-    of_stage = parse_stage_place(text, kind.places)
+    of_stage = parse_place_in_stage(text, kind.places)
     if of_stage is not None:
         return str(of_stage)
     for place in (*AXES, "camera", "marker", "target"):

@@ -235,9 +235,8 @@ def instrument_of_table(table: Entries) -> Instrument:
 
 
 def experiment_permission(table: Entries, targets: tuple[Target, ...]) -> Permission:
-    """Permission of the table [experiment].
+    """Permission for experiments, of the table [experiment]: what they may do, and to which cubes.
 
-    What experiments may do, and to which cubes.
     Raises FileError for what is none of it.
     """
     table.refuse_misspelt(("may",))

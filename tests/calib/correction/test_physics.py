@@ -21,8 +21,8 @@ from calib.correction.physics_compensation import (
     Machine,
     Physics,
     Unknown,
+    command_uncertainty_from_unknown_history,
     compensated_commands_at_poses,
-    unknown_history_uncertainty,
 )
 from calib.diagnosis.findings_refit import Findings
 from calib.files import calibration_file
@@ -202,7 +202,7 @@ def test_what_nobody_remembers_is_approached_where_there_is_time_and_room(design
         commands_along_route(calibration, T, home, Pace(t, 0.0, 0.02, 0.05), None, approach)
         for approach in ("never", "auto", "always")
     )
-    doubt = unknown_history_uncertainty(
+    doubt = command_uncertainty_from_unknown_history(
         Machine(calibration.correction, calibration.physics, None), T, never.route, never.values
     )
     assert (

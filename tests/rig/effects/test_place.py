@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rig.effects.catalogue.backlash import Backlash
-from rig.model.hands_places_and_tolerances import Place, axis_mask, parse_stage_place
+from rig.model.hands_places_and_tolerances import Place, axis_mask, parse_place_in_stage
 
 PLACES = {
     "strut 3": Place("strut", "3"),
@@ -52,8 +52,10 @@ def test_axes_are_counted_from_one_and_masked():
 
 
 def test_a_stages_place_may_be_written_short():
-    assert parse_stage_place("stage2strut3", ("axis",)) == Place("strut", "3", 2)
-    assert parse_stage_place("stage2strut3", ("camera",)) is None and parse_stage_place("strut3", ("axis",)) is None
+    assert parse_place_in_stage("stage2strut3", ("axis",)) == Place("strut", "3", 2)
+    assert (
+        parse_place_in_stage("stage2strut3", ("camera",)) is None and parse_place_in_stage("strut3", ("axis",)) is None
+    )
 
 
 def test_an_effect_sits_at_its_place():

@@ -102,7 +102,7 @@ def _is_linear(candidate: JointCandidate) -> bool:
 
 
 def term_parameter_covariance(fit: Fit, number: int) -> TermCovariance:
-    """TermCovariance of one term: of its sizes and nonlinear parameters together."""
+    """TermCovariance of one term: of its linear coefficients and nonlinear parameters together."""
     term, theta = fit.terms[number], fit.theta[fit.slices[number]]
     parameters = _continuous_parameters(term)
     if not parameters:
