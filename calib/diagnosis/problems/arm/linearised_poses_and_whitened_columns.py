@@ -15,6 +15,7 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator
 from scipy.spatial.transform import RigidTransform
 
+from calib.correction.physics_compensation import poses_with_predicted_rotations
 from calib.diagnosis.engine.cross_validation_and_chance import FOLDS, STRETCHES, time_stretch_folds
 from calib.diagnosis.problems.remainder_covariates_and_repeatability import repeated_pairs
 from calib.models.arm import error_model_and_observations
@@ -94,8 +95,14 @@ class Arms:
         )
 
     def measured(self, tangents: Floats) -> Floats:
-        """(n, k) what is measured of tangents (n, 6) by which the tool is displaced."""
-        return tangents[:, 3:5] if self.unit == "rad" else tangents[:, : self.left.shape[1]]
+        """(n, k) what is measured of tangents (n, 6), on the right, by which the tool is displaced.
+
+        Positions alone are measured along the axes of the frame of poses.
+        """
+        kind, mechanism = _kind_of_rows(self.left.shape[1]), self.context.design.mechanism
+        if not isinstance(mechanism, Arm):  # of a chain whole poses are compared
+            return tangents
+        return observation_jacobian(kind, tangents[..., None], self.q, mechanism, self.hand)[..., 0]
 
     def reached(self, effect: Effect) -> Floats:
         """(n, joints) rad, commands reached at the exposures under an effect of clock or path."""
@@ -123,6 +130,11 @@ class Geometry:
     def at(self, sizes: Floats) -> Arm | Chain:
         """The mechanism with its freedoms moved by sizes (f,)."""
         return self.move(self.basis @ sizes)
+
+
+def _kind_of_rows(k: int) -> str:
+    """Kind of observation of which a diagnosis has k numbers each."""
+    return next(name for name in ("pose", "position", "direction") if KINDS[name] == k)
 
 
 def most_parameters_of_candidate(poses: int, k: int, freedoms: int, whole: bool) -> int:
@@ -174,7 +186,8 @@ def linearise_poses(
     geometry, left, freedoms, joints, own = linear(samples, design)
     commands = Commands(samples.t, samples.commanded) if commands is None else commands
     design = replace(design, mechanism=geometry.mechanism)
-    motion = motion_simulation.motion_of_commands(design, commands, samples.t, (), sensors, samples.T_base_platform)
+    poses = poses_with_predicted_rotations(design, samples)
+    motion = motion_simulation.motion_of_commands(design, commands, samples.t, (), sensors, poses)
     context = Context(design, samples.t, sensors, motion)
     freedoms = np.concatenate([freedoms, samples.common[:, : left.shape[1]]], axis=2)
     seen = (samples.frame, samples.t, samples.commanded, left, freedoms, joints, own, commands, context)
@@ -217,7 +230,7 @@ def linearise_planned_poses(
         if not len(t):
             raise RigError(f"in none of the plan's {len(view.seen)} exposures a camera would see enough of the hand")
     q, k, design = commands.at(t), arms.left.shape[1], replace(arms.context.design, mechanism=geometry.mechanism)
-    kind = next(name for name in ("pose", "position", "direction") if KINDS[name] == k)
+    kind = _kind_of_rows(k)
     freedoms = (
         observation_jacobian(
             kind, error_model_and_observations.parameter_jacobian(q, geometry.mechanism), q, geometry.mechanism
