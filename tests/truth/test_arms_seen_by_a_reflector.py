@@ -1,4 +1,4 @@
-"""An arm of which positions alone are measured: what moves the hand beyond its joints, and what a stated mass does.
+"""Arms under a tracker: what positions show of warm links and of a stated mass, and a joint that all links load.
 
 The truth is no kinematics, no effect and no load of the package: frames are products of matrices of the second writer,
 links grow by their own lengths, and a joint yields by the slope of the potential energy.
@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import rig
 from calib.api.diagnose import DiagnoseOptions, diagnose
@@ -17,9 +18,11 @@ from tests.truth.written import _mechanism, table
 
 SIGMA = 3e-5  # m, of each coordinate
 TOOL = np.array([0.04, -0.03, 0.11])  # m, the reflector on the hand
-COUNT, APART = 120, 7.0  # positions, s between them
+COUNTS, APART = {"growth": 120, "sag": 120, "bend": 60}, 7.0  # positions or poses, s between them
 PER_KELVIN = 2.2e-5
 MASS, CENTRE, STIFFNESS = 12.0, np.array([0.05, 0.02, 0.25]), 4e4  # kg, m in the hand's frame, N m/rad
+LINKS, BENDS = np.array([30.0, 25.0, 18.0, 5.0, 3.0, 2.0]), 1e5  # kg, N m/rad
+TURN = 5e-5  # rad, noise of each angle
 GRAVITY = np.array([0.0, 0.0, -9.80665])
 
 
@@ -43,19 +46,34 @@ def sagged(machine: Arm, q: np.ndarray) -> np.ndarray:
     return q - np.eye(6)[2] * ((energy(q + step) - energy(q - step)) / 2e-5 / STIFFNESS)[:, None]
 
 
+def bent(machine: Arm, q: np.ndarray) -> np.ndarray:
+    """Joint values at which joint 2 has yielded to all links, each heavy at its middle, commanded q (n, 6)."""
+    step = 1e-5 * np.eye(6)[1]
+
+    def energy(values: np.ndarray) -> np.ndarray:
+        ends = [frame[:, :3, 3] for frame in machine.frames(values)]
+        middles = [(a + b) / 2 for a, b in zip(ends[:-1], ends[1:])]
+        hand = (machine.forward(values) @ np.r_[CENTRE, 1.0])[:, :3]
+        return -(sum(mass * at for mass, at in zip(LINKS, middles)) + MASS * hand) @ GRAVITY
+
+    return q - np.eye(6)[1] * ((energy(q + step) - energy(q - step)) / 2e-5 / BENDS)[:, None]
+
+
 def write_recording(folder, law: str, seed: int):
-    """A recording of 120 positions of an arm whose links grow with the room, or whose joint 3 yields."""
-    rng = np.random.default_rng(seed)
+    """A recording of positions of an arm whose links grow with the room, or whose joint 3 yields to a stated mass; or
+    of poses of one whose joint 2 yields to links of which nothing is stated.
+    """
+    rng, count = np.random.default_rng(seed), COUNTS[law]
     owner = nominal("arm", rng)
     real = secret(owner, 3e-4, rng)
     middle, half = owner.ranges.mean(axis=1), 0.475 * np.ptp(owner.ranges, axis=1)
-    q = middle + half * rng.uniform(-1, 1, (COUNT, 6))
-    t = APART * np.arange(COUNT)
+    q = middle + half * rng.uniform(-1, 1, (count, 6))
+    t = APART * np.arange(count)
     if law == "growth":
         poses = np.stack([grown(real, PER_KELVIN * (room(a) - 20)).forward(b[None])[0] for a, b in zip(t, q)])
     else:
-        poses = real.forward(sagged(real, q))
-    seen = (poses @ np.r_[TOOL, 1.0])[:, :3] + SIGMA * rng.normal(size=(COUNT, 3))
+        poses = real.forward(sagged(real, q) if law == "sag" else bent(real, q))
+    seen = (poses @ np.r_[TOOL, 1.0])[:, :3] + SIGMA * rng.normal(size=(count, 3))
     folder.mkdir()
     (folder / "rig.toml").write_text(
         "\n".join(
@@ -65,19 +83,25 @@ def write_recording(folder, law: str, seed: int):
                 f"gravity = {GRAVITY.tolist()}",
                 *_mechanism(owner),
                 f"tool = {{ position = {TOOL.tolist()}, rotvec = [0.0, 0.0, 0.0] }}",
-                "[platform]",
-                f"mass = {MASS}",
-                f"centre_of_mass = {(CENTRE - TOOL).tolist()}",
+                *(
+                    []
+                    if law == "bend"
+                    else ["[platform]", f"mass = {MASS}", f"centre_of_mass = {(CENTRE - TOOL).tolist()}"]
+                ),
                 "[instrument]",
                 'base = "rig"',
                 'tool = "free"',
                 f"position_sigma = {SIGMA}",
+                *([f"rotation_sigma = {TURN}"] if law == "bend" else []),
             ]
         )
     )
     table(folder / "commands.csv", ("t", *owner.names), np.column_stack([np.r_[t, t[-1] + 5], np.r_[q, q[-1:]]]))
     (folder / "frames.csv").write_text("frame,t,camera,image\n" + "".join(f"{k},{a},,\n" for k, a in enumerate(t)))
-    table(folder / "poses.csv", ("frame", "x", "y", "z"), np.column_stack([np.arange(COUNT), seen]))
+    names = ("frame", "x", "y", "z", *(("rx", "ry", "rz") if law == "bend" else ()))
+    turned = Rotation.from_matrix(poses[:, :3, :3]) * Rotation.from_rotvec(TURN * rng.normal(size=(count, 3)))
+    rows = np.column_stack([np.arange(count), seen, turned.as_rotvec()])
+    table(folder / "poses.csv", names, rows[:, : len(names)])
     log = np.arange(-20, t[-1] + 20, 10)
     table(folder / "sensors.csv", ("t", "ambient_temperature_C"), np.column_stack([log, room(log)]))
     return folder
@@ -98,3 +122,12 @@ def test_what_positions_show_of_warm_links_and_of_a_mass(tmp_path, law, effect, 
     value = found.findings[0].parameters[parameter]
     assert value.ci95[0] <= truth <= value.ci95[1] and value.ci95[1] - value.ci95[0] < 0.5 * truth
     assert found.unexplained is None
+
+
+def test_a_joint_that_all_links_load_is_not_taken_for_two(tmp_path):
+    """The search begins with the weight of few links; what these leave is no yielding of another joint."""
+    for seed in (2, 3, 4):
+        recording = rig.load(write_recording(tmp_path / f"REC{seed}", "bend", seed))
+        found = diagnose(recording, DiagnoseOptions(only=("compliance",))).report
+        assert [(one.effect, one.place) for one in found.findings] == [("compliance", "joint 2")]
+        assert found.unexplained is None
