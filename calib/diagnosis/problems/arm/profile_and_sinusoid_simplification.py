@@ -172,9 +172,11 @@ def choose_forms_of_laws(
         forms = [c for c in candidates if (c.name, c.place) == (one.candidate.name, one.candidate.place)]
         if stated_terms.holds(one.candidate) or len({len(c.prior(node)) for c in forms for node in c.grid}) < 2:
             continue
-        own = _numbers(fit, one)
-        if not own:  # another law has taken its place
+        if not _numbers(fit, one):  # another law has taken its place
             continue
+        # of what scattered before the term was there, no number more would be worth itself
+        fit = fit_terms_to_poses(fit.arms, fit.terms, train, fit.weighing, rounds=QUICK)
+        own = _numbers(fit, one)
         others = [[i] for i, t in enumerate(fit.terms) if [i] != own and not stated_terms.holds(t.candidate)]
         rests = [fit.without_terms(own + gone) for gone in ([], *others)]
         trials = [
