@@ -181,6 +181,8 @@ class Renderer:
 
         def single() -> None:
             configure()
+            if inner._main_fb_ms not in (None, inner._main_fb):  # its buffers live as long as it does
+                GL.glDeleteFramebuffers(1, [inner._main_fb_ms])
             inner._main_fb_ms = inner._main_fb
 
         def read(scene: object, flags: int) -> ImageBytes:

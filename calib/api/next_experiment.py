@@ -167,7 +167,7 @@ def evaluate_experiment(
     )
     todo = turning_instructions(dict(plan.turned), stands)
     plan = replace(plan, turned=tuple({**stands, **dict(plan.turned)}.items()))
-    found = [_worth(question, plan) for question in open_questions]
+    found = [_plan_information(question, plan) for question in open_questions]
     minutes = float(plan.commands.t[-1]) / 60 + SETTING_UP + TURNING * len(todo)
     changes = [(t, mass) for (_, before), (t, mass) in zip(plan.payload[:-1], plan.payload[1:]) if mass != before]
     asks = (
@@ -180,7 +180,7 @@ def evaluate_experiment(
     return Experiment(plan_text, seed, plan, minutes, sum(one.bits for one in found), settles, asks)
 
 
-def _worth(question: Question[object], plan: Plan) -> Information:
+def _plan_information(question: Question[object], plan: Plan) -> Information:
     """Information of a plan for one question; where a hypothesis follows a temperature, over days as warm as the first
     recording's and others.
     """

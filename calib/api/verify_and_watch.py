@@ -171,7 +171,7 @@ def verify(
         calibration,
         refutations,
         calibration_file.frames_used_in_calibration(calibration, recording),
-        None if wanted is None else _driven(calibration, recording, sampled.samples, wanted),
+        None if wanted is None else _errors_from_wanted_poses(calibration, recording, sampled.samples, wanted),
         sampled.measurement.unsolved if sampled.measurement is not None else {},
         confounds_of_recordings([recording]),
         (*placed.lines, *clocks),
@@ -181,7 +181,7 @@ def verify(
     return VerificationResult(recording, sampled, figures, placed.placement)
 
 
-def _driven(
+def _errors_from_wanted_poses(
     calibration: Calibration, recording: Recording, samples: Samples, wanted: Poses
 ) -> tuple[Figures, tuple[float, float], Floats]:
     """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference, the

@@ -276,7 +276,7 @@ def mean_square_pose_errors_of_extension(
     square = (
         np.zeros((len(commands), 6))
         if not correction.posed
-        else correction.posed_error(correction.predict(commands)) ** 2
+        else correction.pose_map_standard_error(correction.predict(commands)) ** 2
     )
     if correction.extension is not None:
         square = square + (inverse_jacobian**2 @ (correction.extension.error(commands) ** 2)[..., None])[..., 0]

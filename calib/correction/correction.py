@@ -142,7 +142,7 @@ class Correction(Generic[M, R]):
         """
         return commands - self.inverse_without_physics(T_base_platform)
 
-    def posed_error(self, T_base_platform: RigidTransform) -> Floats:
+    def pose_map_standard_error(self, T_base_platform: RigidTransform) -> Floats:
         """(..., 6) m and rad, standard error of what maps in pose space add to poses (...): of the last that holds
         there.
         """

@@ -13,7 +13,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.diagnosis.engine.candidates_thresholds_and_outliers import (
     NO_STATED_TERMS,
     C,
-    NotAsked,
+    NotTested,
     Outliers,
     Site,
     StatedTerms,
@@ -102,7 +102,7 @@ class Diagnosis:
     repeats: Repeats | None
     left: list[LackOfFit]
     tolerable: Tolerable
-    not_tested: list[NotAsked]
+    not_tested: list[NotTested]
     noise: Noise
     covariates: list[Covariate]
     suggestions: tuple[Suggestion, ...]
@@ -140,7 +140,7 @@ class Explained(NamedTuple):
     selection: Selection[Any, Any]
     left: list[LackOfFit]
     tolerable: Tolerable
-    not_tested: list[NotAsked]
+    not_tested: list[NotTested]
 
 
 @threadpool_limits.wrap(limits=1)

@@ -84,7 +84,10 @@ def write_verification_page(path: Path | str, name: str, verified: Verified, lin
     errors = {"nominal model": -verified.before, "corrected": -verified.after}
     parts: list[str] = []
     if verified.driven is not None:
-        parts += [heading_html("Wanted and measured poses"), _driven(verified.samples.frame, *verified.driven)]
+        parts += [
+            heading_html("Wanted and measured poses"),
+            _wanted_poses_html(verified.samples.frame, *verified.driven),
+        ]
     parts += [
         heading_html("Errors before and after, by pose"),
         correction_error_figures(verified.before, verified.after, verified.samples.frame, "poses of this recording"),
@@ -177,7 +180,7 @@ def _of_driven(v: Verified) -> Evidence:
     return replace(known, missing=(*known.missing, *([MissingEvidence(beyond, CHANGED)] if times > AGREES else [])))
 
 
-def _driven(frames: Integers, figures: Figures, stated: tuple[float, float], errors: Floats) -> str:
+def _wanted_poses_html(frames: Integers, figures: Figures, stated: tuple[float, float], errors: Floats) -> str:
     rows = [
         ("position", *(f"{value * 1e3:.4f} mm" for value in (*figures.position, stated[0]))),
         ("rotation", *(f"{value * 1e3:.4f} mrad" for value in (*figures.rotation, stated[1]))),

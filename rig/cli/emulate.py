@@ -142,7 +142,7 @@ def _emulate(arguments: Namespace) -> None:
         signal.signal(ending, signal.default_int_handler)
     try:
         controller_emulator_opening_and_ports.serve_emulator(
-            emulator, wire, lambda: True, _say, history.record if history else lambda: None
+            emulator, wire, lambda: True, _print_port, history.record if history else lambda: None
         )
     except KeyboardInterrupt:
         print(f"{len(emulator.machine.executed)} moves executed; faults: {', '.join(emulator.faults.struck) or 'none'}")
@@ -210,7 +210,7 @@ def _cameras(arguments: Namespace, followed: Path) -> EmulatedCameraProcess:
     return cameras
 
 
-def _say(name: str) -> None:
+def _print_port(name: str) -> None:
     print(f"port {name}", flush=True)
 
 

@@ -120,7 +120,7 @@ def run(arguments: argparse.Namespace) -> None:
     recipe_file = arguments.out.parent / f"{arguments.out.name}.import.toml"
     if arguments.recipe is None:
         write_text(arguments.outputs.file(recipe_file), importers.recipe_toml(imported.recipe, recipe_file.parent))
-    _say(imported)
+    _print_verdict(imported)
     arguments.result = _result(
         imported, [str(remark) for remark in remarks], recipe_file if arguments.recipe is None else arguments.recipe
     )
@@ -224,7 +224,7 @@ def _rig(arguments: argparse.Namespace, recipe: "Recipe") -> None:
     print(f"written: {arguments.out}")
 
 
-def _say(imported: "ImportedRecording") -> None:
+def _print_verdict(imported: "ImportedRecording") -> None:
     """Print the verdict, then what was assumed."""
     e, parts = imported.exposed, []
     pictures = sum(bool(name) for name in e.camera)

@@ -124,6 +124,25 @@ def test_each_camera_has_its_own_resolution(design, opengl):
         renderer.close()
 
 
+def test_cameras_drawn_in_turn_leave_no_framebuffers(design, opengl):
+    """Each change of resolution makes new ones; those before it must go, or a long run fills the memory."""
+    from OpenGL import GL
+
+    first = replace(design.cameras[0], width=64, height=48, matrix=np.array([[80.0, 0, 32], [0, 80, 24], [0, 0, 1]]))
+    second = replace(first, name="cam1", width=48)
+    rig = replace(design, cameras=(first, second))
+    renderer = render.Renderer([], rig)
+    try:
+        counts = []
+        for _ in range(4):
+            for camera in rig.cameras:
+                renderer.draw(camera.name, rig.mechanism.home)
+            counts.append(sum(bool(GL.glIsFramebuffer(number)) for number in range(1, 200)))
+    finally:
+        renderer.close()
+    assert counts == [counts[0]] * 4
+
+
 def test_without_opengl_one_clear_line(tmp_path):
     code = (
         "import sys\nsys.modules['OpenGL.GL'] = None\nfrom synthetic.ideal_image_renderer import import_pyrender\nfrom "

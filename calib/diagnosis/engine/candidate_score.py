@@ -96,12 +96,13 @@ class Alternative(Generic[C]):
 
 
 class Scans(Generic[C]):
-    """Scores of all candidates by the terms that were admitted when they were scanned: what is searched once is not
-    searched again.
+    """Scores of all candidates by the terms that were admitted when they were scanned, and the alternatives of terms
+    confirmed: what is searched once is not searched again.
     """
 
     def __init__(self) -> None:
         self._by_terms: dict[frozenset[int], list[Score[C]]] = {}
+        self._confirmed: dict[int, tuple[list[C], Score[C], list[Alternative[C]]]] = {}
 
     def keep(self, terms: Sequence[C], scores: list[Score[C]]) -> None:
         """Keep the Scores of a scan beside some terms."""
@@ -113,12 +114,26 @@ class Scans(Generic[C]):
         """
         scores = self._by_terms.get(frozenset(map(id, terms)), [])
         own = next((s for s in scores if s.candidate is score.candidate), None)
-        if own is None or not is_same_evidence(own, score, size):
+        if own is None or not _is_same_evidence(own, score, size):
             return None
         return scores, own
 
+    def keep_alternatives(self, others: list[C], score: Score[C], alternatives: list[Alternative[C]]) -> None:
+        """Keep the alternatives of a term with a Score that was confirmed beside other terms."""
+        self._confirmed[id(score.candidate)] = others, score, alternatives
 
-def is_same_evidence(one: Score[C], other: Score[C], size: int) -> bool:
+    def alternatives(self, others: list[C], score: Score[C], size: int) -> list[Alternative[C]] | None:
+        """The alternatives of a term confirmed before that still explains as much, beside others of which none that
+        came or went is among these; None where they are to be sought anew."""
+        before, known, alternatives = self._confirmed.get(id(score.candidate), (others, None, []))
+        if known is None or not _is_same_evidence(known, score, size):
+            return None
+        changed = {(c.name, c.place) for c in before + others if (c in before) != (c in others)}
+        listed = {(a.score.candidate.name, a.score.candidate.place) for a in alternatives}
+        return None if changed & listed else alternatives
+
+
+def _is_same_evidence(one: Score[C], other: Score[C], size: int) -> bool:
     """Whether two Scores of a candidate, each beside some terms, tell the same."""
     return abs(one.evidence(size) - other.evidence(size)) <= SAME * abs(other.evidence(size))
 

@@ -83,7 +83,7 @@ C = TypeVar("C", bound=Candidate)  # a problem's own kind of candidate
 
 
 @dataclass(frozen=True, slots=True)
-class NotAsked:
+class NotTested:
     """An effect that a recording cannot show, and why."""
 
     effect: str

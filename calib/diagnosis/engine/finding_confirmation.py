@@ -2,23 +2,24 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Generic
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_score import (
-    SEVERAL,
-    Alternative,
-    Scans,
-    Score,
-    is_same_evidence,
-    score_raised_to_likelihood_ratio,
-)
+from calib.diagnosis.engine.candidate_score import SEVERAL, Alternative, Scans, Score, score_raised_to_likelihood_ratio
 from calib.diagnosis.engine.candidates_thresholds_and_outliers import C, SelectionPolicy
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import column_cosine
-from calib.diagnosis.engine.problem_interface import AliasedNodes, Fit, Model, Problem, Progress, UnfittedNodes
+from calib.diagnosis.engine.problem_interface import (
+    AliasedNodes,
+    AlternativeScreening,
+    Fit,
+    Model,
+    Problem,
+    Progress,
+    UnfittedNodes,
+)
 from rig.model.hands_places_and_tolerances import Place
 
 TAKEN = 0.5  # of a smooth function's delta chi-square, which it keeps at most beside a name that stands for the same
@@ -52,10 +53,12 @@ def find_alternatives(
     finding_score: Score[C],
     progress: Callable[[int, int], None] | None,
     known: tuple[list[Score[C]], Score[C]] | None = None,
+    candidates: Callable[[], list[C]] | None = None,
 ) -> list[Alternative[C]]:
     """Find the alternatives to a finding ([Alternative]) on a model without it, by weight, the best of each place.
 
     known : as `Scans.of_same_terms` has it, taken in place of a new scan where that listed all that is asked here
+    candidates : a function of those that are scanned, None for all
     """
     policy, linear = problem.policy, problem.linear(model)
     size, here = linear.size, (finding_score.candidate.name, finding_score.candidate.place)
@@ -65,7 +68,7 @@ def find_alternatives(
         reach = _reach(policy, finding_score)
     if scores is None:
         least = max(finding_score.raw_delta_bic(size) - reach, 0.0)
-        scores = problem.search(model, problem.candidates, least, progress)
+        scores = problem.search(model, problem.candidates if candidates is None else candidates(), least, progress)
     column = problem.column(model, finding_score)
 
     def alternative(score: Score[C]) -> Alternative[C]:
@@ -110,8 +113,6 @@ def refit_alternatives(
     hidden : whether the finding convinces by its fit alone, as they then may
     """
     close = [a for a in alternatives if is_indistinguishable(a, problem.policy)][: problem.policy.refitted]
-    if not close:
-        return []
     size, out = problem.size(fit), []
 
     @cache
@@ -189,27 +190,22 @@ def confirm_terms(
 
 
 class _Changes(Generic[C]):
-    """What confirmation has changed and confirmed. replaced : candidates that do not come back; moved : times that a
-    term went to another node of its candidate"""
+    """What confirmation has changed. replaced : candidates that do not come back; moved : times that a
+    term went to another node"""
 
     def __init__(self) -> None:
-        self.replaced: list[C] = []
-        self.moved = 0
-        self._confirmed: dict[int, tuple[list[C], Finding[C]]] = {}
+        self.replaced, self.moved = list[C](), 0
+        self._screened: tuple[object, list[list[C]] | None] = None, None
 
-    def keep(self, others: list[C], finding: Finding[C]) -> None:
-        """Keep a Finding confirmed beside other terms."""
-        self._confirmed[id(finding.score.candidate)] = others, finding
-
-    def alternatives(self, others: list[C], score: Score[C], size: int) -> list[Alternative[C]] | None:
-        """The alternatives of a term confirmed before that still explains as much, beside others of which none that
-        came or went is among these; None where they are to be sought anew."""
-        before, finding = self._confirmed.get(id(score.candidate), (others, None))
-        if finding is None or not is_same_evidence(finding.score, score, size):
-            return None
-        changed = {(c.name, c.place) for c in before + others if (c in before) != (c in others)}
-        listed = {(a.score.candidate.name, a.score.candidate.place) for a in finding.alternatives}
-        return None if changed & listed else finding.alternatives
+    def candidates(
+        self, problem: Problem[Fit, Model, C], fit: Fit, number: int, progress: Callable[[int, int], None] | None
+    ) -> list[C]:
+        """Those that may explain as much as a term of a Fit, screened once for all where terms are several; or all."""
+        if not isinstance(problem, AlternativeScreening) or len(problem.terms(fit)) < SEVERAL:
+            return problem.candidates
+        if self._screened[0] is not fit:
+            self._screened = fit, problem.screen_alternatives(fit, progress)
+        return problem.candidates if self._screened[1] is None else self._screened[1][number]
 
 
 def _confirm_term(
@@ -242,15 +238,12 @@ def _confirm_term(
         changes.moved += 1
         return problem.in_place(moved, number), None
     others = [c for i, c in enumerate(problem.terms(fit)) if i != number]
-    if (known := changes.alternatives(others, own, size)) is not None:
-        return fit, Finding(number, own, known)
-    found = find_alternatives(
-        problem,
-        model,
-        scanned,
-        labelled_progress(progress, f"alternatives of {own.candidate.name}"),
-        scans.of_same_terms(others, scanned, problem.linear(model).size),
-    )  # like against like
+    if (confirmed := scans.alternatives(others, own, size)) is not None:
+        return fit, Finding(number, own, confirmed)
+    label = labelled_progress(progress, f"alternatives of {own.candidate.name}")
+    known = scans.of_same_terms(others, scanned, problem.linear(model).size)  # like against like
+    screened = partial(changes.candidates, problem, fit, number, label)
+    found = find_alternatives(problem, model, scanned, label, known, screened)
     tries = refit_alternatives(problem, fit, number, scanned, found, own is not scanned)
     rest = [a for a in found if not any(a is t.scanned for t in tries)]
     ranked = sorted([*(t.alternative for t in tries), *rest], key=lambda a: a.behind)
@@ -272,7 +265,7 @@ def _confirm_term(
         changes.replaced.append(term)
         return problem.in_place(member, number), None
     finding = Finding(number, own, [a for a in ranked if is_indistinguishable(a, policy)])
-    changes.keep(others, finding)
+    scans.keep_alternatives(others, own, finding.alternatives)
     return fit, finding
 
 
@@ -322,18 +315,18 @@ def _scores_of_other_members(problem: Problem[Fit, Model, C], model: Model, term
 
 
 def _likelier_member(
-    problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int, scanned: Score[C], but: Sequence[C]
+    problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int, scanned: Score[C], excluded: Sequence[C]
 ) -> Fit | None:
     """The Fit with another member of a term's law in its place, the last of the terms, where that is likelier once all
     is fitted by what an alternative must lead by; None where none is.
 
-    model : without the term, scanned as this Score; but : members that are not tried
+    model : without the term, scanned as this Score; excluded : members that are not tried
     """
     policy, size = problem.policy, problem.linear(model).size
     if not np.isfinite(policy.takes_over):
         return None
     term = problem.terms(fit)[number]
-    others = [s for s in _scores_of_other_members(problem, model, term) if not any(s.candidate is c for c in but)]
+    others = [s for s in _scores_of_other_members(problem, model, term) if not any(s.candidate is c for c in excluded)]
     if not others:
         return None
     reach = 1.0
@@ -365,17 +358,17 @@ def _at_likelier_node(problem: Problem[Fit, Model, C], fit: Fit, number: int, sc
 
 
 def refit_with_other_member_of_law(
-    problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int, but: Sequence[C] = ()
+    problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int, excluded: Sequence[C] = ()
 ) -> Fit | None:
     """Refit with another member of a term's law in its place that explains its residuals.
 
     None where none does. It is the last of the terms. A law is a family, and a machine need not follow its first
     formula.
-    model : without it; but : members that are not tried
+    model : without it; excluded : members that are not tried
     """
     site, size = problem.terms(fit)[number].site, problem.linear(model).size
     for score in _scores_of_other_members(problem, model, problem.terms(fit)[number]):
-        if any(score.candidate is c for c in but):
+        if any(score.candidate is c for c in excluded):
             continue
         if is_significant(score, len(problem.candidates), size, problem.policy):
             new = problem.exchange_term(fit, number, score)

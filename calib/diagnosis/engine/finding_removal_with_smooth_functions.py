@@ -23,7 +23,7 @@ def remove_findings_insignificant_with_smooth_functions(
     fit, gone, after, findings = selection.fit, [], problem.residual(selection.fit), []
     for f in selection.findings:
         if not problem.given.holds(f.score.candidate) and _is_insignificant_with_smooth_functions(
-            problem, f, fit, after, unexplained, selection.asked
+            problem, f, fit, after, unexplained, selection.candidate_count
         ):
             without = problem.without_term(fit, f.number)
             member = refit_with_other_member_of_law(problem, without, fit, f.number)
@@ -45,7 +45,7 @@ def _is_insignificant_with_smooth_functions(
     fit: Fit,
     after: Model,
     unexplained: list[LackOfFit],
-    asked: int,
+    candidate_count: int,
 ) -> bool:
     """Whether a Finding is insignificant beside smooth functions of what the unexplained residuals, or those left at
     its own place, depend on.
@@ -55,7 +55,7 @@ def _is_insignificant_with_smooth_functions(
     """
     assert isinstance(problem, SmoothCover)
     place, known = finding.score.candidate.site, {(u.place, u.depends_on) for u in unexplained}
-    if unexplained and not _stays(problem, finding, fit, unexplained, asked):
+    if unexplained and not _stays(problem, finding, fit, unexplained, candidate_count):
         return True
     size = problem.size(fit)
     doubts = [
@@ -65,7 +65,7 @@ def _is_insignificant_with_smooth_functions(
         and u.evidence(size) > 0  # what pays for its own numbers
         and (place.is_axis or not u.place.is_axis)
     ]
-    if not doubts or _stays(problem, finding, fit, unexplained + doubts, asked):
+    if not doubts or _stays(problem, finding, fit, unexplained + doubts, candidate_count):
         return False
     return any(problem.within(u, place) for u in problem.lack_of_fit(problem.without_term(fit, finding.number)))
 

@@ -186,7 +186,7 @@ class Search:
         """Description length of the residual by some atoms; infinite where they swallow one another."""
         if atoms is None:
             return np.inf
-        left = self.data if not atoms else self.data.beside(self._columns(atoms))
+        left = self.data if not atoms else self.data.with_nuisances(self._columns(atoms))
         if left is None:
             return np.inf
         mean = float(left.y @ left.y) / self.data.size
@@ -223,7 +223,7 @@ class Search:
 
     def _with_one(self, atoms: tuple[Atom, ...]) -> tuple[Atom, ...] | None:
         """Atoms and one more, the one that shortens the description most; None where there is none."""
-        left = self.data if not atoms else self.data.beside(self._columns(atoms))
+        left = self.data if not atoms else self.data.with_nuisances(self._columns(atoms))
         if left is None:
             return None
         total, found = float(left.y @ left.y), []

@@ -56,7 +56,7 @@ class FactoredColumns:
     def __rmatmul__(self, left: Floats) -> Floats:
         return (left @ self.table) @ self.turn
 
-    def beside(self, part: Floats, lost: Floats, half: Floats) -> "FactoredColumns":
+    def with_columns(self, part: Floats, lost: Floats, half: Floats) -> "FactoredColumns":
         """These columns and part (m, k) @ half (k, h) - these @ lost (r, h)."""
         (p, r), (k, h) = self.turn.shape, half.shape
         turn = np.zeros((p + k, r + h))
@@ -252,7 +252,9 @@ class LinearModel:
             residuals.append(block.residual - (moved - basis @ (lost @ z)))
             if isinstance(factored, FactoredColumns):
                 nothing = np.zeros((len(basis), 0)), lost, half[:0]
-                bases.append(factored.beside(*nothing) if part is None else factored.beside(part, lost, half))
+                bases.append(
+                    factored.with_columns(*nothing) if part is None else factored.with_columns(part, lost, half)
+                )
             else:
                 bases.append(np.column_stack([basis, (0 if part is None else part @ half) - basis @ lost]))
         blocks = tuple(replace(block, residual=residual) for block, residual in zip(self.blocks, residuals))

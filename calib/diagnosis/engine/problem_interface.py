@@ -137,6 +137,16 @@ class SmoothCover(Protocol[Fit_contra, Model_co]):
 
 
 @runtime_checkable
+class AlternativeScreening(Protocol[Fit_contra, C]):
+    """Capability: what all candidates about explain in place of each term of a Fit is found at once."""
+
+    def screen_alternatives(
+        self, fit: Fit_contra, progress: Callable[[int, int], None] | None = None
+    ) -> list[list[C]] | None:
+        """For each term, the candidates that may explain as much in its place; None where that cannot be said."""
+
+
+@runtime_checkable
 class AliasedNodes(Protocol[Model_contra, C]):
     """Capability: nodes of one candidate may be hypotheses of their own."""
 

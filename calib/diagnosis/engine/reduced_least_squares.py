@@ -56,12 +56,13 @@ class FrameProducts:
 
 class Normal(NamedTuple):
     """Normal equations of k candidates. b : (k, q) projections of the residual; G : (k, q, q) Gram matrices, nuisances
-    taken out;
-    raw : (k, q) squares before they were"""
+    taken out; raw : (k, q) squares before they were; onto : (k, q, r) products with the nuisances' orthonormal basis,
+    where they are wanted later"""
 
     b: Floats
     G: Floats
     raw: Floats
+    onto: Floats | None = None
 
 
 class Solved(NamedTuple):
@@ -93,7 +94,7 @@ def normal_equations_by_direction_weights(products: FrameProducts, weights: Floa
     K = products.onto(rows @ products.kappa.reshape(F * a, -1))
     pushed = products.gamma * weights if a == 1 else products.gamma @ weights
     G = rows @ pushed.reshape(k, F * a, q)
-    return Normal(b, G - K @ np.swapaxes(K, 1, 2), np.einsum("kqq->kq", G).copy())
+    return Normal(b, G - K @ np.swapaxes(K, 1, 2), np.einsum("kqq->kq", G).copy(), K)
 
 
 def normal_equations_by_common_weights(products: FrameProducts, frame_weights: Floats) -> Normal:
@@ -109,7 +110,7 @@ def solve_normal_equations(normal: Normal) -> Solved:
 
     Least squares in the directions that nuisances leave visible.
     """
-    b, G, raw = normal
+    b, G, raw = normal[:3]
     scale = np.sqrt(np.maximum(raw, 1e-300))
     values, vectors = np.linalg.eigh(G / scale[:, :, None] / scale[:, None, :])
     retained = values > SWALLOWED
@@ -126,7 +127,7 @@ def solve_nonnegative(normal: Normal) -> Solved:
     Given which are above zero, what they explain is distributed as if no others had been there (Kudo, Biometrika 50,
     1963, 403-418). Source of the solution: Lawson and Hanson, Solving Least Squares Problems, 1974, ch. 23
     """
-    b, G, raw = normal
+    b, G, raw = normal[:3]
     scale = np.sqrt(np.maximum(raw, 1e-300))
     values, vectors = np.linalg.eigh(G / scale[:, :, None] / scale[:, None, :])
     root = np.sqrt(np.where(values > SWALLOWED, values, 0.0))
@@ -143,7 +144,7 @@ def solve_with_prior(normal: Normal, prior: Floats | float) -> Solved:
 
     Standard deviations (q,), on the coefficients.
     """
-    b, G, raw = normal
+    b, G, raw = normal[:3]
     size = np.linalg.solve(G + np.eye(b.shape[1]) / np.square(prior), np.concatenate([b[..., None], G], axis=2))
     rank = np.round(np.einsum("sqq->s", size[..., 1:]), 1)
     return Solved((b * size[..., 0]).sum(axis=1), list(size[..., 0]), rank, np.ones(len(b)))
@@ -257,7 +258,7 @@ class Reduced:
         """(f a, q) columns of weights (f, a, q)."""
         return (self.root @ weights).reshape(len(self.y), -1)
 
-    def beside(self, columns: Floats) -> "Reduced | None":
+    def with_nuisances(self, columns: Floats) -> "Reduced | None":
         """The same with columns (f a, q) fitted and taken out; None where nuisances and columns swallow one another."""
         free = columns - self.basis @ (self.basis.T @ columns)
         gram = columns.T @ free
@@ -291,7 +292,7 @@ class Reduced:
         out since it was made.
         """
         b: Floats = (self.y @ stack.columns.reshape(len(self.y), -1)).reshape(stack.own.shape)
-        since = self.basis[:, stack.beside :]
+        since = self.basis[:, stack.eliminated :]
         gram = stack.gram if not since.shape[1] else stack.gram - _grams(_onto(since, stack.columns))
         if b.shape[1] == 1:
             seen = gram[:, 0, 0] > SWALLOWED * stack.own[:, 0]
@@ -306,12 +307,12 @@ class Reduced:
 class Stack:
     """Columns that are tried, each by itself. columns : (f a, k, q), q = 1 or 2; gram : (k, q, q) of them, what was
     taken out first left out
-    own : (k, q) squares before; beside : how many columns were taken out first"""
+    own : (k, q) squares before; eliminated : how many columns were taken out first"""
 
     columns: Floats
     gram: Floats
     own: Floats
-    beside: int
+    eliminated: int
 
 
 def _onto(basis: Floats, columns: Floats) -> Floats:

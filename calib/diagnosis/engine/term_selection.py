@@ -40,21 +40,22 @@ from calib.diagnosis.engine.problem_interface import (
 
 SEARCHED_AGAIN = 2  # times that terms are searched for beside those confirmed, where confirmation changed them
 DIGITS = 3  # of a node's values, by which hypotheses are told apart
+HypothesisKeys = set[tuple[object, ...]]  # of those admitted once
 Merges = set[tuple[str, frozenset[Site]]]  # (name at several axes, (name, place) of all other terms), tried as one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Selection(Generic[Fit, C]):
     """problem : Problem that all was judged by, with tolerances among its nuisances where they are seen to be at work
-    before : Fit with nothing admitted; fit : with all; findings : in the order of their weight; asked : how many
-    candidates were
+    before : Fit with nothing admitted; fit : with all; findings : in the order of their weight; candidate_count : of
+    those tested
     """
 
     problem: Problem[Fit, Any, C]
     before: Fit
     fit: Fit
     findings: list[Finding[C]]
-    asked: int
+    candidate_count: int
 
 
 def select_terms(
@@ -154,21 +155,21 @@ def _forward(
 
 
 def _steps(
-    problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress: Progress | None, but: Sequence[C] = ()
+    problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress: Progress | None, excluded: Sequence[C] = ()
 ) -> Fit | None:
     """The Fit with terms admitted step by step; after each step, those that others have made needless go again. None
-    where tolerances explain more than any name. scans : kept of each step; but : candidates that are not admitted"""
+    where tolerances explain more than any name. scans : of each step; excluded : candidates that are not admitted"""
     policy, count = problem.policy, len(problem.candidates)
-    taken: set[tuple[object, ...]] = set()
+    keys: HypothesisKeys = set()
     merged: Merges = set()
-    refused: list[C] = list(but)
+    refused: list[C] = list(excluded)
     while len(problem.terms(fit)) < policy.most:
         model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
         model_size = problem.linear(model).size
         label = f"searching beside {admitted} effects" if admitted else "searching"
         scores = problem.search(model, _admissible(problem, fit), policy.delta_bic, labelled_progress(progress, label))
         scans.keep(problem.terms(fit), scores)
-        fresh = [s for s in scores if _hypothesis_key(s) not in taken and not any(s.candidate is c for c in refused)]
+        fresh = [s for s in scores if _hypothesis_key(s) not in keys and not any(s.candidate is c for c in refused)]
         promising = [s for s in fresh if is_significant(s, count, model_size, policy)] or _hidden(
             problem, fit, model, fresh
         )
@@ -184,14 +185,14 @@ def _steps(
         if step is None:
             break
         fit, score = step
-        taken.add(_hypothesis_key(score))
-        fit = _same_name_elsewhere(problem, fit, score, alike, taken)
-        fit = _companions(problem, fit, score, promising, taken, size)
+        keys.add(_hypothesis_key(score))
+        fit = _same_name_elsewhere(problem, fit, score, alike, keys)
+        fit = _companions(problem, fit, score, promising, keys, size)
         fit = remove_redundant_terms(problem, _refined(problem, fit))
         site = score.candidate.name, score.candidate.place
         if all((c.name, c.place) != site for c in problem.terms(fit)):  # it would be admitted and removed for ever
             refused += [c for c in problem.candidates if (c.name, c.place) == site]
-        fit = _one_hypothesis_of_alike_axes(problem, fit, taken, merged)
+        fit = _one_hypothesis_of_alike_axes(problem, fit, keys, merged)
     return None if _tolerances_explain(problem, fit, None) else fit
 
 
@@ -253,8 +254,8 @@ def _exchanged(
     factor `best` explains more once fitted than the scan said, they may do so twice over, since a large effect is not
     linear in its numbers, and what a coarse variant leaves counted as scatter. trial : `fit` with `best`"""
     size, fitted = problem.size(fit), problem.likelihood_ratio(fit, trial)
-    told = next(s.delta_chi2 * s.dispersion for s in scores if s.candidate is best.candidate)
-    reach, least = max(fitted / told, 1.0) ** 2, fitted - best.complexity(size)
+    scanned = next(s.delta_chi2 * s.dispersion for s in scores if s.candidate is best.candidate)
+    reach, least = max(fitted / scanned, 1.0) ** 2, fitted - best.complexity(size)
     others = [
         s
         for s in scores
@@ -276,7 +277,7 @@ def _exchanged(
 
 
 def _same_name_elsewhere(
-    problem: Problem[Fit, Model, C], fit: Fit, admitted: Score[C], alike: list[Score[C]], taken: set[tuple[object, ...]]
+    problem: Problem[Fit, Model, C], fit: Fit, admitted: Score[C], alike: list[Score[C]], keys: HypothesisKeys
 ) -> Fit:
     """The Fit with a name that was admitted at one of several axes admitted at the others too, each where it convinces
     beside those before it. alike : the Scores that explain most together"""
@@ -292,13 +293,13 @@ def _same_name_elsewhere(
         scores = problem.search(model, variants, -np.inf, None)
         best = max(scores, key=lambda s: s.evidence(size), default=None)
         if best is not None and is_significant(best, len(problem.candidates), problem.linear(model).size, policy):
-            taken.add(_hypothesis_key(best))
+            keys.add(_hypothesis_key(best))
             fit = problem.add_term(fit, best)
     return fit
 
 
 def _one_hypothesis_of_alike_axes(
-    problem: Problem[Fit, Model, C], fit: Fit, taken: set[tuple[object, ...]], merged: Merges
+    problem: Problem[Fit, Model, C], fit: Fit, keys: HypothesisKeys, merged: Merges
 ) -> Fit:
     """The Fit with one hypothesis about the whole machine in place of a name's terms at several axes, where that is
     likelier once fitted, by what residuals scatter, and no axis then shows what no name explains; axes may then differ
@@ -322,7 +323,7 @@ def _one_hypothesis_of_alike_axes(
         gain = problem.likelihood_ratio(fit, new) / max(left.cost() / left.size, 1.0)
         merged.add(tried)
         if gain + fewer * np.log(size) > 0 and not _leaves_axes_unexplained(problem, fit, new, name, places):
-            taken -= {known for known in taken if known[0] == name and known[1] in places}
+            keys -= {known for known in keys if known[0] == name and known[1] in places}
             return new
     return fit
 
@@ -350,7 +351,7 @@ def _companions(
     fit: Fit,
     best: Score[C],
     promising: list[Score[C]],
-    taken: set[tuple[object, ...]],
+    keys: HypothesisKeys,
     size: int,
 ) -> Fit:
     """The Fit with what other places show nearly as strongly, each asked again with the ones before it admitted."""
@@ -364,7 +365,7 @@ def _companions(
         places.add(score.candidate.place)
         companion = problem.companion(fit, score)
         if companion is not None and is_significant(companion, len(problem.candidates), size, policy):
-            taken.add(_hypothesis_key(score))
+            keys.add(_hypothesis_key(score))
             fit = problem.add_term(fit, companion)
     return fit
 

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, Protocol, Self, TypeVar, runtime_ch
 
 import numpy as np
 
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import C, Candidate, NotAsked, Outliers, StatedTerms
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import C, Candidate, NotTested, Outliers, StatedTerms
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
@@ -34,7 +34,7 @@ class EffectSites(NamedTuple):
 
     places: tuple[str, ...] | None
     searched: tuple[str, ...]
-    not_tested: Sequence[NotAsked] = ()
+    not_tested: Sequence[NotTested] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,14 +74,14 @@ class RequestedEffects:
 
     def candidates(
         self, sites_of: Callable[[type[Effect]], EffectSites], candidates_at: Callable[[type[Effect], str], list[Made]]
-    ) -> tuple[list[Made], list[NotAsked]]:
+    ) -> tuple[list[Made], list[NotTested]]:
         """(candidates, what cannot be tested) of the requested catalogue.
 
         sites_of : EffectSites of an effect, RigError where it cannot be tested at all; candidates_at : of an effect at
             a place. Raises RigError for a requested place at which an effect cannot sit
         """
         out: list[Made] = []
-        skipped: list[NotAsked] = []
+        skipped: list[NotTested] = []
         sites: dict[str, tuple[str, ...]] = {}
         for kind in filter(lambda kind: self.touches(kind.name), self.kinds):
             try:
@@ -95,7 +95,7 @@ class RequestedEffects:
             except FileError:
                 raise  # of a file that a user wrote
             except RigError as error:
-                skipped.append(NotAsked(kind.name, str(error)))
+                skipped.append(NotTested(kind.name, str(error)))
         self.check(sites)
         return out, [s for s in skipped if self.name(s.effect)]
 
@@ -112,7 +112,7 @@ class RequestedEffects:
 
 
 def require_assumed_effects_testable(
-    stated_terms: StatedTerms, candidates: Sequence[Candidate], untestable_effects: Sequence[NotAsked]
+    stated_terms: StatedTerms, candidates: Sequence[Candidate], untestable_effects: Sequence[NotTested]
 ) -> StatedTerms:
     """Require that the recording can test assumed effects, and return the stated terms.
 
@@ -266,7 +266,7 @@ class Evidence(Protocol[Fit, C]):
         """Outliers that show before anything is admitted."""
 
     # Any: fits, models and candidates, of each kind of machine their own
-    def problem(self, outliers: Outliers) -> tuple[Problem[Any, Any, Any], list[NotAsked]]:
+    def problem(self, outliers: Outliers) -> tuple[Problem[Any, Any, Any], list[NotTested]]:
         """(Problem without outliers, what its recording cannot be asked for, and why). Raises RigError where what is
         assumed cannot be.
         """

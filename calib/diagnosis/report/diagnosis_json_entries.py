@@ -281,7 +281,7 @@ def finding_entry(diagnosis: Diagnosis, finding: Finding[Any], proof: CrossValid
     parameters = diagnosis.evidence.parameters(diagnosis.selection, finding, diagnosis.origin)
     evidence = Evidence(
         score.delta_bic(problem.size(fit)),
-        min(1.0, score.p_value * diagnosis.selection.asked),
+        min(1.0, score.p_value * diagnosis.selection.candidate_count),
         proof.before,
         proof.after,
         proof.unit,
@@ -325,7 +325,7 @@ def negligible_finding_remark_entries(diagnosis: Diagnosis) -> list[RemarkEntry]
                 terms[f.number].place,
                 diagnosis.evidence.parameters(diagnosis.selection, f, diagnosis.origin),
                 remark_reason_sentence(reason),
-                min(1.0, f.score.p_value * diagnosis.selection.asked),
+                min(1.0, f.score.p_value * diagnosis.selection.candidate_count),
             )
         )
     out += [

@@ -296,7 +296,7 @@ def diagnosis_report(diagnosis: Diagnosis) -> Report:
         noise_from=noise_from,
         left_out=diagnosis.outliers.left_out,
         crowd=diagnosis.outliers.crowd,
-        asked=diagnosis.selection.asked,
+        asked=diagnosis.selection.candidate_count,
         noise_times=diagnosis.noise.times,
     )
 

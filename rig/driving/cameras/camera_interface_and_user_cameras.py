@@ -171,7 +171,7 @@ class SynchronisedCameras:
             for source in armed:
                 source.arm()
             try:
-                return self._together(1 if armed else self._tries)
+                return self._all_frames(1 if armed else self._tries)
             except CameraError as error:
                 if not armed or k + 1 == self._tries:
                     raise
@@ -179,7 +179,7 @@ class SynchronisedCameras:
                 self._clock.sleep(PAUSE * 2**k)
         raise AssertionError("unreachable: the last try returns or raises")
 
-    def _together(self, tries: int) -> dict[str, Frame]:
+    def _all_frames(self, tries: int) -> dict[str, Frame]:
         """{camera: Frame} of all, each tried so often by itself."""
         futures = [self._pool.submit(self._one, source, tries) for source in self.sources]
         errors = [error for error in (future.exception() for future in futures) if error is not None]

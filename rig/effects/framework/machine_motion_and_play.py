@@ -48,12 +48,15 @@ class Path:
     @property
     def firsts(self) -> Floats:
         """(k + 1,) the knots at which history begins."""
-        return np.r_[0, np.searchsorted(self.t, self.starts)]
+        first = np.zeros(1, int)
+        return np.concatenate([first, np.searchsorted(self.t, self.starts)]) if len(self.starts) else first
 
     def walked(self, walk: Callable[[Floats, Floats], Floats]) -> Floats:
         """(m, axes) of walk(t (r,), lengths (r, axes)) -> (r, axes), which remembers, along each stretch from where
         history begins.
         """
+        if not len(self.starts):
+            return walk(self.t, self.lengths)
         edges = [*self.firsts.tolist(), len(self.t)]
         return np.concatenate([walk(self.t[a:b], self.lengths[a:b]) for a, b in zip(edges[:-1], edges[1:])])
 
@@ -353,7 +356,7 @@ def play_deviation(motion: Motion, half_width: float) -> Floats:
     path = motion.path
     return motion.once(
         ("behind", half_width),
-        lambda: (path.walked(lambda _, lengths: play_operator(lengths, half_width)) - path.lengths)[path.at],
+        lambda: path.walked(lambda _, lengths: play_operator(lengths, half_width))[path.at] - path.lengths[path.at],
     )
 
 

@@ -3,7 +3,7 @@
 Units, rotation vectors, quaternions or Euler angles.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 
@@ -65,7 +65,7 @@ ReadRotations = tuple[Rotation | None, ForeignTable, tuple[str, ...]]
 @dataclass(frozen=True, slots=True, eq=False)
 class ImportedPoses:
     """T : RigidTransform (n,), or positions unrotated where alone is true; frame : (n,) numbers or None; t : n exact s
-    or None; hand : (n,) number, from 0, of the hand that each is of, None of arms with one
+    or None; hand : (n,) number, from 0, of the hand that each is of, None of arms with one; lines : n, of the file
     """
 
     T: RigidTransform
@@ -75,6 +75,7 @@ class ImportedPoses:
     table: ForeignTable
     remarks: tuple[str, ...]
     hand: Integers | None = None
+    lines: tuple[int, ...] = ()
 
 
 CommandsAt = Callable[[list[Decimal] | None, Floats | None, int], Floats | None]
@@ -123,7 +124,7 @@ def read_poses(
         q = np.where((hand == 0)[:, None], q, np.nan)  # turns are compared of one hand
     if kind in ("direction", "distance"):
         T, table, more = (_directions if kind == "direction" else _distances)(cells, found, table)
-        return ImportedPoses(T, False, frame, t, table, (*cells.remarks, *lines, *more), hand)
+        return ImportedPoses(T, False, frame, t, table, (*cells.remarks, *lines, *more), hand, tuple(cells.lines))
     rotations, table, more = _rotations(cells, found, table, design, q)
     alone = rotations is None
     if alone and (design.instrument is None or kind == "orientation"):
@@ -132,7 +133,19 @@ def read_poses(
             "[instrument] that measures positions alone: base, tool and position_sigma, without rotation_sigma"
         )
     T = RigidTransform.from_components(p, Rotation.identity(len(p)) if alone else rotations)
-    return ImportedPoses(T, alone, frame, t, table, (*cells.remarks, *lines, *more), hand)
+    return ImportedPoses(T, alone, frame, t, table, (*cells.remarks, *lines, *more), hand, tuple(cells.lines))
+
+
+def first_repeated_key(keys: Sequence[Hashable], lines: Sequence[int]) -> tuple[Hashable, str]:
+    """(first key that occurs again, the two lines of the file in words) of keys some of which are the same. Raises
+    ValueError where none are
+    """
+    seen: dict[Hashable, int] = {}
+    for key, line in zip(keys, lines, strict=True):
+        if key in seen:
+            return key, f"lines {seen[key]} and {line}"
+        seen[key] = line
+    raise ValueError("all keys differ")
 
 
 def _columns_of_kind(cells: Cells, kind: str) -> tuple[Headers, tuple[str, ...]]:

@@ -32,7 +32,7 @@ from rig.formats.importers.frame_times import (
     seconds_since_origin,
 )
 from rig.formats.importers.import_recipe import Images, Recipe, recipe_with_settings
-from rig.formats.importers.pose_table import ImportedPoses, read_poses
+from rig.formats.importers.pose_table import ImportedPoses, first_repeated_key, read_poses
 from rig.formats.importers.units_and_timestamps import UnclearInput
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_bytes, read_text
@@ -262,10 +262,12 @@ def _placed_by_hand(
     first: dict[object, int] = {}
     back = [first.setdefault(key, len(first)) for key in keys]
     rows = [back.index(number) for number in range(len(first))]
-    if len(set(zip(back, posed.hand.tolist()))) < len(back):
-        raise RigError(f"{posed.table.file}: a hand occurs twice in a frame")
+    pairs = list(zip(back, posed.hand.tolist()))
+    if len(set(pairs)) < len(pairs):
+        raise RigError(f"{posed.table.file}: {first_repeated_key(pairs, posed.lines)[1]} are of one hand and frame")
     frame, t = (None if part is None else [part[k] for k in rows] for part in (posed.frame, posed.t))
-    once = replace(posed, T=posed.T[rows], frame=None if frame is None else np.array(frame), t=t)
+    lines = tuple(posed.lines[k] for k in rows)
+    once = replace(posed, T=posed.T[rows], frame=None if frame is None else np.array(frame), t=t, lines=lines)
     exposed, placed = _placed(exposed, once, commanded)
     assert placed.frame is not None
     return exposed, replace(posed, frame=placed.frame[back], remarks=placed.remarks)
@@ -296,13 +298,16 @@ def _placed(
             raise RigError(f"{posed.table.file}: the poses have no times, and the number of commands differs")
         numbers = list(range(n)) if posed.frame is None else posed.frame.astype(int).tolist()
         if posed.frame is None and len(set(t)) < n:
+            time, where = first_repeated_key(t, posed.lines)
             raise RigError(
-                f"{posed.table.file}: {n - len(set(t))} of {n} rows have the time of another. Where a column says of "
-                "which of an arm's reflectors or hands each is, state these in rig.toml as [[mechanism.hand]] (docs/"
-                "several-hands.md) and --set poses.columns.hand=HEADER; else write times with milliseconds at least"
+                f"{posed.table.file}: {n - len(set(t))} of {n} rows have the time of another, first {where}: {time} s. "
+                "Where a column says of which of an arm's reflectors or hands each is, state these in rig.toml as "
+                "[[mechanism.hand]] (docs/several-hands.md) and --set poses.columns.hand=HEADER; else write times with "
+                "milliseconds at least"
             )
         if len(set(numbers)) < n:
-            raise RigError(f"{posed.table.file}: a frame occurs twice")
+            number, where = first_repeated_key(numbers, posed.lines)
+            raise RigError(f"{posed.table.file}: frame {number} occurs twice, in {where}")
         order = sorted(range(n), key=lambda k: (t[k], numbers[k]))
         if [numbers[k] for k in order] != sorted(numbers):
             numbers = [
@@ -320,7 +325,7 @@ def _placed(
         if far:
             raise RigError(
                 f"{posed.table.file}: {len(far)} of {n} poses are farther than {SAME_MOMENT:g} s from any frame; "
-                f"the first is row {far[0] + 1}"
+                f"the first is line {posed.lines[far[0]]}"
             )
         posed = replace(posed, frame=np.array([known_frames[k] for k in nearest]))
     elif posed.frame is None:

@@ -213,7 +213,7 @@ def _recipe(recipe: Recipe, bag: Bag, topics: dict[str, Topic], design: Design) 
             unit=table.unit or unit,
         )
     if bag.sensors:
-        t, columns = _together([(name, topics[topic]) for name, topic in bag.sensors], bag.files[0])
+        t, columns = _resampled_sensors([(name, topics[topic]) for name, topic in bag.sensors], bag.files[0])
         file = _table(
             bag.folder / "sensors.csv", tuple(name for name, _ in bag.sensors), list(zip(t, columns.tolist()))
         )
@@ -244,7 +244,7 @@ def _near(order: list[int], topic: Topic, images: list[int], file: Path) -> list
     return [order[k] for k, stamp in sorted(nearest.items()) if abs(int(t[k]) - stamp) <= SAME_MOMENT]
 
 
-def _together(channels: list[tuple[str, Topic]], file: Path) -> tuple[list[int], Floats]:
+def _resampled_sensors(channels: list[tuple[str, Topic]], file: Path) -> tuple[list[int], Floats]:
     """(times ns, (n, channels) degrees C) of sensors at each other's times, straight lines between their own, where all
     of them have been read.
     """

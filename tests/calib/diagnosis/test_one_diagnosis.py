@@ -40,6 +40,7 @@ CAPABILITIES = (
     interface.AdmissionRules,
     interface.Tolerances,
     interface.SmoothCover,
+    interface.AlternativeScreening,
     interface.AliasedNodes,
     interface.Companions,
     interface.TermRefinement,
@@ -61,7 +62,7 @@ def of(kind):
 
 
 def test_a_problem_has_the_capabilities_that_mean_something_for_it():
-    assert of(PlatformProblem) == {"AdmissionRules", "Tolerances", "SmoothCover"}
+    assert of(PlatformProblem) == {"AdmissionRules", "Tolerances", "SmoothCover", "AlternativeScreening"}
     assert of(ArmProblem) == {"AdmissionRules", "AliasedNodes", "Companions", "TermRefinement", "TermSimplification"}
     assert all(hasattr(kind, name) or name in kind.__slots__ for kind in (PlatformProblem, ArmProblem) for name in CORE)
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import NotAsked, StatedTerms
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import NotTested, StatedTerms
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     RequestedEffects,
     require_assumed_effects_testable,
@@ -79,7 +79,7 @@ def test_what_cannot_be_assumed_is_refused(design):
         RigError,
         match="backlash at strut 2 is assumed, but this recording cannot be tested for it: nothing was commanded",
     ):
-        require_assumed_effects_testable(StatedTerms((STRUT_2,)), [], [NotAsked("backlash", "nothing was commanded")])
+        require_assumed_effects_testable(StatedTerms((STRUT_2,)), [], [NotTested("backlash", "nothing was commanded")])
 
 
 def test_masked_frames_are_gone_from_everything(quiet):

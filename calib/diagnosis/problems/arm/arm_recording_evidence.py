@@ -15,7 +15,7 @@ from calib.diagnosis.engine.candidates_thresholds_and_outliers import (
     NO_STATED_TERMS,
     Crowd,
     LeftOut,
-    NotAsked,
+    NotTested,
     Outliers,
     StatedTerms,
 )
@@ -182,7 +182,7 @@ class ArmEvidence:
             arms, _ = self.linear(known.frames)
         return known
 
-    def problem(self, outliers: Outliers) -> tuple[ArmProblem, list[NotAsked]]:
+    def problem(self, outliers: Outliers) -> tuple[ArmProblem, list[NotTested]]:
         arms, geometry = self.linear(outliers.frames)
         candidates, not_tested = joint_candidates(arms, self.requested)
         given = require_assumed_effects_testable(self.given, candidates, not_tested)

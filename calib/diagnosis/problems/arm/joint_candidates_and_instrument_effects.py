@@ -11,7 +11,7 @@ from enum import Enum
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import Score
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import Candidate, Node, NotAsked
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import Candidate, Node, NotTested
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import (
     Arms,
@@ -106,7 +106,7 @@ class JointCandidate(Candidate):
 JointScore = Score[JointCandidate]
 
 
-def joint_candidates(arms: Arms, requested_effects: RequestedEffects) -> tuple[list[JointCandidate], list[NotAsked]]:
+def joint_candidates(arms: Arms, requested_effects: RequestedEffects) -> tuple[list[JointCandidate], list[NotTested]]:
     """Joint candidates of the requested effects on an arm's poses.
 
     Also what the recording cannot test.
@@ -137,11 +137,11 @@ def joint_candidates(arms: Arms, requested_effects: RequestedEffects) -> tuple[l
             raise RigError(POSES_ALONE if arms.context.design.cameras else NO_CORNERS)
         found = kind.sites(arms.context)
         if arms.hand is not None and kind.sway is not Effect.sway and found:
-            return EffectSites(None, (), [NotAsked(kind.name, MOVES_A_HAND)])
+            return EffectSites(None, (), [NotTested(kind.name, MOVES_A_HAND)])
         lacking = _lacking(kind, found, arms)
         if found and any(p.role == "frequency" for p in kind.parameters):
             reason = f"{kind.name}: the poses of an arm are not searched for a frequency"
-            return EffectSites(None, (), [*lacking, NotAsked(kind.name, reason)])
+            return EffectSites(None, (), [*lacking, NotTested(kind.name, reason)])
         return EffectSites(found, found, lacking)
 
     found, not_tested = requested_effects.candidates(sites_of, candidates_at)
@@ -155,9 +155,9 @@ def _numbers(candidate: JointCandidate, node: Node) -> int:
 
 def _beyond_poses(
     requested: dict[str, list[JointCandidate]], beyond: dict[str, list[tuple[int, bool]]], arms: Arms
-) -> list[NotAsked]:
+) -> list[NotTested]:
     """What is not asked for because the poses are too few for its numbers, or for an effect as it states itself."""
-    out: list[NotAsked] = []
+    out: list[NotTested] = []
     count, k, freedoms = arms.freedoms.shape
     for name, found in requested.items():
         numbers, whole = max(beyond.get(name, [(0, False)]))
@@ -165,19 +165,19 @@ def _beyond_poses(
             most = most_parameters_of_candidate(count, k, freedoms, whole)
             more = least_poses(k, freedoms, numbers, whole, count + 1)
             what = f"forms of more than {most} numbers are not asked for" if found else f"it takes {numbers} numbers"
-            out.append(NotAsked(name, f"{count} poses bear {most} numbers of an effect; {what}: record {more} poses"))
+            out.append(NotTested(name, f"{count} poses bear {most} numbers of an effect; {what}: record {more} poses"))
         elif not found:
-            out.append(NotAsked(name, f"it is not asked for with so few poses as {count}"))
+            out.append(NotTested(name, f"it is not asked for with so few poses as {count}"))
     return out
 
 
-def _lacking(kind: type[Effect], found: tuple[str, ...], arms: Arms) -> list[NotAsked]:
+def _lacking(kind: type[Effect], found: tuple[str, ...], arms: Arms) -> list[NotTested]:
     """What keeps an effect from being asked for at some of the axes, where it can be at others."""
     why: dict[str, list[str]] = {}
     for place, reason in kind.lacking(arms.context).items():
         if found and place not in found:
             why.setdefault(reason, []).append(place)
-    return [NotAsked(kind.name, f"at {', '.join(places)} it {reason}") for reason, places in why.items()]
+    return [NotTested(kind.name, f"at {', '.join(places)} it {reason}") for reason, places in why.items()]
 
 
 def _candidates(specs: tuple[EffectCandidate, ...], arms: Arms) -> list[JointCandidate]:

@@ -105,7 +105,7 @@ def _with_temperature_alternatives(
     own = finding.score.delta_chi2 * finding.score.dispersion
     for kind, place in requested:
         warm = problem.marginalised(model.marginalise(_courses(model, kind, place)))
-        if is_finding_significant(problem, finding, warm, selection.fit, selection.asked):
+        if is_finding_significant(problem, finding, warm, selection.fit, selection.candidate_count):
             continue
         delta = alone.linear.cost() - warm.linear.cost()
         score = Score(
@@ -311,7 +311,7 @@ def _reason(
     share = share_not_explained_by_tolerances(
         model, found, candidate_column(model, score.candidate, score.node, sensitivities), not len(score.coefficients)
     )
-    if is_significant(_weaken_score(score, share), selection.asked, problem.size(fit), problem.policy):
+    if is_significant(_weaken_score(score, share), selection.candidate_count, problem.size(fit), problem.policy):
         return None
     own = (
         s.tolerance.reason for s in found.sites if (s.effect, s.place) == (score.candidate.name, score.candidate.place)

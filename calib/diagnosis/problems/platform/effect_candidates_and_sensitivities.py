@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import Score
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import Candidate, Node, NotAsked, Role, UsualRange
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import Candidate, Node, NotTested, Role, UsualRange
 from calib.diagnosis.engine.linear_model import Column, join_columns
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import EffectSites, RequestedEffects
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
@@ -96,7 +96,7 @@ def affects_images_only(kind: type[Effect] | Effect) -> bool:
 
 def platform_candidates(
     point: OperatingPoint, requested_effects: RequestedEffects
-) -> tuple[list[PlatformCandidate], list[NotAsked]]:
+) -> tuple[list[PlatformCandidate], list[NotTested]]:
     """Platform candidates of the requested effects.
 
     At an OperatingPoint; also what the recording cannot test.
@@ -191,6 +191,7 @@ class Sensitivities:
     point: OperatingPoint
     pixels: dict[tuple[object, ...], tuple[Integers, Floats]] = field(default_factory=dict)
     without: dict[str, Floats] = field(default_factory=dict)  # by place, what is seen at this very point
+    commanded: list[Floats] = field(default_factory=list)  # what is effectively commanded there, once it is known
 
     def at(self, point: OperatingPoint) -> "Sensitivities":
         """The same for another OperatingPoint of the same corners; what was kept stays."""
@@ -226,7 +227,9 @@ class Sensitivities:
         kind, k = type(effect), self.point
         if not kind.retimes():
             return k.elongation(effect, motion)
-        return k.effective((*k.effects, effect)) - k.effective()
+        if not self.commanded:
+            self.commanded.append(k.effective())
+        return k.effective((*k.effects, effect)) - self.commanded[0]
 
     def seen(self, candidate: PlatformCandidate, node: Node) -> tuple[Integers, Floats]:
         """(sighting rows (s,), (s, 4, 2, q) px per unit of each linear parameter) of what is seen at a node; rows that

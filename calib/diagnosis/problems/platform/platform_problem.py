@@ -32,6 +32,7 @@ from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals i
 )
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import cross_validate_effects
 from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column, score_candidates
+from calib.diagnosis.problems.platform.screening_of_alternatives import ReleasedDirections, screen_axis_candidates
 from calib.diagnosis.problems.platform.simultaneous_refinement import (
     Refinement,
     add_term,
@@ -42,6 +43,8 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import (
 )
 from calib.diagnosis.problems.platform.smooth_functions import model_with_smooth_functions, smooth_function_columns
 from rig.model.hands_places_and_tolerances import Place
+
+SCREENED = 0.5  # of what a term explains, from which a candidate is searched exactly for in its place
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,6 +150,23 @@ class PlatformProblem:
         progress: Callable[[int, int], None] | None = None,
     ) -> list[PlatformScore]:
         return score_candidates(model, candidates, self.sensitivities.at(model.point), least, progress)
+
+    def screen_alternatives(
+        self, fit: PlatformFit, progress: Callable[[int, int], None] | None = None
+    ) -> list[list[PlatformCandidate]] | None:
+        if self.tolerant or fit.refined.column is None or any(c.seen_alone for c in fit.terms):
+            return None  # what shows in images alone is no longer linear where it is taken away
+        full = fit.refined.marginalised
+        released = [
+            ReleasedDirections.of(fit.refined, full, self.without_term(fit, number), number)
+            for number in range(len(fit.terms))
+        ]
+        explained = screen_axis_candidates(
+            full, self.candidates, self.sensitivities.at(fit.refined.point), released, progress
+        )
+        own = [next(i for i, c in enumerate(self.candidates) if c is term) for term in fit.terms]
+        least = SCREENED * explained[own, range(len(own))]
+        return [[self.candidates[i] for i in np.flatnonzero(row)] for row in (explained >= least).T]
 
     def rescored(self, model: LinearisedModel, fit: PlatformFit, number: int) -> PlatformScore:
         return self.search(model, [fit.terms[number]])[0]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import NotAsked, Outliers, StatedTerms
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import NotTested, Outliers, StatedTerms
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
@@ -105,7 +105,7 @@ class PlatformEvidence:
     def gross_outliers(self) -> Outliers:
         return _find_outliers(self.point, self.covariance)
 
-    def problem(self, outliers: Outliers) -> tuple[PlatformProblem, list[NotAsked]]:
+    def problem(self, outliers: Outliers) -> tuple[PlatformProblem, list[NotTested]]:
         point = operating_point_without_distant_corners(_without_outliers(self.point, outliers))
         candidates, not_tested = platform_candidates(point, self.requested)
         return PlatformProblem(

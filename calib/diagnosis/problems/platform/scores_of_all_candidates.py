@@ -84,7 +84,7 @@ def score_candidates(
             if axes is None or motion is None:
                 raise ValueError(f"{candidate.name}: effects on strut motion require a recording with commands")
             score = (
-                vibration_frequency.best_vibration_frequency_score(model, candidate, axes)
+                vibration_frequency.best_vibration_frequency_score(model, candidate, axes, least_delta_bic)
                 if candidate.reach is Reach.SPECTRUM
                 else _along_axes(model, candidate, sensitivities, axes, motion, least_delta_bic)
             )
@@ -232,6 +232,24 @@ def _along_axes(
     motion: Motion,
     least: float,
 ) -> PlatformScore:
+    solver, normal = axis_normal_equations(candidate, sensitivities, products, motion)
+    return best_node_score(
+        model.linear,
+        candidate,
+        solver(normal),
+        products,
+        lambda best: sensitivities.deviation(candidate, candidate.grid[best], motion),
+        least,
+    )
+
+
+def axis_normal_equations(
+    candidate: PlatformCandidate, sensitivities: Sensitivities, products: FrameProducts, motion: Motion
+) -> tuple[Callable[[inner.Normal], Solved], inner.Normal]:
+    """(what solves them, normal equations) of all nodes of a candidate that acts on axes.
+
+    products : of axis elongations; motion : Motion with the admitted effects
+    """
     solver: Callable[[inner.Normal], Solved] = inner.solve_normal_equations
     if not candidate.spec.linear:
         solver = inner.chi2_reduction_at_unit_coefficient
@@ -245,15 +263,7 @@ def _along_axes(
         moved: Booleans = np.any(sums.reshape(axes, q) > 0, axis=1)
         moved |= not moved.any()
         normals.append(inner.normal_equations_by_direction_weights(products.confined(moved), weights[:, :, moved]))
-    solved = solver(inner.Normal(*(np.concatenate(part) for part in zip(*normals))))
-    return best_node_score(
-        model.linear,
-        candidate,
-        solved,
-        products,
-        lambda best: sensitivities.deviation(candidate, candidate.grid[best], motion),
-        least,
-    )
+    return solver, inner.Normal(*(np.concatenate(part) for part in zip(*normals)))
 
 
 def _mounted(

@@ -28,6 +28,7 @@ SLOWEST = 20  # cycles in the recording, below which it is a drift
 OVERSAMPLED = 4  # frequencies looked at for each that the recording's length can tell apart
 LEAST = 1e-12  # of the largest square of a direction, by which all are scaled at least
 PEAKS = 6  # frequencies that are looked at closely
+SHOWN = 0.2  # of what a frequency explains, that a coarse spectrum shows at least: 0.38 by its bins, less by weights
 TICK = 1e-4  # s, to which exposures' times are compared
 ROUNDS = 30  # of one factor after the other; each brings them nearer
 SOFT = 1e-9  # of a direction's power, added so that those that move nothing can be solved for
@@ -45,11 +46,12 @@ def axis_elongations_by_sinusoidal_platform_motion(model: LinearisedModel, frequ
 
 
 def best_vibration_frequency_score(
-    model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts
+    model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts, least_delta_chi2: float = -np.inf
 ) -> PlatformScore:
     """Score of the best vibration frequency, at which one direction shakes most.
 
-    p-value by the number of frequencies that can be told apart.
+    p-value by the number of frequencies that can be told apart. least_delta_chi2 : what cannot explain as much is not
+    looked at closely
     """
     t = model.point.t
     parameter = next(p for p in candidate.kind.parameters if p.role == "frequency")
@@ -62,7 +64,7 @@ def best_vibration_frequency_score(
         & (frequency <= high)
         & ~_mirrors_of_slow_changes(spectrum, window, length, high)
     )
-    if not inside.any():
+    if not inside.any() or spectrum[inside].max() < SHOWN * least_delta_chi2:
         return Score(
             candidate,
             {**node, "frequency": parameter.usual[0]},
@@ -80,11 +82,9 @@ def best_vibration_frequency_score(
     normal = normal_equations_by_direction_weights(
         products, axis_elongations_by_sinusoidal_platform_motion(model, near)
     )
-    deltas, coefficients = (
-        np.array(part) for part in zip(*(rank_one_direction_and_phase_fit(*pair) for pair in zip(normal.b, normal.G)))
-    )
+    deltas, coefficients = rank_one_direction_and_phase_fits(normal.b, normal.G)
     best = int(np.argmax(deltas))
-    seen = solve_normal_equations(Normal(*(part[best : best + 1] for part in normal))).seen[0]
+    seen = solve_normal_equations(Normal(*(part[best : best + 1] for part in normal[:3]))).seen[0]
     ratio = residual_dispersion(
         model.linear,
         products,
@@ -106,29 +106,39 @@ def best_vibration_frequency_score(
     )
 
 
-def rank_one_direction_and_phase_fit(b: Floats, G: Floats) -> tuple[float, Floats]:
-    """Rank-one fit of a direction and a phase, normal equations G (12, 12) x = b (12,).
+def rank_one_direction_and_phase_fits(b: Floats, G: Floats) -> tuple[Floats, Floats]:
+    """Rank-one fits of a direction and a phase, of k normal equations G (k, 12, 12) x = b (k, 12).
 
-    Returns (drop, coefficients (12,))
+    Returns (drops (k,), coefficients (k, 12))
     """
-    own = np.diag(G)
+    own = np.einsum("kii->ki", G)
     scale = np.sqrt(
-        np.maximum(own, LEAST * max(own.max(), 0.0)) + 1e-300
+        np.maximum(own, LEAST * np.maximum(own.max(axis=1, keepdims=True), 0.0)) + 1e-300
     )  # a direction that nuisances take whole moves nothing
-    whole = np.linalg.pinv(G / scale[:, None] / scale, rcond=1e-9, hermitian=True) @ (b / scale) / scale
-    weight = np.maximum(scale.reshape(2, 6).max(axis=0), 1e-300)
-    phase = np.linalg.svd(whole.reshape(2, 6) * weight, full_matrices=False)[0][:, 0]
-    tensor, right = G.reshape(2, 6, 2, 6), b.reshape(2, 6)
+    scaled = G / scale[:, :, None] / scale[:, None, :]
+    whole = _solved(scaled, b / scale, 1e-9) / scale
+    weight = np.maximum(scale.reshape(-1, 2, 6).max(axis=1), 1e-300)
+    phase = np.linalg.svd(whole.reshape(-1, 2, 6) * weight[:, None], full_matrices=False)[0][:, :, 0]
+    tensor, right, x = G.reshape(-1, 2, 6, 2, 6), b.reshape(-1, 2, 6), np.zeros(b.shape)
+    going = np.arange(len(b))
     for _ in range(ROUNDS):
-        H = np.einsum("p,piqj,q->ij", phase, tensor, phase)
-        direction = np.linalg.lstsq(H / weight[:, None] / weight, phase @ right / weight, rcond=1e-9)[0] / weight
-        new = np.linalg.lstsq(np.einsum("i,piqj,j->pq", direction, tensor, direction), right @ direction, rcond=None)[0]
-        new, direction = new / np.linalg.norm(new), direction * np.linalg.norm(new)
-        if np.abs(new - phase).max() < 1e-9:
+        now, T, r, w = phase[going], tensor[going], right[going], weight[going]
+        H = np.einsum("kp,kpiqj,kq->kij", now, T, now) / w[:, :, None] / w[:, None, :]
+        direction = _solved(H, np.einsum("kp,kpi->ki", now, r) / w, 1e-9) / w
+        new = _solved(np.einsum("ki,kpiqj,kj->kpq", direction, T, direction), np.einsum("kpi,ki->kp", r, direction))
+        size = np.linalg.norm(new, axis=1, keepdims=True)
+        new = new / size
+        x[going] = (new[:, :, None] * (direction * size)[:, None, :]).reshape(-1, 12)
+        phase[going] = new
+        going = going[np.abs(new - now).max(axis=1) >= 1e-9]
+        if not len(going):
             break
-        phase = new
-    x = np.outer(new, direction).ravel()
-    return float(2 * b @ x - x @ G @ x), x
+    return 2 * np.einsum("ki,ki->k", b, x) - np.einsum("ki,kij,kj->k", x, G, x), x
+
+
+def _solved(matrices: Floats, right: Floats, rcond: float = 1e-15) -> Floats:
+    """(k, n) least-squares solutions of the smallest size, of symmetric matrices (k, n, n)."""
+    return (np.linalg.pinv(matrices, rcond=rcond, hermitian=True) @ right[..., None])[..., 0]
 
 
 def _bins(length: float, high: float) -> tuple[int, float]:

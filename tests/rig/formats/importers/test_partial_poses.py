@@ -118,7 +118,11 @@ def test_rows_of_several_reflectors_ask_for_hands(tmp_path):
     points += "".join(f"{k},SMR{i},{300 + k},{20 * k},{400 - k + 9 * i}\n" for k in range(8) for i in (1, 2))
     stated = INSTRUMENT + "position_sigma = 2e-5\n"
     found = imported(tmp_path, ARM + stated, JOINTS, points)
-    assert found.status and "8 of 16 rows have the time of another" in found.text and "hand=HEADER" in found.text
+    assert (
+        found.status
+        and "8 of 16 rows have the time of another, first lines 2 and 3: 0.0 s" in found.text
+        and "hand=HEADER" in found.text
+    )
     hands = "".join(f'[[mechanism.hand]]\nname = "SMR{i}"\njoint = 2\n' for i in (1, 2))
     found = imported(tmp_path, ARM + hands + stated, JOINTS, points, "poses.columns.hand=reflector")
     assert found.status == 0 and len(found.recording.poses.frame) == 16, found.text
