@@ -13,11 +13,8 @@ import numpy as np
 from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.candidates_thresholds_and_outliers import Candidate, Node, NotTested
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
-from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import (
-    Arms,
-    least_poses,
-    most_parameters_of_candidate,
-)
+from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
+from calib.diagnosis.problems.arm.poses_needed_by_candidates import least_poses, most_parameters_of_candidate
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     EffectSites,
     MeasuredFinding,

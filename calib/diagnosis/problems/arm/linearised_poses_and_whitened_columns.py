@@ -15,20 +15,19 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator
 from scipy.spatial.transform import RigidTransform
 
-from calib.diagnosis.engine.cross_validation_and_chance import FOLDS, STRETCHES, time_stretch_folds
+from calib.correction.physics_compensation import poses_with_predicted_rotations
+from calib.diagnosis.problems.arm.poses_needed_by_candidates import require_enough_poses
 from calib.diagnosis.problems.remainder_covariates_and_repeatability import repeated_pairs
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import calibrate_arm
 from calib.models.arm.error_model_and_observations import KINDS, observation_jacobian, sample_observations
-from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
 from calib.models.chain import error_model_and_identification as chains
 from calib.models.chain.error_model_and_identification import identify_chain
-from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameters_covariates_and_markers import Context
-from rig.errors import NotEnoughData, RigError
+from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm, Chain
@@ -38,8 +37,6 @@ from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 from vision.pose_uncertainty_prediction import PredictedUncertainty
 
-ROOM = 3  # rows that are left for each number of a candidate, where a fold is held out
-LEAST = 20  # poses: five stretches of four, fewer of which cannot gain by as many standard errors as a finding takes
 SEEN = 1e-4  # of the best told combination of a chain's parameters; others no pose tells, and they explain nothing
 
 
@@ -94,8 +91,15 @@ class Arms:
         )
 
     def measured(self, tangents: Floats) -> Floats:
-        """(n, k) what is measured of tangents (n, 6) by which the tool is displaced."""
-        return tangents[:, 3:5] if self.unit == "rad" else tangents[:, : self.left.shape[1]]
+        """(n, k) what is measured of tangents (n, 6), on the right, by which the tool is displaced.
+
+        Positions alone are measured along the axes of the frame of poses.
+        """
+        kind = _kind_of_rows(self.left.shape[1])
+        if kind == "pose":
+            return tangents
+        arm = require_arm(self.context.design.mechanism)
+        return observation_jacobian(kind, tangents[..., None], self.q, arm, self.hand)[..., 0]
 
     def reached(self, effect: Effect) -> Floats:
         """(n, joints) rad, commands reached at the exposures under an effect of clock or path."""
@@ -125,23 +129,9 @@ class Geometry:
         return self.move(self.basis @ sizes)
 
 
-def most_parameters_of_candidate(poses: int, k: int, freedoms: int, whole: bool) -> int:
-    """Most parameters that a candidate may have.
-
-    Of each, ROOM rows are left to the geometry's freedoms in every fold.
-    poses : that are fitted; k : numbers measured of each; freedoms : of the geometry; whole : whether the candidate
-    moves the hand itself, of which a pose tells k numbers, and not one joint, of which it tells one
-    """
-    held = int(np.bincount(time_stretch_folds(poses, STRETCHES) % FOLDS).max())
-    return int((poses - held - freedoms / k) * (k if whole else 1) / ROOM)
-
-
-def least_poses(k: int, freedoms: int, numbers: int = 1, whole: bool = False, start: int = LEAST) -> int:
-    """Least count of poses that a candidate needs: for so many numbers, counted up from start."""
-    count = start
-    while most_parameters_of_candidate(count, k, freedoms, whole) < numbers:
-        count += 1
-    return count
+def _kind_of_rows(k: int) -> str:
+    """Kind of observation of which a diagnosis has k numbers each."""
+    return next(name for name in ("pose", "position", "direction") if KINDS[name] == k)
 
 
 def linearise_poses(
@@ -170,31 +160,16 @@ def linearise_poses(
     if linear is None:
         raise RigError(f"this requires an arm or a chain, not a mechanism of kind {design.mechanism.kind!r}")
     if refuse_few:
-        _require_enough_poses(samples, design)
+        require_enough_poses(samples, design)
     geometry, left, freedoms, joints, own = linear(samples, design)
     commands = Commands(samples.t, samples.commanded) if commands is None else commands
     design = replace(design, mechanism=geometry.mechanism)
-    motion = motion_simulation.motion_of_commands(design, commands, samples.t, (), sensors, samples.T_base_platform)
+    poses = poses_with_predicted_rotations(design, samples)
+    motion = motion_simulation.motion_of_commands(design, commands, samples.t, (), sensors, poses)
     context = Context(design, samples.t, sensors, motion)
     freedoms = np.concatenate([freedoms, samples.common[:, : left.shape[1]]], axis=2)
     seen = (samples.frame, samples.t, samples.commanded, left, freedoms, joints, own, commands, context)
     return Arms(*seen, hand=samples.hand), geometry
-
-
-def _require_enough_poses(samples: Samples, design: Design) -> None:
-    """Raise NotEnoughData for poses that bear no number beside the geometry's, with how many it takes."""
-    if samples.measured == "direction":
-        k, freedoms = 2, int(independent_arm_parameters(require_arm(design.mechanism), "direction").sum())
-    else:
-        k = 6 if samples.measured == "pose" else 3
-        names = independent_parameter_names_units_sizes_and_jacobian(design.mechanism).names
-        freedoms = len(names) - (0 if k == 6 else 3)
-    least = least_poses(k, freedoms)
-    if len(samples) < least:
-        raise NotEnoughData(
-            f"{len(samples)} poses are too few to diagnose an arm or a chain: minimum {least} for {freedoms} numbers "
-            "of the geometry and one of an effect, better 500"
-        )
 
 
 def linearise_planned_poses(
@@ -217,7 +192,7 @@ def linearise_planned_poses(
         if not len(t):
             raise RigError(f"in none of the plan's {len(view.seen)} exposures a camera would see enough of the hand")
     q, k, design = commands.at(t), arms.left.shape[1], replace(arms.context.design, mechanism=geometry.mechanism)
-    kind = next(name for name in ("pose", "position", "direction") if KINDS[name] == k)
+    kind = _kind_of_rows(k)
     freedoms = (
         observation_jacobian(
             kind, error_model_and_observations.parameter_jacobian(q, geometry.mechanism), q, geometry.mechanism

@@ -162,18 +162,27 @@ def choose_forms_of_laws(
     policy: SelectionPolicy,
     stated_terms: StatedTerms = NO_STATED_TERMS,
 ) -> Fit:
-    """The Fit with each law in the form of more or fewer numbers that explains best beside all other terms.
+    """The Fit with each law in the form of more or fewer numbers that explains best, in place of another term or beside
+    all others.
 
-    A search admits a form before the other terms are there, and more numbers stand for some of these.
-    train : (n,) bool, or None for all poses
+    A search admits a form before the other terms are there, and more numbers stand for some of these; or it admits
+    another term for what a form of few numbers leaves. train : (n,) bool, or None for all poses
     """
     for one in [t for t in fit.terms if t.candidate.form not in (Form.PROFILE, Form.SINUSOID)]:
         forms = [c for c in candidates if (c.name, c.place) == (one.candidate.name, one.candidate.place)]
         if stated_terms.holds(one.candidate) or len({len(c.prior(node)) for c in forms for node in c.grid}) < 2:
             continue
-        rest = fit.without_terms(_numbers(fit, one))
+        if not _numbers(fit, one):  # another law has taken its place
+            continue
+        # of what scattered before the term was there, no number more would be worth itself
+        fit = fit_terms_to_poses(fit.arms, fit.terms, train, fit.weighing, rounds=QUICK)
+        own = _numbers(fit, one)
+        others = [[i] for i, t in enumerate(fit.terms) if [i] != own and not stated_terms.holds(t.candidate)]
+        rests = [fit.without_terms(own + gone) for gone in ([], *others)]
         trials = [
-            rest.with_terms([Term.of(s)]) for s in score_candidates(rest, forms, correlated_frames=policy.cluster)
+            rest.with_terms([Term.of(s)])
+            for rest in rests
+            for s in score_candidates(rest, forms, correlated_frames=policy.cluster)
         ]
         best = min(trials, key=Fit.criterion, default=fit)
         if best.criterion() < fit.criterion():

@@ -1,0 +1,49 @@
+"""How many poses of an arm or a chain a candidate needs, and how many numbers so many poses bear."""
+
+import numpy as np
+
+from calib.diagnosis.engine.cross_validation_and_chance import FOLDS, STRETCHES, time_stretch_folds
+from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
+from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
+from calib.samples.pose_samples import Samples
+from rig.errors import NotEnoughData
+from rig.model.design import Design
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
+
+ROOM = 3  # rows that are left for each number of a candidate, where a fold is held out
+LEAST = 20  # poses: five stretches of four, fewer of which cannot gain by as many standard errors as a finding takes
+
+
+def most_parameters_of_candidate(poses: int, k: int, freedoms: int, whole: bool) -> int:
+    """Most parameters that a candidate may have.
+
+    Of each, ROOM rows are left to the geometry's freedoms in every fold.
+    poses : that are fitted; k : numbers measured of each; freedoms : of the geometry; whole : whether the candidate
+    moves the hand itself, of which a pose tells k numbers, and not one joint, of which it tells one
+    """
+    held = int(np.bincount(time_stretch_folds(poses, STRETCHES) % FOLDS).max())
+    return int((poses - held - freedoms / k) * (k if whole else 1) / ROOM)
+
+
+def least_poses(k: int, freedoms: int, numbers: int = 1, whole: bool = False, start: int = LEAST) -> int:
+    """Least count of poses that a candidate needs: for so many numbers, counted up from start."""
+    count = start
+    while most_parameters_of_candidate(count, k, freedoms, whole) < numbers:
+        count += 1
+    return count
+
+
+def require_enough_poses(samples: Samples, design: Design) -> None:
+    """Raise NotEnoughData for poses that bear no number beside the geometry's, with how many it takes."""
+    if samples.measured == "direction":
+        k, freedoms = 2, int(independent_arm_parameters(require_arm(design.mechanism), "direction").sum())
+    else:
+        k = 6 if samples.measured == "pose" else 3
+        names = independent_parameter_names_units_sizes_and_jacobian(design.mechanism).names
+        freedoms = len(names) - (0 if k == 6 else 3)
+    least = least_poses(k, freedoms)
+    if len(samples) < least:
+        raise NotEnoughData(
+            f"{len(samples)} poses are too few to diagnose an arm or a chain: minimum {least} for {freedoms} numbers "
+            "of the geometry and one of an effect, better 500"
+        )
