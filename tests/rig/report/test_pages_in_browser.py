@@ -44,6 +44,7 @@ KINDS = (
 )
 WIDTHS = (400, 800, 1400)
 LARGEST, READY = 6e6, 2.0  # bytes of a page, s until it answers
+PAPER = 718  # px, width of A4 between its margins
 READABLE = 10.5  # px, least height of a figure's letters on a narrow page
 
 
@@ -149,6 +150,18 @@ f.checkVisibility()).flatMap(f =>
         [...f.querySelectorAll("text")].map(t => parseFloat(getComputedStyle(t).fontSize) * \
 f.getBoundingClientRect().width / 400)))""")
     assert least >= READABLE, (kind, width)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "run"])
+def test_a_printed_page_shows_all_of_its_tables(kind, written, browser):
+    """On paper nothing can be scrolled."""
+    seen = browser.new_page(viewport={"width": PAPER, "height": 1000})
+    seen.emulate_media(media="print")
+    seen.goto(written[kind].as_uri())
+    cut = seen.evaluate("""[...document.querySelectorAll("table")].filter(t => t.checkVisibility() &&
+        t.getBoundingClientRect().right > innerWidth + 1).map(t => t.innerText.slice(0, 80))""")
+    assert cut == [] and seen.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0
+    seen.close()
 
 
 def test_a_view_is_played_and_a_figure_says_its_values(written, browser):
