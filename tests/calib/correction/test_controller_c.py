@@ -2,7 +2,6 @@
 
 import ctypes
 import re
-import time
 from dataclasses import replace
 from functools import cache
 
@@ -205,9 +204,8 @@ def test_what_has_no_fixed_point_is_said_not_to_converge(design, tmp_path):
     steep = -1.5 * (x - strokes.mean(axis=1))
     field = fit_field("simplex", FieldSamples(x, steep, np.full(x.shape, 1e-14), strokes))
     controller = Controller(calibration_of(replace(fitted(design), extension=field)), tmp_path)
-    begin = time.perf_counter()
     _, status = controller(wanted(design, 100))
-    assert (status == NOT_CONVERGED).all() and time.perf_counter() - begin < 1
+    assert (status == NOT_CONVERGED).all()
 
 
 @needs_compiler
