@@ -186,6 +186,12 @@ def recording_of_data(data: Path, options: WhyOptions, folder: Path, notice: Not
     if arm is None and options.rig is None:
         if is_recording and "rig.toml" in list_folder(data):
             return load(data), False
+        names = list_folder(data) if is_folder(data) else [data.name]
+        if any(Path(name).suffix.lower() in PICTURES for name in names):
+            raise RigError(
+                f"{data} holds images and does not state the machine that they show: add --rig rig.toml (`rig new "
+                "design` writes one). A lens, from photographs of a printed board, is determined by `rig lens`"
+            )
         raise RigError(
             f"{data} does not state the machine: add --urdf FILE.urdf, --dh FILE.csv (Denavit-Hartenberg rows) or "
             "--rig rig.toml"

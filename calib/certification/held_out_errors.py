@@ -296,7 +296,8 @@ def residuals_corrected_for_absorbed_noise(
     out = np.empty_like(residuals)
     for own, L, U, share in _leverages(jacobian, covariance, noise, label):
         left = np.linalg.solve(L, residuals[own, :, None]).ravel()
-        out[own] = (L @ (U / np.sqrt(1 - share) @ (U.T @ left)).reshape(-1, 6, 1))[..., 0]
+        left += U @ ((1 / np.sqrt(1 - share) - 1) * (U.T @ left))
+        out[own] = (L @ left.reshape(-1, 6, 1))[..., 0]
     return out
 
 
@@ -320,15 +321,20 @@ def mean_square_pose_errors_caused_by_parameters(
 def _leverages(
     jacobian: Floats, covariance: Floats, noise: Floats, part: Integers
 ) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
-    """Of each part (its samples (n,) bool, roots of their noise (m, 6, 6), directions (6 m, 6 m) of their whitened
-    poses, and of each direction the share, 0 to ALL_OWN, of what is known of it that these samples tell themselves)."""
+    """Of each part (its samples (n,) bool, roots of their noise (m, 6, 6), k <= p directions (6 m, k) of their whitened
+    poses, and of each direction the share, 0 to ALL_OWN, of what is known of it that these samples tell themselves).
+    Of directions across these the share is 0."""
     none = np.diag(1.0 * ~noise.any(axis=(0, 1)))  # directions in which a machine has no freedom: nothing moves them
+    scale = np.sqrt(np.diag(covariance))
+    scale[scale == 0] = 1.0
+    variances, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    root = scale[:, None] * axes * np.sqrt(variances.clip(0))  # (p, p): the parts' poses outnumber the parameters
     for each in np.unique(part):
         own = part == each
         L = np.linalg.cholesky(noise[own] + none)
         white = np.linalg.solve(L, jacobian[own]).reshape(-1, jacobian.shape[2])
-        share, U = np.linalg.eigh(white @ covariance @ white.T)
-        yield own, L, U, share.clip(0, ALL_OWN)
+        U, sizes, _ = np.linalg.svd(white @ root, full_matrices=False)
+        yield own, L, U, (sizes**2).clip(0, ALL_OWN)
 
 
 def _degrees_of_freedom(squares: Floats) -> float:

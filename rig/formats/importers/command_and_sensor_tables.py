@@ -169,7 +169,7 @@ def read_commands(table: ForeignTable, design: Design) -> ImportedCommands:
         replace(cells.table, columns=column_headers_for_import_recipe(table, cells, found)),
         design,
     )
-    frame = None if "frame" not in found else np.array(cells.numbers(found["frame"]))
+    frame = None if "frame" not in found else np.array(cells.whole_numbers(found["frame"]))
     t, lines = None, (*cells.remarks, *value_remarks)
     if "t" in found:
         read_times = cells.times(found["t"], "commands", table, _pace(values, design))
@@ -179,12 +179,18 @@ def read_commands(table: ForeignTable, design: Design) -> ImportedCommands:
 
 
 def _once(commanded: ImportedCommands, cells: Cells) -> ImportedCommands:
-    """The rows without those that a log has twice. Raises FileError, with the line, where rows of one time say
-    different things.
+    """The rows without those that a log has twice. Raises FileError, with the line, where times decrease and where
+    rows of one time say different things.
     """
     t, values = commanded.t, commanded.values
     if t is None:
         return commanded
+    back = next((k for k in range(1, len(t)) if t[k] < t[k - 1]), None)
+    if back is not None:
+        message = (
+            f"its time, {t[back]:f} s, is before that of line {cells.lines[back - 1]}, {t[back - 1]:f} s; sort the"
+        )
+        raise FileError(cells.path, f"{message} rows by time, or correct it", cells.lines[back])
     repeated = [k for k in range(1, len(t)) if t[k] == t[k - 1]]
     odd = next((k for k in repeated if not np.array_equal(values[k], values[k - 1])), None)
     if odd is not None:
@@ -212,7 +218,7 @@ def _values(
 ) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
     """((n, axes) m or rad, ForeignTable with the unit, sentences)."""
     values, m = np.array([cells.numbers(k) for k in at]).T, require_axes(design.mechanism)
-    stated = [cells.unit(k) for k in at]
+    stated = [None if table.unit else cells.known_unit(k, "commands.unit=mm (or deg, ..)") for k in at]
     if not has_struts(m):
         return _of_axes(values, stated, table, m)
     units = {table.unit or unit for unit in stated}
@@ -340,9 +346,8 @@ def _pace(values: Floats, design: Design) -> Callable[[Floats], bool]:
     low, high = (SLOWEST * top, FASTEST * top) if top else USUAL[unit]
 
     def plausible(t: Floats) -> bool:
-        if len(t) < 2 or (np.diff(t) <= 0).any():
-            return False
-        step = np.abs(np.diff(values, axis=0)).max(axis=1) / np.diff(t)
+        later = np.diff(t) > 0  # rows that repeat a time or go back are named once the unit is known
+        step = np.abs(np.diff(values, axis=0)).max(axis=1)[later] / np.diff(t)[later]
         return bool((step > 0).any()) and low <= float(np.quantile(step[step > 0], 0.9)) <= high
 
     return plausible

@@ -36,7 +36,8 @@ LOOKED_AT = 2000  # rows by which a dialect is told; every row must have as many
 MOST_COLUMNS = 1000
 LONGEST_CELL = 300  # characters
 TORN = re.compile(r"\d[;\t, ]+[-+]?[\d.,]")  # a cell that another separator would part
-DATE = re.compile(r"\d{4}-?\d\d-?\d\d([T ]\d\d.*)?")
+EXCEL = re.compile(r"sep=.")  # a first line by which Excel knows the separator
+DATE = re.compile(r"(\d{4}-?\d\d-?\d\d|\d{1,2}[./]\d{1,2}[./]\d{4})([T ]\d\d.*)?")
 GROUPED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 
 
@@ -74,6 +75,7 @@ def _read_cells(table: ForeignTable, section: str) -> Cells:
                 lines[-1][0],
             )
         _no_names(table, section, lines)
+        _require_alike(table, lines)
         raise FileError(
             table.file,
             "is not a table with a header line and rows of as many cells, separated by comma, semicolon, tab or "
@@ -127,6 +129,28 @@ def _no_names(table: ForeignTable, name: str, lines: list[tuple[int, str]]) -> N
             )
 
 
+def _require_alike(table: ForeignTable, lines: list[tuple[int, str]]) -> None:
+    """Raise FileError at the first line unlike the others, in the dialect that fits most lines; none fits all."""
+    least, rows = len(lines) / 2, lines[1 : LOOKED_AT + 1]
+    found: FileError | None = None
+    for separator in SEPARATORS if table.separator is None else (table.separator,):
+        try:
+            header = lines[0][1] if table.header is None else table.header.replace(",", " ")
+            names = _split(header, separator if table.header is None else "space")
+            cells = [_split(line, separator) for _, line in rows]
+        except csv.Error:  # it is no row of this dialect
+            continue
+        for decimal in DECIMALS if table.decimal is None else (table.decimal,):
+            odd = [k for k, row in enumerate(cells) if not _fit([names, row], decimal)]
+            if odd and len(odd) < least:
+                least, (line, text) = len(odd), rows[odd[0]]
+                dialect = f"{len(names)} cells, {separator}s between, with decimal {decimal}s"
+                message = f"{short_repr(text)} is not as {len(rows) - len(odd)} of {len(rows)} rows, of {dialect}"
+                found = FileError(table.file, f"{message}; correct the line or remove it", line)
+    if found is not None:
+        raise found
+
+
 def _fitting(table: ForeignTable, lines: list[tuple[int, str]]) -> list[Cells]:
     """Cells of every dialect, of those that the table leaves open, that fits all lines."""
     tried = (
@@ -160,11 +184,11 @@ def _lines(path: Path, content: str, commented: bool) -> list[tuple[int, str]]:
     counts
     """
     if "\0" in content:
-        raise FileError(path, "is not text: it contains a NUL byte")
+        raise FileError(path, "is not text: it contains a NUL byte", content.count("\n", 0, content.index("\0")) + 1)
     lines, comment = [], None
     for number, line in enumerate(content.splitlines(), 1):
         bare = line.strip(" \r\n")
-        if not bare.strip():
+        if not bare.strip() or (number == 1 and EXCEL.fullmatch(bare)):
             continue
         mark = next((mark for mark in COMMENTS if bare.startswith(mark)), None)
         if mark is None:
@@ -178,8 +202,10 @@ def _lines(path: Path, content: str, commented: bool) -> list[tuple[int, str]]:
         and not re.search(r"[A-Za-z]{2}|^[A-Za-z]", re.sub(r"[eE][+-]?\d|\dT\d", "", lines[0][1]))
     ):
         lines.insert(0, comment)  # as numpy.savetxt writes its header
+    if not lines:
+        raise FileError(path, "is empty: it needs a header line and rows below it")
     if len(lines) < 2:
-        raise FileError(path, "has no header line with rows below it")
+        raise FileError(path, f"has no rows below its only line, {short_repr(lines[0][1])}", lines[0][0])
     return lines
 
 

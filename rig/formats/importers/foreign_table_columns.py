@@ -17,7 +17,15 @@ from rig.errors import FileError, RigError
 from rig.formats.checked_entries import LARGEST_NUMBER
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.importers.import_recipe import ForeignTable
-from rig.formats.importers.units_and_timestamps import TIMES, Times, UnclearInput, read_times, split_header
+from rig.formats.importers.units_and_timestamps import (
+    TIMES,
+    Times,
+    UnclearInput,
+    first_text_not_a_time,
+    read_times,
+    split_header,
+    unknown_unit,
+)
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.numbers_and_units import ANGLES, LENGTHS
 
@@ -100,13 +108,36 @@ class Cells:
         """A column's numbers. Raises FileError at the first that is none."""
         return [self._number(row[at], line, at) for row, line in zip(self.rows, self.lines)]
 
+    def whole_numbers(self, at: int) -> list[int]:
+        """A column's numbers, such as of frames. Raises FileError at the first that is not whole."""
+        values = self.numbers(at)
+        for value, line in zip(values, self.lines):
+            if not value.is_integer():
+                message = f"column {short_repr(self.header[at])} numbers frames, and {value:g} is not a whole number"
+                raise FileError(self.path, message, line, at + 1, value)
+        return [int(value) for value in values]
+
     def unit(self, at: int) -> str | None:
         """Unit that a column's header states, or None."""
         return split_header(self.header[at])[1]
 
+    def known_unit(self, at: int, setting: str) -> str | None:
+        """The same. Raises FileError for a word in brackets that is none. setting : KEY=VALUE that states another"""
+        unit, word = self.unit(at), unknown_unit(self.header[at])
+        if unit is None and word is not None:
+            message = f"column {short_repr(self.header[at])} is in {short_repr(word)}, which is no known unit; convert "
+            raise FileError(self.path, f"{message}it, or state its unit: --set {setting}", value=word)
+        return unit
+
     def times(self, at: int, section: str, stated: ForeignTable, are_plausible: Callable[[Floats], bool]) -> Times:
         """A column's times, in the unit stated for the table or by the header; see `read_times`."""
         unit = stated.time_unit or (self.unit(at) if self.unit(at) in TIMES else None)
+        odd = first_text_not_a_time(self.column(at), unit)
+        if odd is not None:
+            cell, header = self.rows[odd][at], short_repr(self.header[at])
+            message = f"column {header}: {short_repr(cell)} is not a time{f' in {unit}' if unit else ''}: times are "
+            message += "numbers, or ISO 8601 as 2026-01-31T12:00:00.25Z"
+            raise FileError(self.path, message, self.lines[odd], at + 1, cell)
         return read_times(self.column(at), section, stated.file.name, unit, stated.zone, stated.shift, are_plausible)
 
     def _number(self, cell: str, line: int, at: int) -> float:
@@ -170,6 +201,10 @@ def find_columns(
         alike = exact or [
             k for k, header in enumerate(cells.header) if words[k] in names and header not in stated.values()
         ]
+        if len({cells.header[k] for k in alike}) < len(alike):
+            name = short_repr(cells.header[alike[0]])
+            which = " and ".join(str(k + 1) for k in alike)
+            raise FileError(cells.path, f"columns {which} are both named {name}; rename all but one in its header line")
         if len(alike) > 1:
             raise RigError(
                 "\n".join(

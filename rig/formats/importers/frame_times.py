@@ -112,10 +112,12 @@ def _by_table(
         at, keys = _times_of_image_names(cells, found, t.seconds, exposed)
         gone = [name for name in at if name not in set(keys)]
     else:
-        at, keys = (
-            dict(zip((f"{n:.0f}" for n in cells.numbers(found["frame"])), t.seconds)),
-            [str(n) for n in exposed.frame],
-        )
+        numbers = cells.whole_numbers(found["frame"])
+        at, keys = {}, [str(n) for n in exposed.frame]
+        for line, number, seconds in zip(cells.lines, numbers, t.seconds):
+            if at.setdefault(str(number), seconds) != seconds:
+                message = f"frame {number} has the time {seconds:f} s here, and {at[str(number)]:f} s in a line above"
+                raise FileError(cells.path, f"{message}; correct one of them", line)
         gone = []
     missing = [str(path) for path, key in zip(exposed.path, keys) if key not in at]
     if missing:

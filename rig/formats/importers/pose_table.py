@@ -3,7 +3,7 @@
 Units, rotation vectors, quaternions or Euler angles.
 """
 
-from collections.abc import Callable, Collection, Hashable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 
@@ -54,6 +54,7 @@ UNIT = 1e-2  # that a quaternion's length may differ from one
 UNKNOWN_SIZE = 0.5  # m, of a rig of which nobody knows how large it is
 BETTER = 0.3  # of the next best disagreement with the commands, that the reading meant leaves
 USUAL = ("zyx", "xyz", "ZYX", "XYZ")  # Euler conventions that are asked about; others are stated
+IN_DEGREES = "poses.rotation_unit=deg"
 LEAST = 4  # poses with a command, from which commands decide
 # how rotations can be read: word, unit or None, and what comes of it; and what was read, with the table as read and
 # sentences on it
@@ -65,7 +66,8 @@ ReadRotations = tuple[Rotation | None, ForeignTable, tuple[str, ...]]
 @dataclass(frozen=True, slots=True, eq=False)
 class ImportedPoses:
     """T : RigidTransform (n,), or positions unrotated where alone is true; frame : (n,) numbers or None; t : n exact s
-    or None; hand : (n,) number, from 0, of the hand that each is of, None of arms with one; lines : n, of the file
+    or None; hand : (n,) number, from 0, of the hand that each is of, None of arms with one; lines : n lines of the
+    file; moments : n times as they are written there, none where t is None
     """
 
     T: RigidTransform
@@ -74,8 +76,27 @@ class ImportedPoses:
     t: list[Decimal] | None
     table: ForeignTable
     remarks: tuple[str, ...]
-    hand: Integers | None = None
-    lines: tuple[int, ...] = ()
+    hand: Integers | None
+    lines: tuple[int, ...]
+    moments: tuple[str, ...]
+
+    def rows(self, at: list[int]) -> "ImportedPoses":
+        """Poses of some rows. at : m indices"""
+        t = None if self.t is None else [self.t[k] for k in at]
+        frame, hand = (None if part is None else part[at] for part in (self.frame, self.hand))
+        lines, moments = tuple(self.lines[k] for k in at), tuple(self.moments[k] for k in at if self.moments)
+        return replace(self, T=self.T[at], frame=frame, t=t, hand=hand, lines=lines, moments=moments)
+
+    def require_distinct(self, keys: Sequence[object], found: str, remedy: str) -> None:
+        """Raise FileError, with the lines, where two rows have one of n keys. found : what such rows are"""
+        first: dict[object, int] = {}
+        repeated = [(k, first[key]) for k, key in enumerate(keys) if first.setdefault(key, k) != k]
+        if not repeated:
+            return
+        k, before = repeated[0]
+        value = f"t {self.moments[k]}" if self.frame is None else f"frame {self.frame[k]:g}"
+        message = f"{value} is in line {self.lines[before]} as well; {len(repeated)} of {len(keys)} rows {found}"
+        raise FileError(self.table.file, f"{message}. {remedy}", self.lines[k], value=value)
 
 
 CommandsAt = Callable[[list[Decimal] | None, Floats | None, int], Floats | None]
@@ -117,14 +138,15 @@ def read_poses(
             (*lines, *read_times.remarks),
             replace(table, time_unit=read_times.unit, zone=read_times.zone),
         )
-    frame = np.array(cells.numbers(found["frame"])) if "frame" in found else None
+    rows_read = tuple(cells.lines), tuple(cells.column(found["t"])) if "t" in found else ()
+    frame = np.array(cells.whole_numbers(found["frame"])) if "frame" in found else None
     hand = _hand_numbers(cells, found["hand"], hands) if hands else None
     q = commands_of_rows(t, frame, len(p))
     if q is not None and hand is not None:
         q = np.where((hand == 0)[:, None], q, np.nan)  # turns are compared of one hand
     if kind in ("direction", "distance"):
         T, table, more = (_directions if kind == "direction" else _distances)(cells, found, table)
-        return ImportedPoses(T, False, frame, t, table, (*cells.remarks, *lines, *more), hand, tuple(cells.lines))
+        return ImportedPoses(T, False, frame, t, table, (*cells.remarks, *lines, *more), hand, *rows_read)
     rotations, table, more = _rotations(cells, found, table, design, q)
     alone = rotations is None
     if alone and (design.instrument is None or kind == "orientation"):
@@ -133,19 +155,7 @@ def read_poses(
             "[instrument] that measures positions alone: base, tool and position_sigma, without rotation_sigma"
         )
     T = RigidTransform.from_components(p, Rotation.identity(len(p)) if alone else rotations)
-    return ImportedPoses(T, alone, frame, t, table, (*cells.remarks, *lines, *more), hand, tuple(cells.lines))
-
-
-def first_repeated_key(keys: Sequence[Hashable], lines: Sequence[int]) -> tuple[Hashable, str]:
-    """(first key that occurs again, the two lines of the file in words) of keys some of which are the same. Raises
-    ValueError where none are
-    """
-    seen: dict[Hashable, int] = {}
-    for key, line in zip(keys, lines, strict=True):
-        if key in seen:
-            return key, f"lines {seen[key]} and {line}"
-        seen[key] = line
-    raise ValueError("all keys differ")
+    return ImportedPoses(T, alone, frame, t, table, (*cells.remarks, *lines, *more), hand, *rows_read)
 
 
 def _columns_of_kind(cells: Cells, kind: str) -> tuple[Headers, tuple[str, ...]]:
@@ -171,7 +181,7 @@ def _directions(cells: Cells, found: dict[str, int], table: ForeignTable) -> Rea
             message = f"x, y, z are no direction, a vector of length one, but of length {length[k, 0]:.6g}"
             raise FileError(cells.path, message, cells.lines[k], value=length[k, 0])
         return poses_pointing_along(values / length), table, (f"{table.file.name}: directions are vectors",)
-    stated = [cells.unit(found[name]) for name in DIRECTION]
+    stated = [table.rotation_unit or cells.known_unit(found[name], IN_DEGREES) for name in DIRECTION]
     for name, own in zip(DIRECTION, stated):
         if own is not None and own not in ANGLES:
             raise RigError(f"{table.file}: {own} is not a unit of {name}; there are {', '.join(ANGLES)}")
@@ -221,12 +231,11 @@ def _positions(
     cells: Cells, found: dict[str, int], table: ForeignTable, design: Design
 ) -> tuple[Floats, ForeignTable, tuple[str, ...]]:
     values = np.array([cells.numbers(found[name]) for name in "xyz"]).T
-    stated = {table.unit or cells.unit(found[name]) for name in "xyz"}
-    unit = stated.pop()
-    if stated or (unit is not None and unit not in LENGTHS):
-        raise RigError(
-            f"{table.file}: x, y, z must be in one unit of {', '.join(LENGTHS)}; --set poses.unit=mm states it"
-        )
+    stated = [table.unit or cells.known_unit(found[name], "poses.unit=mm") for name in "xyz"]
+    unit = stated[0]
+    if len({*stated}) > 1 or (unit is not None and unit not in LENGTHS):
+        own = ", ".join(f"{name} in {one or 'none stated'}" for name, one in zip("xyz", stated))
+        raise RigError(f"{table.file}: {own}; convert them to one unit of {', '.join(LENGTHS)}")
     lines: tuple[str, ...] = ()
     if unit is None:
         size, far = _size(design), float(np.median(np.linalg.norm(values, axis=1)))
@@ -243,9 +252,9 @@ def _positions(
         )
     p = values / LENGTHS[unit]
     if np.abs(p).max() > LARGEST_RIG:
-        raise RigError(
-            f"{table.file}: a position of {np.abs(p).max():g} m is implausible; --set poses.unit=mm states another unit"
-        )
+        k = int(np.argmax(np.abs(p).max(axis=1)))
+        message = f"a position of {np.abs(p[k]).max():g} m is implausible; correct it, or state another unit: "
+        raise FileError(cells.path, f"{message}--set poses.unit=mm", cells.lines[k])
     return p, replace(table, unit=unit), lines
 
 
@@ -265,7 +274,8 @@ def _rotations(
     if group in (QUATERNION, NUMBERED):
         ways = _quaternions(values, names, group is QUATERNION, table)
     else:
-        ways = _angles(values, names, {cells.unit(found[name]) for name in names}, group is EULERS, table)
+        units = {table.rotation_unit or cells.known_unit(found[name], IN_DEGREES) for name in names}
+        ways = _angles(values, names, units, group is EULERS, table)
     if not ways:
         raise RigError(
             f"{table.file}: {', '.join(names)} are not rotations as stated; --set poses.rotation= takes "

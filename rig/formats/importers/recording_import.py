@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 
 from rig.array_and_json_types import Floats, Integers
-from rig.errors import RigError
+from rig.errors import FileError, RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.importers import exposures_from_image_names
 from rig.formats.importers.camera_calibrations import rig_toml_with_cameras
@@ -32,7 +32,7 @@ from rig.formats.importers.frame_times import (
     seconds_since_origin,
 )
 from rig.formats.importers.import_recipe import Images, Recipe, recipe_with_settings
-from rig.formats.importers.pose_table import ImportedPoses, first_repeated_key, read_poses
+from rig.formats.importers.pose_table import ImportedPoses, read_poses
 from rig.formats.importers.units_and_timestamps import UnclearInput
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_bytes, read_text
@@ -46,6 +46,11 @@ from rig.recording.recording_tables import Poses, write_instrument_poses, write_
 LARGEST_IMAGE_FILE = 1 << 31  # bytes
 SAME_MOMENT = 0.05  # s that a pose may be from its frame
 NO_ROTATIONS = "rotation_sigma is left out of the recording's rig.toml, as no rotations were measured"
+HANDS_OR_FINER_TIMES = (
+    "Where a column says of which of an arm's reflectors or hands each is, state these in rig.toml as "
+    "[[mechanism.hand]] (docs/several-hands.md) and --set poses.columns.hand=HEADER; else write times with "
+    "milliseconds at least"
+)
 SPANS = (0.02, 50.0)  # of another file's span, that a file's may have
 
 
@@ -262,12 +267,8 @@ def _placed_by_hand(
     first: dict[object, int] = {}
     back = [first.setdefault(key, len(first)) for key in keys]
     rows = [back.index(number) for number in range(len(first))]
-    pairs = list(zip(back, posed.hand.tolist()))
-    if len(set(pairs)) < len(pairs):
-        raise RigError(f"{posed.table.file}: {first_repeated_key(pairs, posed.lines)[1]} are of one hand and frame")
-    frame, t = (None if part is None else [part[k] for k in rows] for part in (posed.frame, posed.t))
-    lines = tuple(posed.lines[k] for k in rows)
-    once = replace(posed, T=posed.T[rows], frame=None if frame is None else np.array(frame), t=t, lines=lines)
+    posed.require_distinct(list(zip(keys, posed.hand.tolist())), "repeat a hand of a frame", "Remove one of them")
+    once = posed.rows(rows)
     exposed, placed = _placed(exposed, once, commanded)
     assert placed.frame is not None
     return exposed, replace(posed, frame=placed.frame[back], remarks=placed.remarks)
@@ -297,17 +298,9 @@ def _placed(
         if t is None:
             raise RigError(f"{posed.table.file}: the poses have no times, and the number of commands differs")
         numbers = list(range(n)) if posed.frame is None else posed.frame.astype(int).tolist()
-        if posed.frame is None and len(set(t)) < n:
-            time, where = first_repeated_key(t, posed.lines)
-            raise RigError(
-                f"{posed.table.file}: {n - len(set(t))} of {n} rows have the time of another, first {where}: {time} s. "
-                "Where a column says of which of an arm's reflectors or hands each is, state these in rig.toml as "
-                "[[mechanism.hand]] (docs/several-hands.md) and --set poses.columns.hand=HEADER; else write times with "
-                "milliseconds at least"
-            )
-        if len(set(numbers)) < n:
-            number, where = first_repeated_key(numbers, posed.lines)
-            raise RigError(f"{posed.table.file}: frame {number} occurs twice, in {where}")
+        if posed.frame is None:
+            posed.require_distinct(t, "have the time of another", HANDS_OR_FINER_TIMES)
+        posed.require_distinct(numbers, "have the frame of another", "Correct their frames, or remove one of them")
         order = sorted(range(n), key=lambda k: (t[k], numbers[k]))
         if [numbers[k] for k in order] != sorted(numbers):
             numbers = [
@@ -323,10 +316,11 @@ def _placed(
         nearest = [min(range(len(at)), key=lambda k: abs(at[k] - s)) for s in posed.t]
         far = [k for k, near in enumerate(nearest) if abs(at[near] - posed.t[k]) > SAME_MOMENT]
         if far:
-            raise RigError(
-                f"{posed.table.file}: {len(far)} of {n} poses are farther than {SAME_MOMENT:g} s from any frame; "
-                f"the first is line {posed.lines[far[0]]}"
-            )
+            k = far[0]
+            off, frame = abs(at[nearest[k]] - posed.t[k]), known_frames[nearest[k]]
+            message = f"{len(far)} of {n} poses are farther than {SAME_MOMENT:g} s from any frame; the first, t "
+            message += f"{posed.moments[k]}, is {off:.6g} s from frame {frame}, the nearest"
+            raise FileError(posed.table.file, f"{message}; --set poses.shift=S adds S to its times", posed.lines[k])
         posed = replace(posed, frame=np.array([known_frames[k] for k in nearest]))
     elif posed.frame is None:
         if n != len(known):

@@ -93,6 +93,12 @@ def split_header(header: str) -> tuple[str, str | None]:
     return header, None
 
 
+def unknown_unit(header: str) -> str | None:
+    """The word in brackets at the end of a header, where it is no unit; else None."""
+    found = BRACKETS.match(header)
+    return found[2] if found and found[1] and parse_unit(found[2]) is None else None
+
+
 def parse_unit(word: str) -> str | None:
     """The unit that a word means, or None."""
     word = word.strip()
@@ -137,6 +143,7 @@ def is_likely_length_unit(values: Floats, ranges: Floats, unit: str, relative: s
 
 
 ISO = re.compile(r"(\d{4}-?\d\d-?\d\d[T _]\d\d:?\d\d(?::?\d\d)?)([.,]\d{1,18})?\s*(Z|z|[+-]\d\d:?\d\d)?")
+SECONDS = re.compile(r"[+-]?\d{1,30}(\.\d{0,30})?([eE][+-]?\d{1,2})?")
 ZONE = re.compile(r"([+-])(\d\d):?(\d\d)|Z|UTC")
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 SINCE, UNTIL = 946684800, 4102444800  # s; 2000 and 2100: what lies between counts from 1970
@@ -155,6 +162,13 @@ class Times:
     remarks: tuple[str, ...]
 
 
+def first_text_not_a_time(texts: Sequence[str], unit: str | None) -> int | None:
+    """Index of the first text that is no time: no number, or no ISO 8601 where most are or `unit` is "iso"; or None."""
+    form = max((SECONDS, ISO), key=lambda one: sum(map(bool, map(one.fullmatch, texts))))
+    form = form if unit is None else ISO if unit == "iso" else SECONDS
+    return next((k for k, text in enumerate(texts) if not form.fullmatch(text)), None)
+
+
 def read_times(
     cells: list[str],
     section: str,
@@ -171,12 +185,12 @@ def read_times(
     are_plausible : whether (n,) s from the first can be so
     Raises RigError for texts that are no times, and where several units can be meant
     """
-    numeric = all(re.fullmatch(r"[+-]?\d{1,30}(\.\d{0,30})?([eE][+-]?\d{1,2})?", cell) for cell in cells)
+    numeric = all(map(SECONDS.fullmatch, cells))
     by = Decimal(repr(float(shift)))
     if unit == "iso" or (unit is None and not numeric):
         return _iso(cells, section, subject, time_zone, by, () if unit else (f"{subject}: times are ISO 8601",))
     if not numeric:
-        bad = next(cell for cell in cells if not re.fullmatch(r"[+-]?\d{1,30}(\.\d{0,30})?([eE][+-]?\d{1,2})?", cell))
+        bad = next(cell for cell in cells if not SECONDS.fullmatch(cell))
         raise RigError(f"{subject}: {short_repr(bad)} is not a time in {NAMES[unit or 's']}")
     values = [Decimal(cell) for cell in cells]
     found, message = _unit(values, section, subject, are_plausible) if unit is None else (unit, ())

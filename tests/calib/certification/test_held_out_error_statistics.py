@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag, sqrtm
 
 from calib.api.correction_over_configuration_or_pose_space import CorrectionPass, certify_additional_pass
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
@@ -19,7 +20,11 @@ from calib.certification.extended_correction_certification import (
     certify_extended_correction,
     claim_without_geometry,
 )
-from calib.certification.held_out_errors import HeldErrors
+from calib.certification.held_out_errors import (
+    HeldErrors,
+    mean_square_pose_errors_caused_by_parameters,
+    residuals_corrected_for_absorbed_noise,
+)
 from calib.correction.correction import Correction, solvable_commands_and_poses
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import certify_arm as certify_arm
@@ -128,3 +133,24 @@ def test_an_arms_claim_is_never_better_than_poses_held_out_allow(gears):
         )
         inside += claim.after[0][1] <= rms(off)[0] <= claim.after[0][2]
     assert inside >= 5
+
+
+def test_shares_that_samples_tell_themselves_agree_with_every_direction_of_their_poses():
+    """Fewer directions than numbers of a part: the others are what the fit does not touch. One parameter is fixed."""
+    n, p, rng = 40, 9, np.random.default_rng(3)
+    J, residuals, part = rng.normal(size=(n, 6, p)), rng.normal(size=(n, 6)), np.arange(n) % 3
+    J[..., :3] *= 1e-4  # of other units
+    noise = np.eye(6) + np.einsum("nij,nkj->nik", *[rng.normal(size=(n, 6, 6))] * 2)
+    seen = np.linalg.solve(np.linalg.cholesky(noise), J)
+    covariance = np.linalg.inv(np.einsum("nij,nik->jk", seen, seen) + np.diag([1e30] + [0.0] * (p - 1)))
+    freed = residuals_corrected_for_absorbed_noise(residuals, J, covariance, noise, part)
+    squares = mean_square_pose_errors_caused_by_parameters(J, covariance, noise, part)
+    wanted = np.zeros((2, n, 6))
+    for own in (part == k for k in range(3)):
+        L = block_diag(*np.linalg.cholesky(noise[own]))
+        hat = seen[own].reshape(-1, p) @ covariance @ seen[own].reshape(-1, p).T
+        rest = np.linalg.inv(np.eye(len(hat)) - hat)
+        wanted[0, own] = (L @ sqrtm(rest).real @ np.linalg.solve(L, residuals[own].ravel())).reshape(-1, 6)
+        wanted[1, own] = np.diag(L @ hat @ rest @ L.T).reshape(-1, 6)
+    np.testing.assert_allclose(freed, wanted[0], rtol=1e-9)
+    np.testing.assert_allclose(squares, wanted[1].mean(axis=0).reshape(2, 3).sum(axis=1), rtol=1e-9)

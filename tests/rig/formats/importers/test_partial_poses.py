@@ -118,14 +118,67 @@ def test_rows_of_several_reflectors_ask_for_hands(tmp_path):
     points += "".join(f"{k},SMR{i},{300 + k},{20 * k},{400 - k + 9 * i}\n" for k in range(8) for i in (1, 2))
     stated = INSTRUMENT + "position_sigma = 2e-5\n"
     found = imported(tmp_path, ARM + stated, JOINTS, points)
-    assert (
-        found.status
-        and "8 of 16 rows have the time of another, first lines 2 and 3: 0.0 s" in found.text
-        and "hand=HEADER" in found.text
-    )
+    assert found.status and "8 of 16 rows have the time of another" in found.text and "hand=HEADER" in found.text
+    assert "tracker.csv:3: t 0 is in line 2 as well" in found.text
     hands = "".join(f'[[mechanism.hand]]\nname = "SMR{i}"\njoint = 2\n' for i in (1, 2))
     found = imported(tmp_path, ARM + hands + stated, JOINTS, points, "poses.columns.hand=reflector")
     assert found.status == 0 and len(found.recording.poses.frame) == 16, found.text
+
+
+LINE_6 = "4,304,80,396"
+DIRTY = {
+    "a decimal comma in one row": (
+        POINTS.replace(",", ";"),
+        "4;304;80",
+        "4;304.5;80,5",
+        ":6: '4;304.5;80,5;396' is not as 7 of 8 rows",
+    ),
+    "a cell too many": (POINTS, LINE_6, f"{LINE_6},7", f":6: '{LINE_6},7' is not as 7 of 8 rows, of 4 cells"),
+    "half a last line": (POINTS, ",140,393\n", ",1", ":9: its last line is not like the 7 before it"),
+    "two columns of one name": (POINTS, "y [mm]", "x [mm]", ": columns 2 and 3 are both named 'x [mm]'; rename"),
+    "an unknown unit": (POINTS, "[mm]", "[furlong]", ": column 'x [furlong]' is in 'furlong', which is no known unit"),
+    "units that differ": (POINTS, "z [mm]", "z [m]", ": x in mm, y in mm, z in m; convert them to one unit"),
+    "no time in one row": (POINTS, LINE_6, LINE_6.replace("4", "four", 1), ":6:1: column 't': 'four' is not a time"),
+    "dates of a country": (POINTS, "\n4,", "\n01.05.2024 10:00:04,", ":6:1: column 't': '01.05.2024 10:00:04' is not"),
+    "an implausible position": (POINTS, ",304,", ",3.04e7,", ":6: a position of 30400 m is implausible"),
+    "half a frame": (
+        POINTS.replace("t,", "frame,"),
+        LINE_6,
+        f"4.5{LINE_6[1:]}",
+        ":6:1: column 'frame' numbers frames, and 4.5",
+    ),
+    "a frame that occurs twice": (
+        POINTS.replace("t,", "frame,"),
+        LINE_6,
+        f"3{LINE_6[1:]}",
+        ":6: frame 3 is in line 5 as",
+    ),
+    "no row": (POINTS[: POINTS.index("\n") + 1], "", "", ":1: has no rows below its only line, 't,x [mm],y"),
+    "nothing": ("", "", "", ": is empty"),
+    "a NUL byte": (POINTS, LINE_6, f"{LINE_6}\0", ":6: is not text: it contains a NUL byte"),
+}
+
+
+@pytest.mark.parametrize("table, clean, dirty, words", DIRTY.values(), ids=DIRTY)
+def test_a_dirty_table_is_named_with_line_and_value(tmp_path, table, clean, dirty, words):
+    found = imported(tmp_path, ARM + INSTRUMENT + "position_sigma = 2e-5\n", JOINTS, table.replace(clean, dirty))
+    assert found.status == 1 and f"tracker.csv{words}" in found.text, found.text
+
+
+def test_a_table_of_excel_states_its_separator(tmp_path):
+    points = f"sep=;\n{POINTS}".replace(",", ";")
+    found = imported(tmp_path, ARM + INSTRUMENT + "position_sigma = 2e-5\n", JOINTS, points)
+    np.testing.assert_allclose(found.recording.poses.T_base_platform.translation[3], [0.303, 0.06, 0.397])
+
+
+@pytest.mark.parametrize(
+    "time, words", [("0.5", "its time, 0.5 s, is before that of line 5, 3.0 s"), ("3", "two rows")]
+)
+def test_commands_whose_times_do_not_increase_are_named(tmp_path, time, words):
+    """Though the unit of the times is not stated, and is found by how fast the joints move."""
+    joints = JOINTS.replace("\n4,40", f"\n{time},40")
+    found = imported(tmp_path, ARM + INSTRUMENT + "position_sigma = 2e-5\n", joints, POINTS)
+    assert found.status == 1 and f"robot.csv:6: {words}" in found.text, found.text
 
 
 def test_euler_angles_are_read_as_the_commands_turn(tmp_path):
