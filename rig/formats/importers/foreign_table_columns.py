@@ -130,8 +130,8 @@ class Cells:
         return unit
 
     def times(self, at: int, section: str, stated: ForeignTable, are_plausible: Callable[[Floats], bool]) -> Times:
-        """A column's times, in the unit stated for the table or by the header; see `read_times`. Raises FileError at the
-        first that is none.
+        """A column's times, in the unit stated for the table or by the header; see `read_times`. Raises FileError at
+        the first that is none.
         """
         unit = stated.time_unit or (self.unit(at) if self.unit(at) in TIMES else None)
         odd = first_text_not_a_time(self.column(at), unit)
