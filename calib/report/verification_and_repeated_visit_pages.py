@@ -129,7 +129,7 @@ def _capitalised(line: str) -> str:
 def verification_verdict(verified: Verified) -> Verdict:
     """Verdict on a verification."""
     if verified.driven is not None:
-        return judge_evidence(_of_driven(verified))
+        return judge_evidence(_evidence_from_wanted_poses(verified))
     if verified.same:
         return judge_evidence(
             Evidence(
@@ -158,7 +158,7 @@ def refutes_claim(verified: Verified) -> bool:
     return verified.driven is None and not verified.same and verified.found is not None and verified.found.refutes
 
 
-def _of_driven(v: Verified) -> Evidence:
+def _evidence_from_wanted_poses(v: Verified) -> Evidence:
     """Evidence of poses wanted against those that came."""
     assert v.driven is not None
     figures, stated, _ = v.driven

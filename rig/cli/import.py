@@ -160,7 +160,7 @@ def _pointing(arguments: argparse.Namespace) -> None:
         "recipe": "",
     }
     print(f"imported: {len(data.star)} stars of an {data.mount} mount, {data.caption}")
-    _say_assumed(assumed)
+    _print_assumptions(assumed)
     print(f"written: {arguments.out}")
 
 
@@ -220,7 +220,7 @@ def _rig(arguments: argparse.Namespace, recipe: "Recipe") -> None:
         "assumed": list(lines),
     }
     print(f"imported: {len(design.cameras)} cameras")
-    _say_assumed(lines)
+    _print_assumptions(lines)
     print(f"written: {arguments.out}")
 
 
@@ -242,10 +242,10 @@ def _print_verdict(imported: "ImportedRecording") -> None:
     if e.t:
         parts[-1] += f", over {float(max(e.t) - min(e.t)):.6g} s"
     print(f"imported: {', '.join(parts)}")
-    _say_assumed(imported.remarks)
+    _print_assumptions(imported.remarks)
 
 
-def _say_assumed(assumptions: tuple[str, ...]) -> None:
+def _print_assumptions(assumptions: tuple[str, ...]) -> None:
     if assumptions:
         print("assumed, as nothing states otherwise:" if len(assumptions) > 1 else "assumed:")
     for line in assumptions:

@@ -118,7 +118,7 @@ class FitEntry:
 
 
 @dataclass(frozen=True, slots=True)
-class NotAskedEntry:
+class NotTestedEntry:
     """An effect that the recording cannot show, and why."""
 
     effect: str

@@ -28,7 +28,7 @@ from calib.diagnosis.report.diagnosis_json_entries import (
     EffectsFile,
     FindingEntry,
     FitEntry,
-    NotAskedEntry,
+    NotTestedEntry,
     RecordingEntry,
     RemarkEntry,
     SuggestionEntry,
@@ -95,7 +95,7 @@ class Report(OneLineRepr):
     unexplained: Unexplained | None
     fits: dict[str, FitEntry]
     fit: FitEntry
-    not_asked: tuple[NotAskedEntry, ...]
+    not_asked: tuple[NotTestedEntry, ...]
     remarks: tuple[RemarkEntry, ...] = ()
     covariates: tuple[CovariateEntry, ...] = ()
     said: tuple[str, ...] = ()
@@ -284,7 +284,7 @@ def diagnosis_report(diagnosis: Diagnosis) -> Report:
         largest_unexplained(diagnosis),
         fits,
         fits[diagnosis.shown_in],
-        tuple(NotAskedEntry(s.effect, s.reason) for s in diagnosis.not_tested),
+        tuple(NotTestedEntry(s.effect, s.reason) for s in diagnosis.not_tested),
         tuple(negligible_finding_remark_entries(diagnosis)),
         covariate_entries(diagnosis.covariates),
         diagnosis.options.operator_statements,

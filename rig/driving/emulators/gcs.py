@@ -62,7 +62,7 @@ class GCS(Emulator):
             return
         word, arguments = words[0].upper(), words[1:]
         if word == "ERR?":
-            self._tell_error()
+            self._answer_error()
         elif word in ("*IDN?", "SAI?", "HLP?", "VER?", "CSV?", "RDY?"):
             self.say(
                 {
@@ -99,7 +99,7 @@ class GCS(Emulator):
         """What is aimed at is where the axes stand at t (s)."""
         self.target, self._goal = self.machine.counters(t), self.machine.axes.at(t)
 
-    def _tell_error(self) -> None:
+    def _answer_error(self) -> None:
         t = self.now
         if self.machine.fault(t) and not self.busy:
             self.error, self.servo = -1024, self.servo & False

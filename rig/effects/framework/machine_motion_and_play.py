@@ -48,8 +48,7 @@ class Path:
     @property
     def firsts(self) -> Floats:
         """(k + 1,) the knots at which history begins."""
-        first = np.zeros(1, int)
-        return np.concatenate([first, np.searchsorted(self.t, self.starts)]) if len(self.starts) else first
+        return np.r_[0, np.searchsorted(self.t, self.starts)]
 
     def walked(self, walk: Callable[[Floats, Floats], Floats]) -> Floats:
         """(m, axes) of walk(t (r,), lengths (r, axes)) -> (r, axes), which remembers, along each stretch from where

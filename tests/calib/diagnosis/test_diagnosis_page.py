@@ -11,7 +11,7 @@ import pytest
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.problems.platform import platform_recording_evidence as platform
 from calib.diagnosis.problems.remainder_covariates_and_repeatability import repeatability_of_pairs
-from calib.diagnosis.report.diagnosis_json_entries import AlternativeEntry, NotAskedEntry
+from calib.diagnosis.report.diagnosis_json_entries import AlternativeEntry, NotTestedEntry
 from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report, repeatability_entry
 from calib.diagnosis.report.residual_figures_and_finding_contributions import (
     effect_residual_figures,
@@ -103,7 +103,7 @@ def test_alternatives_and_what_was_not_asked_are_listed(diagnosed, tmp_path):
     finding = replace(
         report.findings[0], cannot_be_told_from=(AlternativeEntry("hysteresis", "strut 3", 1.25, 0.999, "a <ladder>"),)
     )
-    report = replace(report, findings=(finding,), not_asked=(NotAskedEntry("thermal_expansion", "no channel"),))
+    report = replace(report, findings=(finding,), not_asked=(NotTestedEntry("thermal_expansion", "no channel"),))
     page_text(tmp_path / "page.html", found, diagnosis, report)
     page, text = text_of(tmp_path / "page.html")
     assert "a &lt;ladder&gt;" in page and "1.2" in text and "thermal expansion" in text and "no channel" in text

@@ -73,7 +73,9 @@ def test_the_core_is_all_that_a_search_takes(tmp_path, design):
     problem = PlatformProblem(point, platform_candidates(point, RequestedEffects(("backlash", "scale_error")))[0])
     core = CoreAlone(problem)
     assert not any(isinstance(core, capability) for capability in CAPABILITIES)
-    found = select_terms(core)
+    labels = []
+    found = select_terms(core, lambda label, done, of: labels.append(label))
+    assert labels[0] == "searching" and "so far backlash at strut 2, not yet confirmed; searching on" in labels
     assert [(f.score.candidate.name, f.score.candidate.place) for f in found.findings] == [("backlash", "strut 2")]
     core.policy = ARM
     with pytest.raises(ValueError, match="companions"):

@@ -191,7 +191,7 @@ class Sensitivities:
     point: OperatingPoint
     pixels: dict[tuple[object, ...], tuple[Integers, Floats]] = field(default_factory=dict)
     without: dict[str, Floats] = field(default_factory=dict)  # by place, what is seen at this very point
-    commanded: list[Floats] = field(default_factory=list)  # what is effectively commanded there, once it is known
+    commanded: Floats | None = None  # what is effectively commanded there, once it is known
 
     def at(self, point: OperatingPoint) -> "Sensitivities":
         """The same for another OperatingPoint of the same corners; what was kept stays."""
@@ -227,9 +227,9 @@ class Sensitivities:
         kind, k = type(effect), self.point
         if not kind.retimes():
             return k.elongation(effect, motion)
-        if not self.commanded:
-            self.commanded.append(k.effective())
-        return k.effective((*k.effects, effect)) - self.commanded[0]
+        if self.commanded is None:
+            self.commanded = k.effective()
+        return k.effective((*k.effects, effect)) - self.commanded
 
     def seen(self, candidate: PlatformCandidate, node: Node) -> tuple[Integers, Floats]:
         """(sighting rows (s,), (s, 4, 2, q) px per unit of each linear parameter) of what is seen at a node; rows that

@@ -32,7 +32,7 @@ from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals i
 )
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import cross_validate_effects
 from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column, score_candidates
-from calib.diagnosis.problems.platform.screening_of_alternatives import ReleasedDirections, screen_axis_candidates
+from calib.diagnosis.problems.platform.screening_of_alternatives import screened_alternatives
 from calib.diagnosis.problems.platform.simultaneous_refinement import (
     Refinement,
     add_term,
@@ -43,8 +43,6 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import (
 )
 from calib.diagnosis.problems.platform.smooth_functions import model_with_smooth_functions, smooth_function_columns
 from rig.model.hands_places_and_tolerances import Place
-
-SCREENED = 0.3  # of what a term explains, from which a candidate is searched exactly for in its place
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,22 +154,9 @@ class PlatformProblem:
     ) -> list[list[PlatformCandidate]] | None:
         if self.tolerant or fit.refined.column is None or any(c.seen_alone for c in fit.terms):
             return None  # what shows in images alone is no longer linear where it is taken away
-        full = fit.refined.marginalised
-        released = [
-            ReleasedDirections.of(fit.refined, full, self.without_term(fit, number), number)
-            for number in range(len(fit.terms))
-        ]
-        explained = screen_axis_candidates(
-            full, self.candidates, self.sensitivities.at(fit.refined.point), released, progress
-        )
-        own = explained[
-            [next(i for i, c in enumerate(self.candidates) if c is t) for t in fit.terms], range(len(released))
-        ]
-        least = np.where(np.isfinite(own), SCREENED * own, -np.inf)
-        # what shifts the times of the whole machine does something else beside other terms
-        follows_terms = np.array([c.kind.retimes() and not c.site.is_axis for c in self.candidates])
-        passed = (explained >= least) | follows_terms[:, None]
-        return [[self.candidates[i] for i in np.flatnonzero(row)] for row in passed.T]
+        without = [self.without_term(fit, number) for number in range(len(fit.terms))]
+        sensitivities = self.sensitivities.at(fit.refined.point)
+        return screened_alternatives(fit.refined, fit.terms, without, self.candidates, sensitivities, progress)
 
     def rescored(self, model: LinearisedModel, fit: PlatformFit, number: int) -> PlatformScore:
         return self.search(model, [fit.terms[number]])[0]

@@ -6,13 +6,12 @@ nuisances' basis hold already: so one pass over the grids says, for every term, 
 explain in its place.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.diagnosis.engine import reduced_least_squares as inner
-from calib.diagnosis.engine.linear_model import Column
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
     PlatformCandidate,
     Reach,
@@ -28,75 +27,89 @@ from rig.array_and_json_types import Floats
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 
 SEEN = 1e-3  # of a direction's length, beside all other terms, from which a term's absence gives it back
+SCREENED = 0.3  # of what a term explains, from which a candidate is searched exactly for in its place
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ReleasedDirections:
+class _Released:
     """What a term gives back that is left out. directions : (h, q), orthonormal, on the last h vectors of the basis of
     a model that has all terms among the nuisances; residual : (q,) what the term explained along them"""
 
     directions: Floats
     residual: Floats
 
-    @staticmethod
-    def of(
-        refinement: Refinement, full: LinearisedModel, without: LinearisedModel, number: int
-    ) -> "ReleasedDirections":
-        """Of one effect of a Refinement. full : its model, all effects among the nuisances; without : without this
-
-        Raises ValueError for a Refinement that has no effects
-        """
-        column, before = refinement.column, refinement.model.linear.columns.count
-        if column is None:
-            raise ValueError("a refinement without effects has none to leave out")
-        added = Column(tuple(np.asarray(part)[:, before:] for part in full.linear.columns.whole))
-        onto, seen = np.zeros((added.count, column.count)), np.zeros(added.count)
-        for basis, part, block in zip(added.whole, column.parts, without.linear.blocks, strict=True):
-            seen += basis.T @ block.residual
-            if part is not None:
-                onto += basis.T @ part
-        own = np.array([c.effect == number for c in refinement.coordinates])
-        found = refinement.model.linear.project(column)
-        size = np.sqrt(np.maximum(np.diag(found.gram) + (found.onto**2).sum(axis=0), 1e-300))
-        others = _orthonormal(onto[:, ~own] / size[~own])
-        left = onto[:, own] / size[own]
-        directions = _orthonormal(left - others @ (others.T @ left))
-        return ReleasedDirections(directions, directions.T @ seen)
-
-    def normal_equations(self, normal: inner.Normal, onto: Floats) -> inner.Normal:
-        """Normal equations without the term. normal : with all terms; onto : (k, q, h) products of the candidates'
-        columns with the last h vectors of the basis"""
-        along = onto @ self.directions
+    def normal_equations(self, normal: inner.Normal) -> inner.Normal:
+        """Normal equations of candidates without the term. normal : with all terms"""
+        assert normal.onto is not None  # as those of candidates on axes have it
+        along = normal.onto[:, :, normal.onto.shape[2] - len(self.directions) :] @ self.directions
         return inner.Normal(normal.b + along @ self.residual, normal.G + along @ np.swapaxes(along, 1, 2), normal.raw)
 
 
-def screen_axis_candidates(
+def screened_alternatives(
+    refinement: Refinement,
+    terms: Sequence[PlatformCandidate],
+    without: list[LinearisedModel],
+    candidates: list[PlatformCandidate],
+    sensitivities: Sensitivities,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[list[PlatformCandidate]]:
+    """For each term of a Refinement, the candidates that may explain as much in its place.
+
+    Only what acts on axes is screened out. terms : of its effects, in order; without : models without each; candidates
+    : the terms among them; sensitivities : at its OperatingPoint
+    """
+    full = refinement.marginalised
+    explained = _explained_in_place(full, candidates, sensitivities, _released(refinement, full, without), progress)
+    numbers = {id(candidate): number for number, candidate in enumerate(candidates)}
+    own = explained[[numbers[id(term)] for term in terms], range(len(terms))]
+    least = np.where(np.isfinite(own), SCREENED * own, -np.inf)
+    # what shifts the times of the whole machine does something else beside other terms
+    follows_terms = np.array([c.kind.retimes() and not c.site.is_axis for c in candidates])
+    passed = (explained >= least) | follows_terms[:, None]
+    return [[candidates[i] for i in np.flatnonzero(row)] for row in passed.T]
+
+
+def _released(refinement: Refinement, full: LinearisedModel, without: list[LinearisedModel]) -> list[_Released]:
+    """Of each effect of a Refinement. full : its model, all effects among the nuisances; without : without each"""
+    column, before = refinement.column, refinement.model.linear.columns.count
+    if column is None:
+        raise ValueError("a refinement without effects has none to leave out")
+    added = [np.asarray(part)[:, before:] for part in full.linear.columns.whole]
+    onto: Floats = sum(
+        (basis.T @ part for basis, part in zip(added, column.parts, strict=True) if part is not None),
+        np.zeros((added[0].shape[1], column.count)),
+    )
+    found = refinement.model.linear.project(column)
+    onto = onto / np.sqrt(np.maximum(np.diag(found.gram) + (found.onto**2).sum(axis=0), 1e-300))
+    out = []
+    for number, model in enumerate(without):
+        own = np.array([c.effect == number for c in refinement.coordinates])
+        others = _orthonormal(onto[:, ~own])
+        directions = _orthonormal(onto[:, own] - others @ (others.T @ onto[:, own]))
+        along = (directions.T @ (basis.T @ block.residual) for basis, block in zip(added, model.linear.blocks))
+        out.append(_Released(directions, sum(along, np.zeros(directions.shape[1]))))
+    return out
+
+
+def _explained_in_place(
     model: LinearisedModel,
     candidates: list[PlatformCandidate],
     sensitivities: Sensitivities,
-    released: list[ReleasedDirections],
-    progress: Callable[[int, int], None] | None = None,
+    released: list[_Released],
+    progress: Callable[[int, int], None] | None,
 ) -> Floats:
     """(candidates, terms) of about what each candidate's best node explains in the place of each term; inf for
-    candidates that do not act on axes.
-
-    model : with all terms among the nuisances; sensitivities : at its OperatingPoint; released : of each term
-    """
+    candidates that do not act on axes. model : with all terms among the nuisances"""
     motion, products = model.point.motion(model.point.effects), axis_elongation_inner_products(model)
 
-    def ask(candidate: PlatformCandidate) -> Floats:
+    def explained(candidate: PlatformCandidate) -> Floats:
         if candidate.reach is not Reach.AXES:
             return np.full(len(released), np.inf)
         solver, normal = axis_normal_equations(candidate, sensitivities, products, motion)
-        assert normal.onto is not None
-        explained = []
-        for term in released:
-            onto = normal.onto[:, :, normal.onto.shape[2] - len(term.directions) :]
-            solved = solver(term.normal_equations(normal, onto))
-            explained.append(solved.delta_chi2[np.argmax(solved.delta_chi2 - solved.rank * np.log(model.size))])
-        return np.array(explained)
+        each = [solver(term.normal_equations(normal)) for term in released]
+        return np.array([one.delta_chi2[np.argmax(one.delta_chi2 - one.rank * np.log(model.size))] for one in each])
 
-    return np.array(list(parallel_map(ask, candidates, progress, on_cluster=True)))
+    return np.array(list(parallel_map(explained, candidates, progress, on_cluster=True)))
 
 
 def _orthonormal(columns: Floats) -> Floats:

@@ -133,7 +133,10 @@ def test_poses_of_two_hands_are_imported_with_the_hand_of_each(tmp_path):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"rows": [(0, "left"), (1, "right"), (1, "right")]}, "repeat a hand of a frame"),
+        (
+            {"rows": [(0, "left"), (1, "right"), (1, "right")]},
+            "seen.csv:4: t 1 is in line 3 as well; 1 of 3 rows repeat a hand of a frame",
+        ),
         ({"header": HEADER.replace("time", "a")}, "belong to frames by a column frame or t; add one"),
         ({"header": HEADER.replace("gripper", "which")}, "seen.csv: no column is hand; columns of unknown meaning are"),
         ({"change": ("2;right", "2;rigth")}, "seen.csv:6:2: 'rigth' is no hand; is 'right' meant?"),
