@@ -182,7 +182,7 @@ class WhyResult:
             return str(self.next).removeprefix("next: ")
         confounds = confound_sentences(report.confounds)
         if confounds:
-            return f"the same poses in a balanced order (`rig plan`, sobol:N): {confounds[0]}"
+            return f"poses in a balanced order (`rig plan RIG.toml --parts sobol:60 --out plan.csv`): {confounds[0]}"
         if self.next is None and self.no_next:
             return self.no_next
         if report.unknown or report.unexplained is not None:

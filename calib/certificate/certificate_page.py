@@ -214,7 +214,8 @@ def _cells(c: Certificate) -> list[str]:
         heading_html("By part of the volume"),
         captioned_html(
             _cell_bound_figures(c),
-            "The same promise for boxes of the volume, each from its own poses, with the stated confidence for each.",
+            "The same promise, position in um, for boxes of the volume, each from its own poses, with the stated "
+            "confidence for each.",
         ),
         table_html(("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "N"), rows),
     ]
@@ -337,7 +338,7 @@ def _budget(c: Certificate) -> list[str]:
         note_html(
             "95 % of the error's lengths lie within U = k u, with u their RMS. k depends on the directions "
             "of the error: 1.61 where three are "
-            "alike, 1.96 where there is one."
+            "alike, 1.96 where there is one. Kind A: by statistics of these data; B: by other knowledge (JCGM 100)."
         ),
     ]
 

@@ -21,6 +21,7 @@ from calib.samples.pose_samples import Sampled, Samples
 from calib.workspace.workspace_map_and_lost_poses import Workspace
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
+from rig.formats.numbers_and_units import number_text
 from rig.model.hands_places_and_tolerances import hand_names, seen_hand
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_struts
 from rig.model.mechanisms.redundant_struts import with_followers_of
@@ -169,7 +170,7 @@ def explaining_rigid_motion_text(verification: Verification) -> str:
 
 
 def _size(value: float, name: str) -> str:
-    return f"{value * 1e6:.3g} {'um' if name == 'position' else 'urad'}"
+    return f"{number_text(value * 1e6)} {'um' if name == 'position' else 'urad'}"
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -194,7 +194,7 @@ class RunObserver:
     def _report_lost(self, display: RunDisplay, error: Exception) -> None:
         text = f"{type(display).__name__} no longer shows the run, which continues: {error!r}"
         self.note(text)
-        with suppress(OSError):  # where that cannot be printed either the journal alone has it
+        with suppress(OSError, ValueError):  # full, gone or closed: the journal alone has it
             print(text, file=sys.stderr)
 
     def warn(self, alarm: Alarm) -> None:

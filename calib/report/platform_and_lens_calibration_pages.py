@@ -66,7 +66,8 @@ def write_calibration_page(
         heading_html("Correction of each strut"),
         captioned_html(
             _corrections(correction, samples),
-            "Dots: x - IK(GDK(x)), what each commanded length misses by. Crosses: the correction.",
+            "Dots: each commanded length less the length that the nominal model gives for the measured pose. "
+            "Crosses: the correction.",
         ),
         heading_html("Residuals of the correction"),
         _left(samples, identified),

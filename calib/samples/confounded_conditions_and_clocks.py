@@ -30,6 +30,7 @@ from vision.camera_and_command_clocks import Clocks, clocks_of_recording, record
 DIRECTION, TIME, LOAD = "direction of approach", "time", "load"
 # share of a cause, beyond chance, from which its size is known half as well beside a correction by place as without one
 ABSORBED = 0.75
+REMEDY = "; record poses in a balanced order, as --plan sobol:N of `rig run` and `rig simulate` visits them"
 CHANCE = 1e-3  # probability, over all rows, below which a share is no chance
 EVEN = 60.0  # s between configurations of a plan that states no times, long enough for any drift
 SPARE = 3  # configurations beyond the functions of place, without which nothing is stated
@@ -82,10 +83,7 @@ class Confounds:
                 _sentence(cause, [row for row in self.serious if row.cause == cause])
                 for cause in dict.fromkeys(r.cause for r in self.serious)
             ]
-            return (
-                "; ".join(lines)
-                + "; record the same poses in a balanced order (`rig plan` and --plan sobol:N write one)"
-            )
+            return "; ".join(lines) + REMEDY
         if not self.rows:
             return f"confounds with place: none can be estimated from {self.n} poses"
         greatest = max(self.rows, key=lambda row: row.adjusted)
@@ -246,7 +244,7 @@ def confound_sentences(confounds: Confounds | None) -> tuple[str, ...]:
 
     Empty where there are none.
     """
-    return (confounds.line().split("; record the same")[0],) if confounds is not None and confounds.serious else ()
+    return (confounds.line().removesuffix(REMEDY),) if confounds is not None and confounds.serious else ()
 
 
 def estimate_clocks_from_samples(recording: Recording, samples: Samples) -> tuple[Clocks, ...]:

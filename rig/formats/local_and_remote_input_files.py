@@ -11,6 +11,7 @@ import os
 import re
 import stat
 from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO, Protocol
@@ -143,8 +144,6 @@ def _system(address: str) -> tuple[FileSystem, str]:
     except ImportError as error:
         raise MissingLibrary(f"{address} requires one more package: {error}") from None
     except ValueError as error:
-        from difflib import get_close_matches
-
         near = get_close_matches(address.split("://")[0], available_protocols(), 1)
         raise FileError(address, f"{error}" + (f"; did you mean {near[0]}://?" if near else "")) from None
     except Exception as error:
@@ -167,6 +166,15 @@ KINDS = (
 )
 
 
+def nearest_name_hint(path: Path) -> str:
+    """Text that names the entry of a missing path's folder that is most like it, "" where none is."""
+    try:
+        near = get_close_matches(path.name, os.listdir(path.parent), 1)
+    except OSError:  # the folder is missing as well, or cannot be listed
+        return ""
+    return f"; is {path.parent / near[0]} meant?" if near else ""
+
+
 def open_regular_file(path: Path, missing_message: str = "no such file") -> BinaryIO:
     """Open a regular file for reading.
 
@@ -178,7 +186,7 @@ def open_regular_file(path: Path, missing_message: str = "no such file") -> Bina
     try:
         handle = os.open(path, os.O_RDONLY | BINARY | getattr(os, "O_NONBLOCK", 0))
     except FileNotFoundError:
-        raise FileError(path, missing_message) from None
+        raise FileError(path, missing_message + nearest_name_hint(path)) from None
     except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
         reason = KINDS[0][1] if isinstance(error, PermissionError) and path.is_dir() else None  # Windows opens none
         raise FileError(path, reason or f"cannot be read: {getattr(error, 'strerror', None) or error}") from None

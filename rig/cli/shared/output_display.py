@@ -245,7 +245,8 @@ def print_frames_without_pose(measurement: Measurement | None) -> None:
     """Print the frames without a pose of a Measurement, with their reasons."""
     if measurement is None or not measurement.unsolved:
         return
-    print(f"{len(measurement.unsolved)} frames without a pose:")
+    count = len(measurement.unsolved)
+    print(f"{count} frame{'s' * (count != 1)} without a pose:")
     for frame, reason in sorted(measurement.unsolved.items())[:20]:
         print(f"  frame {frame}: {reason}")
     if len(measurement.unsolved) > 20:

@@ -18,7 +18,7 @@ from rig.errors import FileError, RigError
 from rig.formats.importers import units_and_timestamps as times
 from rig.formats.importers.import_recipe import Images
 from rig.formats.importers.units_and_timestamps import UnclearInput, ambiguity_error
-from rig.formats.local_and_remote_input_files import short_repr
+from rig.formats.local_and_remote_input_files import nearest_name_hint, short_repr
 from rig.model.design import Design
 
 KINDS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm")
@@ -78,7 +78,7 @@ def list_image_files(images: Images, design: Design) -> list[ImageFile]:
     found = []
     for folder in images.folders:
         if not folder.is_dir():
-            raise FileError(folder, "is no folder of images")
+            raise FileError(folder, f"is no folder of images{nearest_name_hint(folder)}")
         files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in KINDS and path.is_file())
         if not files:
             raise FileError(folder, f"holds no images ({', '.join(kind[1:] for kind in KINDS)})")

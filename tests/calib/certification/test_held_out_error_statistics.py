@@ -3,13 +3,14 @@ width where nothing is fitted.
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.linalg import block_diag, sqrtm
 
 from calib.api.correction_over_configuration_or_pose_space import CorrectionPass, certify_additional_pass
-from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, refutation_sentence
 from calib.certification.error_claim_over_workspace import (
     PLACES,
     ConfigurationInformation,
@@ -154,3 +155,9 @@ def test_shares_that_samples_tell_themselves_agree_with_every_direction_of_their
         wanted[1, own] = np.diag(L @ hat @ rest @ L.T).reshape(-1, 6)
     np.testing.assert_allclose(freed, wanted[0], rtol=1e-9)
     np.testing.assert_allclose(squares, wanted[1].mean(axis=0).reshape(2, 3).sum(axis=1), rtol=1e-9)
+
+
+def test_a_claim_missed_by_far_is_read_without_powers_of_ten():
+    part = SimpleNamespace(kept=False, rms=1.0193e-3, claimed=27.1e-6)
+    words = refutation_sentence(SimpleNamespace(parts={"position": part}))
+    assert words == "position error 1020 um RMS where up to 27.1 um is claimed"

@@ -3,6 +3,7 @@ happened.
 """
 
 import io
+import sys
 import threading
 from types import SimpleNamespace
 
@@ -152,6 +153,15 @@ def test_a_display_that_fails_costs_itself_alone_and_is_reported(design, capsys)
         "Failing no longer shows the run, which continues: RuntimeError('too many open files')" in notes[0]
         and notes[0] in capsys.readouterr().err
     )
+
+
+def test_a_display_that_fails_where_the_error_output_is_closed_does_not_end_the_run(design, monkeypatch):
+    closed = io.StringIO()
+    closed.close()
+    monkeypatch.setattr(sys, "stderr", closed)
+    shown = Shown()
+    _, halts, notes = looked(design, frozenset(), [Failing(), shown])
+    assert shown.views[-1].frame == 6 and shown.closed and not halts and "Failing no longer shows the run" in notes[0]
 
 
 class TrueMeasurement:

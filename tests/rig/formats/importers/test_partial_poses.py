@@ -256,3 +256,12 @@ def test_directions_of_two_units_and_of_none(tmp_path):
     assert "mm is not a unit of azimuth" in imported(tmp_path, rig, commands, f"t,az [mm],el [rad]\n{rows}").text
     text = imported(tmp_path, rig, commands, f"t,az [deg],el [deg]\n{rows}8,400,0.5\n").text
     assert "beyond the circle in deg" in text and "tracker.csv:10" in text and "400, 0.5" in text, text
+
+
+def test_a_path_with_a_typing_error_names_the_one_that_is_there(tmp_path):
+    (tmp_path / "rig.toml").write_text(ARM)
+    (tmp_path / "robot.csv").write_text(JOINTS)
+    (tmp_path / "images").mkdir()
+    for words in (("--commands", tmp_path / "robto.csv", tmp_path / "images"), (tmp_path / "imagse",)):
+        status, text = run_in_process("import", "--rig", tmp_path / "rig.toml", "--out", tmp_path / "rec", *words)
+        assert status == 1 and f"is {tmp_path / ('robot.csv' if len(words) > 1 else 'images')} meant?" in text, text
