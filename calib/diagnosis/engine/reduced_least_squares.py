@@ -75,6 +75,10 @@ class Solved(NamedTuple):
     rank: Floats
     seen: Floats
 
+    def part(self, rows: slice) -> "Solved":
+        """Some of them."""
+        return Solved(self.delta_chi2[rows], self.coefficients[rows], self.rank[rows], self.seen[rows])
+
     @staticmethod
     def of(parts: list["Solved"]) -> "Solved":
         """Several one after the other."""

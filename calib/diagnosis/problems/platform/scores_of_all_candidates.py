@@ -20,6 +20,7 @@ from calib.diagnosis.engine.linear_model import Column
 from calib.diagnosis.engine.reduced_least_squares import FrameProducts, Solved
 from calib.diagnosis.problems.platform import vibration_frequency
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
+    SIZED,
     PlatformCandidate,
     PlatformScore,
     Reach,
@@ -35,6 +36,8 @@ from rig.model.hands_effect_places_and_tolerances import Place
 from vision.bundle.normal_equations_and_corner_jacobians import corner_jacobians
 
 CHUNK = 64  # nodes at a time
+COARSE = 0.8  # of what a finer grid of sizes explains, that a grid explains at least
+FINER = 4  # steps from a size of a grid to the next
 FEW = 8  # columns, above which rows are gathered for a product of matrices
 
 
@@ -233,14 +236,35 @@ def _along_axes(
     least: float,
 ) -> PlatformScore:
     solver, normal = axis_normal_equations(candidate, sensitivities, products, motion)
+    solved = solver(normal)
+    best = int(np.argmax(solved.delta_chi2))
+    if not candidate.spec.linear and solved.delta_chi2[best] >= COARSE * least:
+        grid = candidate.grid
+        finer = replace(candidate, grid=_nodes_of_finer_sizes(candidate, best))
+        candidate = replace(candidate, grid=[*grid[:best], *finer.grid, *grid[best + 1 :]])
+        of_finer = solver(axis_normal_equations(finer, sensitivities, products, motion)[1])
+        solved = Solved.of([solved.part(slice(best)), of_finer, solved.part(slice(best + 1, None))])
     return best_node_score(
         model.linear,
         candidate,
-        solver(normal),
+        solved,
         products,
         lambda best: sensitivities.deviation(candidate, candidate.grid[best], motion),
         least,
     )
+
+
+def _nodes_of_finer_sizes(candidate: PlatformCandidate, best: int) -> list[Node]:
+    """The best node of a candidate without linear parameters, among nodes of sizes between its own and the next ones,
+    in the grid's order: so that no hypothesis explains more by which sizes a grid happens to have.
+    """
+    node = candidate.grid[best]
+    (name,) = (p.name for p in candidate.kind.parameters if p.role in SIZED and p.name in node)
+    sizes = sorted(other[name] for other in candidate.grid if other | {name: node[name]} == node)
+    i, last = sizes.index(node[name]), len(sizes) - 1
+    steps = np.arange(max(FINER * (i - 1) + 1, 0), min(FINER * (i + 1), FINER * last + 1))
+    finer = np.interp(steps / FINER, np.arange(len(sizes)), sizes)
+    return [node | {name: float(size)} for size in sorted(finer, key=abs)]
 
 
 def axis_normal_equations(
