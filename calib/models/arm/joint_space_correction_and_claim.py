@@ -75,9 +75,9 @@ STEPS, SETTLED = 20, 1e-13  # of joint values that meet a pose, rad or m
 PLACES_HELD = 256  # at which a single step is held against the fixed point, and what is promised is worked out
 
 
-def joint_correction_field_samples(samples: Samples, arm: Arm, shared: Floats) -> FieldSamples:
+def joint_correction_field_samples(samples: Samples, arm: Arm, common_error_draw: Floats) -> FieldSamples:
     """Samples for a field of joint correction summands, rad or m, common errors removed."""
-    found = commanded_minus_joint_values_of_measured_poses(samples, arm, shared)
+    found = commanded_minus_joint_values_of_measured_poses(samples, arm, common_error_draw)
     return FieldSamples(
         samples.commanded, found.values, np.einsum("mii->mi", found.covariance), mechanism.travel_ranges(arm)
     )
@@ -95,13 +95,15 @@ def commanded_minus_joint_values_by_stated_arm(samples: Samples, placed_arm: Arm
     return commanded_minus_joint_values_of_measured_poses(whole, placed_arm, np.zeros(0))
 
 
-def commanded_minus_joint_values_of_measured_poses(samples: Samples, arm: Arm, shared: Floats) -> CorrectionSummands:
+def commanded_minus_joint_values_of_measured_poses(
+    samples: Samples, arm: Arm, common_error_draw: Floats
+) -> CorrectionSummands:
     """Commanded minus joint values of measured poses (CorrectionSummands).
 
     The nearest joint values that give the poses, rad or m.
 
     They are the joint correction summands.
-    arm : the model; shared : (j,) draw of the poses' common errors, taken out
+    arm : the model; common_error_draw : (j,) draw of the poses' common errors, taken out
     A joint has one only as far as its pose tells it (see LOOSE) and the model is near; what too few joints, or
     positions alone, leave open takes the least values, by the poses' covariance. Variances of what is not told are
     those of the worst that is.
@@ -112,7 +114,7 @@ def commanded_minus_joint_values_of_measured_poses(samples: Samples, arm: Arm, s
     U, s, Vt = np.linalg.svd(W @ o.joint_jacobian(arm))
     worst = 1 / np.maximum(s[:, min(U.shape[1], Vt.shape[1]) - 1], 1e-300)
     limit = min(LOOSE * float(np.median(worst)), PLAUSIBLE["rad"])
-    q, away, V = o.q.copy(), np.einsum("mkj,j->mk", o.common, shared), np.swapaxes(Vt, 1, 2)
+    q, away, V = o.q.copy(), np.einsum("mkj,j->mk", o.common, common_error_draw), np.swapaxes(Vt, 1, 2)
     across, along = np.swapaxes(U[..., : s.shape[1]], 1, 2), V[..., : s.shape[1]]
     far = np.abs(across @ (W @ (o.residuals(arm) - away)[..., None]))[..., 0]
     determined = (s * limit >= 1) & (far <= s * PLAUSIBLE["rad"])

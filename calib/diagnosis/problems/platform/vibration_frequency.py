@@ -184,7 +184,7 @@ def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tup
     bins, step = _bins(np.ptp(t) + 1e-9, high)
     at = np.rint((t - t[0]) / step).astype(int)
     window = np.sqrt(power_at_sparse_times(np.ones((1, len(t))), at, bins)) / len(t)
-    return 2 * power_at_sparse_times((beta @ half).T, at, bins), window, np.fft.rfftfreq(bins, step)
+    return 2 * power_at_sparse_times((beta @ half).T, at, bins), window, np.arange(bins // 2 + 1) / (bins * step)
 
 
 def _mirrors_of_slow_changes(spectrum: Floats, window: Floats, length: float, high: float) -> Booleans:
