@@ -221,8 +221,8 @@ class _Problem:
             return b - whole @ cho_solve(factor, whole.T @ b)
 
         def slopes(values: Floats) -> Floats:
-            steps = STEP * np.eye(len(values))
-            return np.stack([(projected(values + step) - projected(values)) / STEP for step in steps], axis=1)
+            steps, here = STEP * np.eye(len(values)), projected(values)
+            return np.stack([(projected(values + step) - here) / STEP for step in steps], axis=1)
 
         bounds = ([-LARGEST, 0.0], [LARGEST, LONGEST_LAG]) if with_lag else ([-LARGEST], [LARGEST])
         begun = [start, LAG_AT_FIRST] if with_lag else [start]

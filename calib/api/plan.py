@@ -4,7 +4,7 @@ To determine parameters best, keep a promise, or separate effects.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 from typing import cast
@@ -62,8 +62,8 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_hexapod,
 )
 from rig.planning.configuration_generators import evenly_spread_configurations
-from rig.planning.plan import axis_strokes, build_plan, sensors_with_payload
-from rig.planning.timed_plan_and_visiting_order import Plan, time_balanced_order
+from rig.planning.plan import agreeing_commands, axis_strokes, build_plan, sensors_with_payload
+from rig.planning.timed_plan_and_visiting_order import Plan, balanced_approach_lengths, time_balanced_order
 from rig.recording.recording_folder import Sensors
 from vision.predict import marker_map, visible_marker_counts_over_all_cameras
 
@@ -155,7 +155,7 @@ def informative_configurations(
         for chosen in (picked, even)
     )
     chosen = values[seen][picked]
-    order = time_balanced_order(chosen, np.random.default_rng(seed), kinematics.travel_ranges(mechanism).mean(axis=1))
+    order = time_balanced_order(chosen, np.random.default_rng(seed))
     return InformativeConfigurations(
         chosen[order], parameters.names, parameters.units, sigma, plain, len(size) - sharp.shape[1], float(seen.mean())
     )
@@ -321,8 +321,13 @@ def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progre
         found = plan_for_parameters(design, options, progress)
     if not len(found.values):
         return found
-    confounds = confounds_of_configurations(found.values, axis_strokes(design).mean(axis=1), design.mechanism)
-    return PlanResult(design, found.values, found.seen, found.why, found.visibility_lines, confounds)
+    strokes, reached_from = axis_strokes(design), None
+    if options.parts is None:  # visited straight, the outermost configurations are always reached from within
+        lengths = balanced_approach_lengths(found.values, np.random.default_rng(SEED), strokes)
+        reached_from = agreeing_commands(found.values - lengths, design)
+    before = np.vstack([strokes.mean(axis=1), found.values[:-1]]) if reached_from is None else reached_from
+    confounds = confounds_of_configurations(found.values, before, design.mechanism)
+    return replace(found, confounds=confounds, reached_from=reached_from)
 
 
 def _keeping_promise(design: Design, promise: float, options: PlanOptions, progress: Progress) -> PlanResult:

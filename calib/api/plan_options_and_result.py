@@ -91,7 +91,8 @@ class PlanResult(OneLineRepr):
     """A plan. design; values : (n, axes) m or rad in their order; seen : whether all that is asked becomes visible; why
     : in a line; visibility_lines : lines on what it makes visible; confounds : of its configurations, None where it is
     in time
-    t : (n,) s of a plan in time, else None
+    t : (n,) s of a plan in time, else None; reached_from : (n, axes) m or rad from which each configuration is
+    approached, None where they are visited straight
     """
 
     design: Design
@@ -101,6 +102,7 @@ class PlanResult(OneLineRepr):
     visibility_lines: Sequence[str]
     confounds: Confounds | None = None
     t: Floats | None = None
+    reached_from: Floats | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -129,6 +131,7 @@ class PlanResult(OneLineRepr):
             "said": [line for line in self.visibility_lines if line],
             "axes": list(self.design.mechanism.axes),
             "values": self.values.tolist(),
+            "reached_from": None if self.reached_from is None else self.reached_from.tolist(),
             "confounds": self.confounds and self.confounds.tree(),
         }
 
@@ -139,7 +142,7 @@ class PlanResult(OneLineRepr):
             rows = [f"{t:.4f}," + ",".join(f"{v:.7f}" for v in values) for t, values in zip(self.t, self.values)]
             write_table(path, ("t", *axes), rows)
         elif len(self.values):
-            write_configurations(path, axes, self.values)
+            write_configurations(path, axes, self.values, self.reached_from)
 
     def write_page(self, path: Path, file: str, links: Sequence[Link] = ()) -> None:
         """Write the page of it. file : name of the table, in words"""

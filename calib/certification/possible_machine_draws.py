@@ -263,9 +263,8 @@ class _Closures:
                     priors.append(np.full(part.basis.shape[1], size[i][j]))
                     which.append((i, j))
         X, prior = np.concatenate(columns, axis=2), np.concatenate(priors)
-        white = np.linalg.solve(np.linalg.cholesky(own), np.concatenate([X * prior, y[..., None]], axis=2)).reshape(
-            n * axes, -1
-        )
+        whiten = np.linalg.inv(np.linalg.cholesky(own))
+        white = (whiten @ np.concatenate([X * prior, y[..., None]], axis=2)).reshape(n * axes, -1)
         H = white[:, :-1].T @ white[:, :-1] + np.eye(len(prior))
         mean = np.linalg.solve(H, white[:, :-1].T @ white[:, -1])
         c = prior * (mean + np.linalg.solve(np.linalg.cholesky(H).T, rng.normal(size=(len(prior), EACH))).T)

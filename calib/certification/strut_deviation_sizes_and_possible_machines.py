@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from calib.certification.strut_deviation_covariance_functions import CONDITION, CONFIGURATION, PLACE, SAMPLE, Component
 from rig.array_and_json_types import Booleans, Floats, Integers
@@ -102,19 +103,36 @@ class _Problem:
 
     def __init__(self, of: Closures, some: Integers) -> None:
         self.parts, self.unit = of.parts, of.unit
-        self.y, self.base = of.values[some] / of.unit, of.covariance[np.ix_(some, some)] / of.unit**2
-        self.flat = np.stack([(part.basis[some] @ part.basis[some].T).ravel() for part in of.parts])
         self.none = float(np.prod([1 - part.likely for part in of.parts]))
+        lower = np.linalg.cholesky(of.covariance[np.ix_(some, some)])
+        self.y = solve_triangular(lower, of.values[some], lower=True)
+        self.white = [of.unit * solve_triangular(lower, part.basis[some], lower=True) for part in of.parts]
+        self.flat = np.stack([(W @ W.T).ravel() for W in self.white])
 
     def cost(self, state: Floats) -> Floats:
-        """(states,) minus twice the log likelihood of states (states, components), logarithms of sizes."""
-        n = len(self.y)
-        V = np.empty((len(state), n + 1, n + 1))
-        V[:, :n, :n] = self.base + (np.exp(2 * state) @ self.flat).reshape(-1, n, n)
-        V[:, n, :n] = V[:, :n, n] = self.y
-        V[:, n, n] = BEYOND
-        L = np.linalg.cholesky(V)  # whose last row is the whitened y
-        return np.asarray((L[:, n, :n] ** 2).sum(axis=1) + 2 * np.log(np.einsum("kii->ki", L[:, :n, :n])).sum(axis=1))
+        """(states,) minus twice the log likelihood of states (states, components), logarithms of sizes, to a
+        constant.
+        """
+        return np.array([self._cost(one) for one in np.exp(state)])
+
+    def _cost(self, size: Floats) -> float:
+        """The same of sizes (components,): by as many unknowns as the present components' bases have, where these are
+        fewer than the samples (Woodbury).
+        """
+        n, present = len(self.y), np.flatnonzero(size)
+        few = sum(self.white[j].shape[1] for j in present) < n
+        if few:
+            W = np.hstack([np.zeros((n, 0)), *(size[j] * self.white[j] for j in present)])
+            V, right = W.T @ W, W.T @ self.y
+        else:
+            V, right = (size[present] ** 2 @ self.flat[present]).reshape(n, n), self.y
+        m = len(V)
+        bordered = np.eye(m + 1)
+        bordered[:m, :m] += V
+        bordered[m, :m], bordered[m, m] = right, BEYOND
+        L = np.linalg.cholesky(bordered)  # whose last row is the whitened right side
+        square = L[m, :m] @ L[m, :m]
+        return float((self.y @ self.y - square if few else square) + 2 * np.log(np.diag(L)[:m]).sum())
 
     def alone(self, name: str, size: Floats) -> Floats:
         """(k,) by how much the log likelihood grows with one component alone, of sizes (k,) m; nothing where the strut

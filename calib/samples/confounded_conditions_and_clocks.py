@@ -120,9 +120,11 @@ def confounds_of_samples(samples: Samples, mechanism: Parallel | Arm | Chain | F
     )
 
 
-def confounds_of_configurations(values: Floats, start: Floats, mechanism: Parallel | Arm | Chain | Free) -> Confounds:
-    """Confounds of configurations (n, axes) m or rad visited in order at even times, from start (axes,)."""
-    signs = np.sign(np.diff(np.concatenate([start[None], values]), axis=0))
+def confounds_of_configurations(
+    values: Floats, reached_from: Floats, mechanism: Parallel | Arm | Chain | Free
+) -> Confounds:
+    """Confounds of configurations (n, axes) m or rad visited in order at even times, each reached from (n, axes)."""
+    signs = np.sign(values - reached_from)
     latest = np.maximum.accumulate(np.where(signs != 0, np.arange(len(signs))[:, None], -1), axis=0)
     direction = np.where(latest < 0, 0.0, np.take_along_axis(signs, np.maximum(latest, 0), axis=0))
     return confounds_of_design(

@@ -85,7 +85,8 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="FILE",
         type=file_or_stdout,
         required=True,
-        help="frame,l1..l6; `rig simulate --plan commands:FILE` runs it",
+        help="frame,l1..l6, with no frame in rows from which the next is approached; "
+        "`rig simulate --plan commands:FILE` runs it",
     )
     add_page_option(parser)
     add_overwrite_option(parser)
@@ -144,7 +145,8 @@ def _visited(path: Path, design: Design) -> Floats:
 
     axes = design.mechanism.axes
     if not path.is_dir():
-        return csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", *axes)).matrix(axes)
+        rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", *axes))
+        return rows.matrix(axes)[[bool(frame) for frame in rows.text("frame")]]
     read = rig.load(path)
     if read.design.mechanism.kind != design.mechanism.kind:
         raise RigError(f"{path} is a recording of a mechanism of kind {read.design.mechanism.kind!r}")

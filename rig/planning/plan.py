@@ -91,8 +91,8 @@ def build_plan(
     simplices:SHELLS, axes:PER_AXIS, combined:PER_PAIR, ladder:STEPS,
     payload:N, moving:N, zigzag:N, warmup:N, repeat:N, dwell:N, wait:MINUTES, iso9283:CYCLES, turn:CUBE (before all
     others: the cube is taken off and put back turned by a quarter turn from where its pose is stated)
-    and commands:FILE (a table frame,l1..l6 as `rig correct` writes it; one with a column t is a plan by itself, in its
-    own time)
+    and commands:FILE (a table frame,l1..l6 as `rig correct` and `rig plan` write it, whose rows without a frame are
+    passed without an exposure; one with a column t is a plan by itself, in its own time)
     Raises RigError for a part that is not known.
     """
     if not design.mechanism.axes:
@@ -108,7 +108,7 @@ def build_plan(
     approach = ApproachSettings(
         strokes, below, np.random.default_rng((seed, 1))
     )  # apart from rng: which configurations a part visits stays the same
-    start = _agreeing(strokes.mean(axis=1)[None], design)[0]
+    start = agreeing_commands(strokes.mean(axis=1)[None], design)[0]
     writer = PlanWriter(start, planned_axis_speeds(design), approach)
     rng = np.random.default_rng(seed)
     for part in (STANDARD if text == "standard" else text).split(","):
@@ -134,14 +134,14 @@ def build_plan(
         written = len(writer.values)
         PARTS[name](writer, design, count if name in TEXTS else int(count or 0), rng)
         if name != "commands":  # whose lengths agree as `rig correct` wrote them
-            writer.values[written:] = _agreeing(np.array(writer.values[written:]), design)
+            writer.values[written:] = agreeing_commands(np.array(writer.values[written:]), design)
     if not writer.exposures:
         raise RigError(f"plan {short_repr(text)} exposes nothing")
     return writer.plan()
 
 
-def _agreeing(values: Floats, design: Design) -> Floats:
-    """Commands (n, axes): themselves, or of more than six struts the nearest that close on a pose."""
+def agreeing_commands(values: Floats, design: Design) -> Floats:
+    """Commands (n, axes) that agree: themselves, or of more than six struts the nearest that close on a pose."""
     m = design.mechanism
     return agreeing_lengths(values, m) if is_redundant(m) else values
 
@@ -305,8 +305,11 @@ def _commands(writer: PlanWriter, design: Design, file: str, rng: np.random.Gene
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(Path(file), ("frame", *design.mechanism.axes))
     if "t" in rows.columns:
         raise FileError(file, "is in time (it has a column t), so it is a complete plan, not part of one")
-    for goal in require_commands_in_range(rows, design):
-        writer.settle(goal)
+    for goal, frame in zip(require_commands_in_range(rows, design), rows.text("frame")):
+        if frame:
+            writer.settle(goal)
+        else:
+            writer.go(goal)
 
 
 def _division(writer: PlanWriter, design: Design, text: str, rng: np.random.Generator) -> None:

@@ -31,7 +31,6 @@ from rig.recording.recording_tables import write_table
 TRIED = 64  # exchanges of two configurations that are compared at once
 REACHES = (0.02, 0.2)  # of the stroke, shortest and longest last move
 ROOM = 0.95  # of what is left to the stroke's end, that a last move takes at most
-WORST = 6.0  # weight of the axis whose direction goes with place the most
 ROUNDS = 600  # of exchanges, and of turned sides, at most
 MIDDLE = 3.0  # weight of as many sides above as below, beside correlations
 SECONDARY = 0.5  # weight of time, load and the sides of other axes, beside place
@@ -39,19 +38,17 @@ RIDGE = 0.05  # variance added to each, so that few configurations are balanced 
 SMALL = 1e-9  # of a sum of squared correlations, below which an exchange gains nothing
 
 
-def time_balanced_order(configurations: Floats, rng: np.random.Generator, start: Floats | None = None) -> Integers:
+def time_balanced_order(configurations: Floats, rng: np.random.Generator) -> Integers:
     """Order (n,) of configurations in which time is balanced against position.
 
-    Shuffled, then exchanged in pairs.
-    start : (axes,) from which the first is reached, where the axes go straight from one to the next: then direction of
-    approach goes with place the least as well; None where sides are chosen apart (see `balanced_approach_lengths`). The
-    least: the sum of squared correlations over all axes
+    Shuffled, then exchanged in pairs while the sum of squared correlations over all axes becomes less. Sides are chosen
+    apart (see `balanced_approach_lengths`).
     """
     n = len(configurations)
     order = rng.permutation(n)
     if n < 4:
         return order
-    place, own = _place(configurations)
+    place, _ = _place(configurations)
     smooth = _apart(place[:, : 2 * configurations.shape[1]])  # a drift goes with time, and is no matter of halves
     time = _standard(np.column_stack([np.linspace(-1, 1, n), np.linspace(-1, 1, n) ** 2]))
     for _ in range(ROUNDS):
@@ -64,10 +61,6 @@ def time_balanced_order(configurations: Floats, rng: np.random.Generator, start:
         sums = time.T @ now + np.einsum("kt,kp->ktp", time[a] - time[b], now[b] - now[a])
         costs = (sums**2).sum(axis=(1, 2))
         base = float(((time.T @ now) ** 2).sum())
-        if start is not None:
-            along, change = _directions(configurations[order], place[order], start, a, b)
-            costs = costs + _worst_first((((along + change) ** 2) * own).sum(axis=2))
-            base += float(_worst_first((along**2 * own).sum(axis=1)))
         best = int(np.argmin(costs))
         if costs[best] < base * (1 - SMALL):
             order[[a[best], b[best]]] = order[[b[best], a[best]]]
@@ -165,38 +158,12 @@ def _standard(columns: Floats) -> Floats:
     return np.asarray(centred / np.where(size > SMALL, size, np.inf))
 
 
-def _worst_first(shares: Floats) -> Floats:
-    """(...) what the axes' (..., axes) squared sums with directions cost: those of all, and most of all the worst
-    axis'.
-    """
-    return np.asarray(shares.sum(axis=-1) + WORST * shares.max(axis=-1))
-
-
 def _apart(columns: Floats) -> Floats:
     """Columns (n, p) made nearly uncorrelated: of a side their squared sums over n^2 are the share that all together
     explain.
     """
     size, vectors = np.linalg.eigh(columns.T @ columns / len(columns))
     return np.asarray(columns @ vectors / np.sqrt(size + RIDGE))
-
-
-def _directions(visited: Floats, place: Floats, start: Floats, a: Floats, b: Floats) -> tuple[Floats, Floats]:
-    """(sums (axes, p) of directions times functions of place (n, p) in an order, (k, axes, p) by which exchanging a
-    (k,) and b (k,) changes them).
-
-    visited : (n, axes) configurations in their order; no a is next to its b
-    """
-    before = np.concatenate([start[None], visited[:-1]])
-    direction = np.sign(visited - before)
-    change = np.zeros((len(a), visited.shape[1], place.shape[1]))
-    for at, other in ((a, b), (b, a)):
-        new = np.sign(visited[other] - before[at])
-        change += np.einsum("ka,kp->kap", new, place[other]) - np.einsum("ka,kp->kap", direction[at], place[at])
-        behind = at + 1 < len(visited)
-        after = np.minimum(at + 1, len(visited) - 1)
-        moved = (np.sign(visited[after] - visited[other]) - direction[after]) * behind[:, None]
-        change += np.einsum("ka,kp->kap", moved, place[after])
-    return direction.T @ place, change
 
 
 DWELL = 2.0  # s at a configuration before its exposure

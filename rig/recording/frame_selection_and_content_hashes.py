@@ -246,7 +246,7 @@ def _corners(recording: Recording) -> list[tuple[int, str]]:
         return []
     seen = defaultdict(list)
     for frame, camera, marker, corner, (u, v) in zip(
-        c.frame.tolist(), c.camera, c.marker.tolist(), c.corner.tolist(), c.uv
+        c.frame.tolist(), c.camera, c.marker.tolist(), c.corner.tolist(), c.uv.tolist()
     ):
         seen[frame, camera].append((marker, corner, f"{u:.5f} {v:.5f}"))
     return [(frame, _mark("corners", sorted(rows))) for (frame, _), rows in seen.items()]

@@ -338,13 +338,18 @@ def write_table(path: Path, header: Iterable[str], rows: Iterable[str]) -> None:
     write_text(path, "\n".join([",".join(header), *rows]) + "\n")
 
 
-def write_configurations(path: Path, axis_names: Iterable[str], configurations: Iterable[Floats]) -> None:
-    """Write a CSV of configurations (k, axes) m or rad, numbered from 0, for the plan commands:FILE."""
-    write_table(
-        path,
-        ("frame", *axis_names),
-        [f"{k}," + ",".join(f"{value:.7f}" for value in row) for k, row in enumerate(configurations)],
-    )
+def write_configurations(
+    path: Path, axis_names: Iterable[str], configurations: Floats, reached_from: Floats | None = None
+) -> None:
+    """Write a CSV of configurations (k, axes) m or rad, numbered from 0, for the plan commands:FILE.
+
+    reached_from : (k, axes) m or rad from which each is approached, written as rows without a frame before it; or None
+    """
+    starts = [] if reached_from is None else [("", row) for row in reached_from]
+    goals = [(str(k), row) for k, row in enumerate(configurations)]
+    rows = goals if reached_from is None else [row for pair in zip(starts, goals) for row in pair]
+    lines = [f"{frame}," + ",".join(f"{value:.7f}" for value in row) for frame, row in rows]
+    write_table(path, ("frame", *axis_names), lines)
 
 
 def write_poses(path: Path, poses: Poses, hands: tuple[str, ...] = ()) -> None:

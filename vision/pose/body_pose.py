@@ -142,7 +142,7 @@ def body_pose_from_corners(
     if best is None:
         return Unsolved(f"markers {seen} give no common pose")
     matrix, covariance, inliers, square, scale = best
-    agreeing = sum(inliers[rows].sum() >= 3 for _, _, rows in sightings)
+    agreeing = int((inliers[np.array([rows for _, _, rows in sightings])].sum(axis=1) >= 3).sum())
     if agreeing < 2 or 2 * agreeing < len(sightings):
         return Unsolved(
             f"the markers contradict each other: {agreeing} of {len(sightings)} sightings of markers {seen} "
@@ -176,27 +176,27 @@ def _sightings(body_corners: BodyCorners) -> list[_Sighting]:
     """(camera, marker, rows in corner order) of every marker seen with its four corners, largest image first."""
     order = np.lexsort((body_corners.corner, body_corners.marker, body_corners.camera))
     key = (body_corners.camera * 100_000 + body_corners.marker)[order]
-    whole = [
-        rows
-        for rows in np.split(order, np.flatnonzero(np.diff(key)) + 1)
-        if len(rows) == 4 and np.isfinite(body_corners.ideal[rows]).all()
-    ]
-    whole.sort(key=lambda rows: -np.ptp(body_corners.ideal[rows], axis=0).prod())
-    return [(int(body_corners.camera[rows[0]]), int(body_corners.marker[rows[0]]), rows) for rows in whole]
+    starts = np.flatnonzero(np.diff(key, prepend=-1))
+    starts = starts[np.diff(starts, append=len(key)) == 4]
+    whole = order[starts[:, None] + np.arange(4)]
+    whole = whole[np.isfinite(body_corners.ideal[whole]).all(axis=(1, 2))]
+    whole = whole[np.argsort(-np.ptp(body_corners.ideal[whole], axis=1).prod(axis=1), kind="stable")]
+    camera, marker = body_corners.camera[whole[:, 0]].tolist(), body_corners.marker[whole[:, 0]].tolist()
+    return list(zip(camera, marker, whole))
 
 
 def _candidates(
     body_corners: BodyCorners, sightings: Sequence[_Sighting], marker_map: MarkerMap
 ) -> tuple[Floats, Floats]:
     """Matrices (k, 4, 4) T_world_body from each sighting by itself, and their distances (k, n) px to every corner."""
-    found = []
+    found, Ts_body_marker = [], marker_map.T_body_marker.as_matrix()
     for camera, marker, rows in sightings:
         count, rotations, translations, _ = cv2.solvePnPGeneric(
             marker_map.side[marker] * SQUARE, body_corners.ideal[rows], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
         )
         T_world_camera, T_marker_body = (
             inverse_pose(body_corners.T_camera_world[camera]),
-            inverse_pose(marker_map.T_body_marker[marker].as_matrix()),
+            inverse_pose(Ts_body_marker[marker]),
         )
         for k in range(count):
             T_camera_marker = np.eye(4)
@@ -215,16 +215,11 @@ def inverse_pose(pose: Floats) -> Floats:
     return out
 
 
-def _ahead(body_corners: BodyCorners, matrices: Floats) -> tuple[Floats, Floats]:
-    """Rotations (..., n, 3, 3) body to each corner's camera, and the corners there (..., n, 3) m."""
-    to_camera = body_corners.T_camera_world[body_corners.camera] @ matrices[..., None, :, :]
-    R = to_camera[..., :3, :3]
-    return R, (R @ body_corners.points[..., None])[..., 0] + to_camera[..., :3, 3]
-
-
 def _distances(body_corners: BodyCorners, matrices: Floats) -> Floats:
     """(k, n) px between corners and where each pose puts them; infinite where the marker would face away."""
-    R, ahead = _ahead(body_corners, matrices)
+    to_camera = (body_corners.T_camera_world @ matrices[:, None])[:, body_corners.camera]
+    R = to_camera[..., :3, :3]
+    ahead = np.einsum("knij,nj->kni", R, body_corners.points) + to_camera[..., :3, 3]
     facing = np.einsum("knij,nj,kni->kn", R, body_corners.normals, ahead) < 0
     possible = facing & (ahead[..., 2] > AHEAD)
     gap = ahead[..., :2] / np.where(possible, ahead[..., 2], 1)[..., None] - body_corners.ideal

@@ -80,15 +80,15 @@ def residual_dispersion(
         return Dispersion(1.0, 1.0)
     # from here on in orthonormal combinations of the directions
     onto, seen = half.T @ K, (rows @ half).reshape(F, a, rank)
-    along = products.kappa @ products.of_columns(np.column_stack([reach, onto.T]))  # (F, a, 1 + r)
-    own = products.beta - pushed @ coefficients + along[..., 0]  # products with what the fit leaves
-    turned = np.swapaxes(seen, 1, 2)
-    moved = ((weights @ coefficients)[..., None] * along[..., 1:]).sum(axis=1)
-    contributions = (turned @ own[..., None])[..., 0] - model.leakage(reach, onto) + moved
-    freed = (pushed.reshape(F * a, q) @ half).reshape(F, a, rank) - along[..., 1:]
-    shares = turned @ freed  # (F, r, r) of the directions, nuisances taken out
-    shares -= np.swapaxes(along[..., 1:], 1, 2) @ seen
-    shares += model.carried(onto)
+    along = products.kappa.reshape(F * a, -1) @ products.of_columns(np.column_stack([reach, onto.T]))
+    along_reach, along = along[:, 0].reshape(F, a), along[:, 1:].reshape(F, a, rank)
+    own = products.beta - pushed @ coefficients + along_reach  # products with what the fit leaves
+    leakage, carried = model.leakage_and_carried(reach, onto)
+    moved = np.einsum("fa,far->fr", weights @ coefficients, along)
+    contributions = np.einsum("far,fa->fr", seen, own) - leakage + moved
+    freed = (pushed.reshape(F * a, q) @ half).reshape(F, a, rank) - along
+    # (F, r, r) of the directions, nuisances taken out
+    shares = np.swapaxes(np.concatenate([seen, -along], axis=1), 1, 2) @ np.concatenate([freed, seen], axis=1) + carried
     expected, freedom = _expected(shares)
     if correlated_frames > 1:
         starts = np.arange(0, F, correlated_frames)

@@ -264,41 +264,33 @@ class LinearModel:
         """Whether the products of frames' rows, which are explicit, are fewer numbers than a block's rows."""
         return self.half is None and self.factors(number)[0].shape[1] * self.frames <= self.blocks[number].edges[-1]
 
-    def leakage(self, reach: Floats, onto: Floats) -> Floats:
-        """(F, q): per frame, the product of Q onto^T with the residual plus Q reach. reach : (r,); onto : (q, r)"""
-        out = np.zeros((self.frames, len(onto)))
+    def leakage_and_carried(self, reach: Floats, onto: Floats) -> tuple[Floats, Floats]:
+        """((F, q): per frame, the product of Q onto^T with the residual plus Q reach; (F, q, q): with itself).
+
+        reach : (r,); onto : (q, r)
+        """
+        q = len(onto)
+        out = np.zeros((self.frames, q, q + 1))
         for number, block in enumerate(self.blocks):
             table, turn = self.factors(number)
-            back, size = (onto.T, reach) if turn is None else (turn @ onto.T, turn @ reach)
+            both = np.column_stack([onto.T, reach])
+            both = both if turn is None else turn @ both
             if self._few(number):
                 projections, grams = self.frame_products(number)
-                out += (projections + grams @ size) @ back
+                moved = grams @ both
+                moved[..., q] += projections
+                out += both[:, :q].T @ moved
                 continue
-            moved = (table @ np.column_stack([back, size]))[block.frames_rows]
-            pushed = moved[:, :-1] * (block.residual[block.frames_rows] + moved[:, -1])[:, None]
-            pushed = np.concatenate([pushed, np.zeros((1, len(onto)))])  # where the last frames have no rows
-            out += np.add.reduceat(pushed, block.edges[:-1], axis=0) * (np.diff(block.edges) > 0)[:, None]
-        return out
-
-    def carried(self, onto: Floats) -> Floats:
-        """(F, q, q): per frame, the products of Q onto^T with itself. onto : (q, r)"""
-        out = np.zeros((self.frames, len(onto), len(onto)))
-        for number, block in enumerate(self.blocks):
-            table, turn = self.factors(number)
-            back = onto.T if turn is None else turn @ onto.T
-            if self._few(number):
-                grams = self.frame_products(number)[1]
-                out += back.T @ np.tensordot(grams, back, 1)
-                continue
-            moved = (table @ back)[block.frames_rows]
+            moved = (table @ both)[block.frames_rows]
+            moved[:, q] += block.residual[block.frames_rows]
             each = np.unique(np.diff(block.edges))
             if len(each) == 1:
-                moved = moved.reshape(self.frames, int(each[0]), len(onto))
-                out += np.swapaxes(moved, 1, 2) @ moved
+                moved = moved.reshape(self.frames, int(each[0]), q + 1)
+                out += np.swapaxes(moved[..., :q], 1, 2) @ moved
                 continue
             for f, (a, b) in enumerate(zip(block.edges[:-1], block.edges[1:])):
-                out[f] += moved[a:b].T @ moved[a:b]
-        return out
+                out[f] += moved[a:b, :q].T @ moved[a:b]
+        return out[..., q], out[..., :q]
 
     def cost(self) -> float:
         """Sum of squares of all blocks."""

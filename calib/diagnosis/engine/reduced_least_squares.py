@@ -93,11 +93,11 @@ class Solved(NamedTuple):
 def normal_equations_by_direction_weights(products: FrameProducts, weights: Floats) -> Normal:
     """Normal equations of candidates that weight each direction in each frame by weights (k, F, a, q)."""
     k, F, a, q = weights.shape
-    rows = np.swapaxes(weights.reshape(k, F * a, q), 1, 2)
-    b = rows @ products.beta.ravel()
-    K = products.onto(rows @ products.kappa.reshape(F * a, -1))
+    rows = np.moveaxis(weights, 3, 1).reshape(k * q, F * a)  # of all candidates, that kappa is passed through once
+    b = (rows @ products.beta.ravel()).reshape(k, q)
+    K = products.onto(rows @ products.kappa.reshape(F * a, -1)).reshape(k, q, -1)
     pushed = products.gamma * weights if a == 1 else products.gamma @ weights
-    G = rows @ pushed.reshape(k, F * a, q)
+    G = rows.reshape(k, q, F * a) @ pushed.reshape(k, F * a, q)
     return Normal(b, G - K @ np.swapaxes(K, 1, 2), np.einsum("kqq->kq", G).copy(), K)
 
 

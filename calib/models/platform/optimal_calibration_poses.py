@@ -41,7 +41,7 @@ ConfigurationExclusion = Callable[
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DOptimalConfigurations:
-    """commands : (n, 6) m, ordered so that neither time nor direction is a function of place
+    """commands : (n, 6) m, ordered so that time is no function of place
     root : (42, 42) information's square root, 1/m, with what was given; before : of what was given alone
     even : (42, 42) with as many low-discrepancy configurations in their stead"""
 
@@ -90,7 +90,7 @@ def choose_d_optimal_configurations(
     )[1].reshape(-1, 42)
     parts = [np.concatenate([known, rows]) for rows in (G[picked].reshape(-1, 42), even)]
     chosen = candidates[picked]
-    order = time_balanced_order(chosen, np.random.default_rng(seed), hexapod.strut_range.mean(axis=1))
+    order = time_balanced_order(chosen, np.random.default_rng(seed))
     return DOptimalConfigurations(chosen[order], *(_root(rows) for rows in (parts[0], known, parts[1])))
 
 

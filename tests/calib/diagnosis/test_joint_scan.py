@@ -83,11 +83,15 @@ def test_a_model_by_its_columns_leaks_what_one_by_its_basis_does(searched):
     basis = LinearModel(linear.blocks, Column((Q,)), None, linear.size)
     rng = np.random.default_rng(0)
     reach, onto = rng.normal(size=Q.shape[1]), rng.normal(size=(3, Q.shape[1]))
-    assert linear.leakage(reach, onto) == pytest.approx(basis.leakage(reach, onto), abs=1e-9)
+    assert linear.leakage_and_carried(reach, onto)[0] == pytest.approx(
+        basis.leakage_and_carried(reach, onto)[0], abs=1e-9
+    )
     projections, grams = basis.frame_products(0)  # as a model of few nuisances is asked
-    assert linear.leakage(reach, onto) == pytest.approx((projections + grams @ reach) @ onto.T, abs=1e-9)
+    leakage, carried = linear.leakage_and_carried(reach, onto)
+    assert leakage == pytest.approx((projections + grams @ reach) @ onto.T, abs=1e-9)
+    assert carried == pytest.approx(onto @ grams @ onto.T, abs=1e-9)
     few = LinearModel(linear.blocks, Column((np.ascontiguousarray(Q[:, :2]),)), None, linear.size)
-    assert few.leakage(reach[:2], onto[:, :2]) == pytest.approx(
+    assert few.leakage_and_carried(reach[:2], onto[:, :2])[0] == pytest.approx(
         (projections[:, :2] + grams[:, :2, :2] @ reach[:2]) @ onto[:, :2].T, abs=1e-9
     )
     column = Column((rng.normal(size=(len(Q), 2)),))

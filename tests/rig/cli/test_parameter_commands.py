@@ -8,8 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.samples.confounded_conditions_and_clocks import confounds_of_design
+from calib.samples.exposure_conditions import approach_direction
 from rig.cli.command_line import main
-from rig.formats import csv_and_parquet_tables_and_time_origin
+from rig.formats.csv_and_parquet_tables_and_time_origin import read_csv_table
+from rig.formats.rig_toml.design_from_rig_toml import load_design
+from rig.model import mechanisms
+from rig.planning.plan import build_plan
 
 
 @pytest.fixture
@@ -17,6 +22,23 @@ def rig_file(tmp_path, rig_text):
     path = tmp_path / "rig.toml"
     path.write_text(rig_text)
     return path
+
+
+@pytest.mark.parametrize("purpose", [("--for", "parameters", "--count", "30"), ("--promise", "20um")])
+def test_what_a_written_plan_does_depends_on_no_place(rig_file, tmp_path, capsys, purpose):
+    """The outermost configurations, reached straight, are always reached from within; the plan, as it is run, is judged
+    by its commands alone.
+    """
+    out = tmp_path / "plan.csv"
+    assert main(["plan", str(rig_file), *purpose, "--out", str(out)]) == 0
+    assert "no cause is confounded with place" in capsys.readouterr().out
+    design = load_design(rig_file)
+    run = build_plan(design, f"commands:{out}")
+    places = mechanisms.axis_place_texts(design.mechanism)
+    found = confounds_of_design(run.commands.at(run.t), approach_direction(run.commands, run.t), run.t, {}, places)
+    directions = [row for row in found.rows if row.cause == "direction of approach"]
+    assert len(directions) == 6 and not found.serious
+    assert max(row.share - row.chance for row in directions) < 0.1
 
 
 def test_plan_for_parameters_is_written_and_can_be_run(rig_file, tmp_path, capsys):
@@ -47,7 +69,7 @@ def test_plan_for_parameters_is_written_and_can_be_run(rig_file, tmp_path, capsy
     assert f"commands:{out}" in page and "<li>10 configurations: condition number of the 42" in page
     output = capsys.readouterr().out
     assert "condition number of the 42" in output and "evenly spread" in output and " um " in output
-    assert len(csv_and_parquet_tables_and_time_origin.read_csv_table(out, ("frame", "l1"))) == 10
+    assert [frame for frame in read_csv_table(out, ("frame", "l1")).text("frame") if frame] == [*map(str, range(10))]
     assert main(["simulate", str(rig_file), "--plan", f"commands:{out}", "--out", str(tmp_path / "rec")]) == 0
     second_plan = tmp_path / "more.csv"
     assert (
@@ -97,7 +119,7 @@ def test_parts_of_a_plan_are_written_as_configurations(rig_file, tmp_path, capsy
     assert (
         "48 configurations of axes:2,combined:2" in output
         and "rz -" in output
-        and len(csv_and_parquet_tables_and_time_origin.read_csv_table(out, ("frame", "l1"))) == 48
+        and len(read_csv_table(out, ("frame", "l1"))) == 48
     )
     assert main(["simulate", str(rig_file), "--plan", f"commands:{out}", "--out", str(tmp_path / "rec")]) == 0
     assert main(["plan", str(rig_file), "--parts", "combinde:2", "--out", str(tmp_path / "none.csv")]) == 1
@@ -137,7 +159,7 @@ def test_a_missed_step_in_a_recording_is_told(rig_file, tmp_path, capsys):
         )
         == 0
     )
-    times = csv_and_parquet_tables_and_time_origin.read_csv_table(tmp_path / "rec" / "frames.csv", ("frame", "t"))
+    times = read_csv_table(tmp_path / "rec" / "frames.csv", ("frame", "t"))
     first = int(times.numbers("frame")[times.numbers("t") > 400][0])
     state = tmp_path / "state.json"
     capsys.readouterr()
@@ -221,20 +243,9 @@ def test_accepted_limbs_stand_for_vision_until_one_slips(limbed, tmp_path, capsy
         == 0
     )
     assert "40 poses from the measuring limbs; vision checked 4 of them and agrees" in capsys.readouterr().out
-    assert (
-        len(
-            csv_and_parquet_tables_and_time_origin.read_csv_table(
-                tmp_path / "poses" / "poses.csv", ("frame", "x", "c55")
-            )
-        )
-        == 40
-    )
-    angles = csv_and_parquet_tables_and_time_origin.read_csv_table(
-        tmp_path / "poses" / "rpy.csv", ("frame", "roll", "pitch", "yaw", "u_roll", "u_z")
-    )
-    turned = csv_and_parquet_tables_and_time_origin.read_csv_table(tmp_path / "poses" / "poses.csv", ("rx",)).matrix(
-        ("rx", "ry", "rz")
-    )
+    assert len(read_csv_table(tmp_path / "poses" / "poses.csv", ("frame", "x", "c55"))) == 40
+    angles = read_csv_table(tmp_path / "poses" / "rpy.csv", ("frame", "roll", "pitch", "yaw", "u_roll", "u_z"))
+    turned = read_csv_table(tmp_path / "poses" / "poses.csv", ("rx",)).matrix(("rx", "ry", "rz"))
     np.testing.assert_allclose(
         Rotation.from_euler("xyz", angles.matrix(("roll", "pitch", "yaw"))).as_rotvec(), turned, atol=1e-9
     )

@@ -5,12 +5,12 @@ count, same from run to run.
 import numpy as np
 import pytest
 
-from calib.samples.confounded_conditions_and_clocks import Confounds, confounds_of_configurations, confounds_of_design
+from calib.samples.confounded_conditions_and_clocks import Confounds, confounds_of_design
 from calib.samples.exposure_conditions import approach_direction
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.planning import configuration_generators, plan
-from rig.planning.timed_plan_and_visiting_order import REACHES, time_balanced_order
+from rig.planning.timed_plan_and_visiting_order import REACHES
 from rig.recording.recording_folder import PAYLOAD
 
 SCATTERED = (
@@ -95,21 +95,6 @@ def test_an_axis_at_its_end_comes_from_within(design: Design) -> None:
 def test_a_one_sided_plan_comes_from_below_everywhere(design: Design) -> None:
     found = plan.build_plan(design, "sobol:20,repeat:6", one_sided=True)
     assert (approach_direction(found.commands, found.t) == 1).all()
-
-
-def test_an_order_alone_balances_what_it_can(design: Design) -> None:
-    """Configurations that are visited straight from one to the next, as a table has them: an end is always reached from
-    within.
-    """
-    strokes = plan.axis_strokes(design)
-    values = configuration_generators.sobol_configurations(strokes, 60, seed=3)
-    start = strokes.mean(axis=1)
-    before = confounds_of_configurations(values, start, design.mechanism)
-    after = confounds_of_configurations(
-        values[time_balanced_order(values, np.random.default_rng(0), start)], start, design.mechanism
-    )
-    assert before.serious and not after.serious
-    assert max(row.share for row in after.rows) < 0.35
 
 
 @pytest.mark.parametrize("count", [3, 5, 8])
