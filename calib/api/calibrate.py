@@ -185,6 +185,7 @@ class CalibrationResult(OneLineRepr):
             "clocks": [one.tree() for one in self.clocks],
             "confounds": confounds and confounds.tree(),
             "pointing_terms": None if self.pointing_terms is None else self.pointing_terms.tree(),
+            "lost_vertices": [] if self.extended is None else self.extended.lost.tolist(),
             "verdict": self.verdict.tree(),
         }
 

@@ -62,7 +62,7 @@ from calib.models.arm.certification import CertifiedArm as ArmCertified
 from calib.models.arm.joint_space_correction_and_claim import arm_workspace_claim
 from calib.models.platform.identification import inverse_strut_length_jacobian
 from calib.samples.pose_samples import Sampled, Samples
-from rig.array_and_json_types import Booleans, Json
+from rig.array_and_json_types import Booleans, Floats, Json
 from rig.errors import NotEnoughData, RigError
 from rig.formats.numbers_and_units import parse_number
 from rig.model import mechanisms
@@ -293,6 +293,11 @@ class ExtendedCorrection:
     misses: tuple[float, float]
     unit: str
     base: str
+
+    @property
+    def lost(self) -> Floats:
+        """(k, axes) vertices of its grid that were not measured, where corrections are estimated from the others."""
+        return next(one.lost for one in self.tried if one.chosen)
 
 
 def certify_correction_extension(
