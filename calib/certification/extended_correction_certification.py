@@ -67,8 +67,7 @@ from calib.samples.pose_samples import Samples, inverse_covariance
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, is_redundant
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, Parallel, is_redundant
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import FILL, evenly_spread_configurations
 
@@ -179,7 +178,7 @@ def _with_scatter(samples: Samples, done: Certified, rng: np.random.Generator) -
 
 def certify_interpolation_method(
     samples: Samples,
-    basis: tuple[Parallel | Arm, Integers, Any],  # Any: what identified the geometry, of each kind of machine its own
+    basis: tuple[Commanded, Integers, Any],  # Any: what identified the geometry, of each kind of machine its own
     basis_of_samples: Callable[[Samples], "ExtensionBasis"],
     kind: str,
     rng: np.random.Generator,
@@ -273,7 +272,7 @@ class _Outcome(NamedTuple):
     after: dict[str, Floats]
 
 
-def _splits(samples: Samples, label: Integers, nominal: Parallel | Arm) -> list[tuple[Booleans, Booleans]]:
+def _splits(samples: Samples, label: Integers, nominal: Commanded) -> list[tuple[Booleans, Booleans]]:
     """[(fitted (n,) bool, held out (n,) bool)]; none where there are fewer than LEAST configurations."""
     if label.max() + 1 < LEAST:
         return []
